@@ -216,6 +216,9 @@ void define_methods(nb::module_& module) {
       .def_prop_ro(
           "mass", [](const Method& m) { return name_of(m.mass); },
           "Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.")
+      .def_prop_ro(
+          "equations", [](const Method& m) { return name_of(m.equations); },
+          "What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.")
       .def_prop_ro("options", [](const Method& m) {
         std::vector<const char*> names;
         for (const char* one : m.options)

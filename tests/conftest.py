@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
-from cases import ALGEBRAIC, IMPLICIT
+from cases import ALGEBRAIC, IMPLICIT, METHODS
 from problems import PROBLEMS, TestProblem
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
@@ -29,12 +29,12 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(10_000)
 
 
-@pytest.fixture(params=list(iv.METHODS))
+@pytest.fixture(params=list(METHODS))
 def method(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(params=[name for name, method in iv.METHODS.items() if method.stages is not None])
+@pytest.fixture(params=[name for name, method in METHODS.items() if method.stages is not None])
 def pair(request: pytest.FixtureRequest) -> str:
     """The explicit Runge-Kutta pairs."""
     return str(request.param)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cases import dealt, families
-from invariode import METHODS, Event, _core, compile, solve_ivp
+from cases import METHODS, dealt, families
+from invariode import Event, _core, compile, solve_ivp
 from invariode._problem.description import Description
 from invariode._run.plan import make_plan
 from invariode._run.plan import solver as planned_solver

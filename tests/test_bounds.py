@@ -10,10 +10,10 @@ import pytest
 from scipy.optimize import Bounds
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
-IMPLICIT = [name for name, method in iv.METHODS.items() if "jac" in method.options]
+IMPLICIT = [name for name, method in METHODS.items() if "jac" in method.options]
 
 
 def sink(t, y):
@@ -105,7 +105,7 @@ def enzymes(t, y):
 
 KINETICS = {
     "robertson": (robertson, (0, 4e11), [1.0, 0, 0], total, 1e-4, 1e-8, IMPLICIT),
-    "plankton": (plankton, (0, 30), [6.0, 0.1, 0.2, 0.01], total, 1e-4, 1e-6, list(iv.METHODS)),
+    "plankton": (plankton, (0, 30), [6.0, 0.1, 0.2, 0.01], total, 1e-4, 1e-6, list(METHODS)),
     "stratosphere": (
         stratosphere,
         (12 * 3600.0, 36 * 3600.0),
@@ -115,7 +115,7 @@ KINETICS = {
         1.0,
         IMPLICIT,
     ),
-    "kinase": (kinase, (0, 100), [1.0, 0, 0, 0.2, 0.1, 0, 0, 0, 0], enzymes, 1e-3, 1e-6, list(iv.METHODS)),
+    "kinase": (kinase, (0, 100), [1.0, 0, 0, 0.2, 0.1, 0, 0, 0, 0], enzymes, 1e-3, 1e-6, list(METHODS)),
 }
 
 
@@ -254,7 +254,7 @@ def test_the_mass_that_clipping_moves_is_told(method):
 # Laws
 
 
-@dealt(14, problem=PROBLEMS, method=iv.METHODS)
+@dealt(14, problem=PROBLEMS, method=METHODS)
 def test_bounds_that_are_never_reached_change_nothing(problem, method):
     options = {"rtol": 1e-4, "atol": 1e-6, "dense_output": True}
     plain = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, **options)

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS, slack
 
 KEPLER = PROBLEMS["Kepler"]
@@ -42,7 +42,7 @@ def assert_area(sol, area=AREA):
     assert abs(sol.y[0, -1] - area) < 1e-9
 
 
-@dealt(12, method=iv.METHODS, rtol=[1e-3, 1e-6])
+@dealt(12, method=METHODS, rtol=[1e-3, 1e-6])
 def test_narrow_pulses_are_not_missed(method, rtol):
     sol = iv.solve_ivp(pulses, (0, 100), [0.0], method, breakpoints=EDGES, rtol=rtol)
     assert_area(sol)
@@ -96,7 +96,7 @@ def slope_of_blown(t, y, p):
     return (0.0, 1.0, -p[3] * p[2], 0.0)
 
 
-@dealt(12, method=iv.METHODS, backwards=[False, True])
+@dealt(12, method=METHODS, backwards=[False, True])
 def test_each_piece_sees_f_from_its_own_side(method, backwards):
     """No time outside of the piece in which the step is, and none that is a breakpoint."""
     points = [1.0, 1.5, 4.0]
@@ -145,7 +145,7 @@ def decayed(*times):
     return np.exp(-4) + sum(np.exp(t - 4) for t in times)
 
 
-@dealt(14, method=iv.METHODS, at=[(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
+@dealt(14, method=METHODS, at=[(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
 def test_actions_are_taken_once_and_both_states_are_there(method, at):
     """At the start and at the end too; two at one time are two."""
     about = {"breakpoints": [(t, dose) for t in at], "dense_output": True, **TIGHT}
@@ -199,7 +199,7 @@ def decay(t, y):
     return -y
 
 
-@dealt(9, method=iv.METHODS, how=["event", "callback", "limit"])
+@dealt(9, method=METHODS, how=["event", "callback", "limit"])
 def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(method, how):
     """But a limit, which is looked at when the breakpoint has been passed."""
     taken = []
@@ -383,7 +383,7 @@ def test_an_input_is_the_function_of_its_table(kind, shape):
         np.testing.assert_array_equal(u(t[-1] + 1e6), values[-1])
 
 
-@dealt(12, method=iv.METHODS, kind=["linear", "cubic"])
+@dealt(12, method=METHODS, kind=["linear", "cubic"])
 def test_a_measured_force(method, kind):
     """The area under a table, to the tolerance; of pairs, which are of order 2 and more, the broken line's exactly."""
     t = np.linspace(0, 4, 17)
@@ -452,7 +452,7 @@ def test_classes_for_scipy_say_what_they_cannot():
         invariode.scipy.ODE45(lambda t, y: -y, 0, [1.0], 1, breakpoints=[0.5])
 
 
-@dealt(12, method=iv.METHODS, t0=[0.0, 1.0, -3.0])
+@dealt(12, method=METHODS, t0=[0.0, 1.0, -3.0])
 def test_breakpoints_between_which_no_step_fits_are_one(method, t0):
     """Two near the start, three near t0 + 1: each action is taken, each jump seen, and no step is shorter than the
     smallest. f is called on neither side with a time between them."""

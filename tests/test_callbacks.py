@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS, slack
 
 
@@ -56,7 +56,7 @@ ROLES = {
 }
 
 
-@dealt(30, method=iv.METHODS, role=ROLES, after=[0, 1, 2, 7, 30])
+@dealt(30, method=METHODS, role=ROLES, after=[0, 1, 2, 7, 30])
 def test_exceptions_come_out_unchanged_and_the_next_solve_works(method, role, after):
     options = {"fun": decay, **ROLES[role](after)}
     fun = options.pop("fun")
@@ -174,7 +174,7 @@ def test_f_never_sees_what_is_not_finite(method):
     assert "component 0 of fun is NaN or infinite" in sol.message
 
 
-@dealt(12, method=iv.METHODS, bad=[np.nan, np.inf])
+@dealt(12, method=METHODS, bad=[np.nan, np.inf])
 def test_f_that_is_not_finite(method, bad):
     at_start = iv.solve_ivp(lambda t, y: [1.0, bad], (0, 1), [0, 0], method)
     assert (at_start.status, at_start.success) == (-1, False)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
 
 SEED = 18
@@ -24,7 +24,7 @@ def problem(**changes):
     return iv.Problem(**{"fun": decay, "t_span": (0, 3), "y0": [1.0], "args": (2.0,), **changes})
 
 
-@dealt(24, method=iv.METHODS, seed=range(SEED, SEED + 3))
+@dealt(24, method=METHODS, seed=range(SEED, SEED + 3))
 def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
     case = random_case(seed, method)
     whole, part = case.solve(), case.solve(max_steps=case.after)

@@ -10,10 +10,10 @@ import pytest
 from scipy.linalg import null_space
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from test_bounds import robertson, total
 
-IMPLICIT = [name for name, method in iv.METHODS.items() if "jac" in method.options]
+IMPLICIT = [name for name, method in METHODS.items() if "jac" in method.options]
 
 
 def tank(t, y):
@@ -48,7 +48,7 @@ CASES = {
 }
 
 
-@dealt(24, name=CASES, rtol=[1e-3, 1e-6], method=iv.METHODS)
+@dealt(24, name=CASES, rtol=[1e-3, 1e-6], method=METHODS)
 def test_f_never_sees_a_value_outside_its_bounds(name, rtol, method):
     fun, t_span, y0, lower, upper = CASES[name]
     f = Watched(fun, lower, upper)
@@ -70,7 +70,7 @@ def test_nor_does_a_stiff_f_nor_one_with_algebraic_equations(method):
     assert f.outside == 0
 
 
-@dealt(12, rtol=[1e-2, 1e-4, 1e-8], method=iv.METHODS)
+@dealt(12, rtol=[1e-2, 1e-4, 1e-8], method=METHODS)
 def test_a_tank_that_drains_stays_empty(rtol, method):
     """y = (1 - t/2)² until t = 2; the last part, of the size of atol, may take any time."""
     sol = iv.solve_ivp(tank, (0, 10), [1.0], method, nonnegative=True, rtol=rtol, atol=1e-6, max_steps=3000)
@@ -137,7 +137,7 @@ def test_networks_with_laws_from_a_null_space(seed):
     """With the laws the end is as near to the reference as a few tolerances; methods take turns."""
     fun, laws, y0 = network(seed)
     reference = iv.solve_ivp(fun, (0, 3), y0, "radau", rtol=1e-8, atol=1e-11).y[:, -1]
-    names = list(iv.METHODS)
+    names = list(METHODS)
     for method in (names[seed % len(names)], names[(seed + 5) % len(names)]):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", iv.StiffnessWarning)
@@ -174,7 +174,7 @@ class Calls:
         return call
 
 
-@dealt(8, given=[True, False], method=iv.METHODS)
+@dealt(8, given=[True, False], method=METHODS)
 def test_an_exception_comes_out_as_itself_wherever_it_is_raised(given, method):
     def solve(calls):
         g = calls.of("g", lambda t, y: np.array([y[0] + y[1] + y[2], y[3]]))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS, long_steps
 
 MODES = ["projected", "corrected", "raw"]
 
 
-@dealt(28, method=iv.METHODS, problem=PROBLEMS, project=[False, True], interpolation=["projected", "corrected"])
+@dealt(28, method=METHODS, problem=PROBLEMS, project=[False, True], interpolation=["projected", "corrected"])
 def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpolation):
     """Just before and just after a knot the values differ by what the solution moves in that time, and by roundoff."""
     sol = problem.solve(method, project, dense_output=True, interpolation=interpolation)
@@ -30,14 +30,14 @@ def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpol
     assert np.abs(after - sol.y[:, 1:-1]).max() <= bound
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, interpolation=MODES)
+@dealt(14, method=METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_stored_values_at_the_ends_of_steps(method, problem, interpolation):
     sol = problem.solve(method, dense_output=True, interpolation=interpolation)
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
     np.testing.assert_array_equal(sol.sol.ts, sol.t)
 
 
-@dealt(24, method=iv.METHODS, problem=PROBLEMS, interpolation=MODES)
+@dealt(24, method=METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_output_at_given_times_is_the_dense_output(method, problem, interpolation):
     dense = problem.solve(method, dense_output=True, interpolation=interpolation)
     t = np.linspace(*problem.t_span, 77)
@@ -48,7 +48,7 @@ def test_output_at_given_times_is_the_dense_output(method, problem, interpolatio
     np.testing.assert_allclose(refined.y, dense.sol(refined.t), rtol=1e-13, atol=1e-13)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_projected_values_keep_the_invariants_as_the_steps_do(method, problem):
     """Between steps the residual is the one that interpolates those of the two ends."""
     sol = problem.solve(method, refine=5)
@@ -137,7 +137,7 @@ def bounce(t, y):
     return y[0]
 
 
-@dealt(12, method=iv.METHODS, imposed=[False, True])
+@dealt(12, method=METHODS, imposed=[False, True])
 def test_copies_and_pickles_are_the_same_function(method, imposed):
     """Jumps and projection included; functions that are of no module stay behind where they can."""
     jump = iv.Event(bounce, direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from invariode import scipy as classes
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
@@ -49,7 +49,7 @@ def with_a_jump(k: int):
     )
 
 
-@dealt(12, method=iv.METHODS, rtol=[1e-3, 1e-6])
+@dealt(12, method=METHODS, rtol=[1e-3, 1e-6])
 def test_jumps_are_named_to_the_last_bit(method, rtol):
     """Nearly all where four attempts or more fail (docs/algorithms.md, 'Jumps of f'), and no other time."""
     found = looked = 0
@@ -68,7 +68,7 @@ def test_jumps_are_named_to_the_last_bit(method, rtol):
     assert looked >= (4 if rtol < 1e-3 else 0)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_smooth_problems_have_none(method, problem):
     """At random tolerances; all other tests of the package are such tests too, since warnings are errors."""
     for rtol in 10.0 ** -np.random.default_rng(len(method + problem.name)).uniform(
@@ -277,7 +277,7 @@ def bouncing(restitution, method, **options):
     return iv.solve_ivp(lambda t, y: [y[1], -1.0], (0, 2 * end), [1.0, 0.0], method, events=hit, **options), end
 
 
-@dealt(12, method=iv.METHODS, restitution=[0.4, 0.8])
+@dealt(12, method=METHODS, restitution=[0.4, 0.8])
 def test_impacts_that_accumulate_are_named(method, restitution):
     """A ball falls through the floor when its flights are shorter than what a step shows: that is said, once."""
     with pytest.warns(iv.DiscontinuityWarning, match=r"floor: its actions came closer and closer") as said:
@@ -321,7 +321,7 @@ def block(t, y):
     return [y[1], 0.5 * np.sin(t) - np.sign(y[1])]
 
 
-@dealt(16, method=iv.METHODS, rtol=[1e-3, 1e-6], y0=[[0.0, 1.0], [0.0, 1e-9]])
+@dealt(16, method=METHODS, rtol=[1e-3, 1e-6], y0=[[0.0, 1.0], [0.0, 1e-9]])
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # which it is too, in a sense
 def test_a_solution_that_sticks_where_f_jumps_is_told(method, rtol, y0):
     """Implicit methods may fail there instead, at last or in most attempts, and name the jump."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit
+from cases import METHODS, dealt, explicit_and_implicit
 from problems import (
     PROBLEMS,
     jacobi_integral,
@@ -65,7 +65,7 @@ WRONG = {
 }
 
 
-@dealt(60, method=iv.METHODS, name=WRONG, rtol=[1e-3, 1e-6])
+@dealt(60, method=METHODS, name=WRONG, rtol=[1e-3, 1e-6])
 def test_wrong_invariants_are_found(method, name, rtol):
     fun, y0, wrong = WRONG[name]
     invariants = iv.Invariants(wrong, names="suspect")
@@ -82,7 +82,7 @@ def test_wrong_invariants_are_found(method, name, rtol):
         assert len(sol.steps.t) == sol.stats.steps == len(sol.t) - 1
 
 
-@dealt(60, method=iv.METHODS, problem=PROBLEMS, rtol=[1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
+@dealt(60, method=METHODS, problem=PROBLEMS, rtol=[1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
 @pytest.mark.filterwarnings("ignore:overflow")  # in stages of attempts that are far too long
 def test_right_invariants_are_never_accused(method, problem, rtol):
     t0, tf = problem.t_span
@@ -259,7 +259,7 @@ MISLEADING = {
 }
 
 
-@dealt(33, method=iv.METHODS, name=MISLEADING)
+@dealt(33, method=METHODS, name=MISLEADING)
 def test_right_invariants_where_derivatives_mislead(method, name):
     fun, span, y0, g, options = MISLEADING[name]
     sol = iv.solve_ivp(fun, span, y0, method, invariants=g, **options)
@@ -284,7 +284,7 @@ LATE = {
 }
 
 
-@dealt(20, method=iv.METHODS, name=LATE)
+@dealt(20, method=METHODS, name=LATE)
 def test_invariants_that_begin_to_change_with_t_are_found(method, name):
     added, options = LATE[name]
     sol = iv.solve_ivp(
@@ -319,7 +319,7 @@ def test_complex_steps_are_given_up_where_they_are_wrong():
     assert "central differences" in sol.stats.derivatives
 
 
-@dealt(8, method=iv.METHODS, when=["always", "needed"])
+@dealt(8, method=METHODS, when=["always", "needed"])
 def test_an_invariant_that_becomes_undefined_ends_the_run_there(method, when):
     held = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 if t < 5 else np.nan, when=when)
     sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], method, invariants=held)
@@ -333,7 +333,7 @@ def test_a_right_jacobian_is_not_called_wrong_beside_the_manifold():
     assert report.ok, report
 
 
-@dealt(40, method=iv.METHODS, name=HARD)
+@dealt(40, method=METHODS, name=HARD)
 def test_right_invariants_that_are_hard(method, name):
     fun, y0, g = HARD[name]
     sol = iv.solve_ivp(fun, (0, 10), y0, method, invariants=g)
@@ -400,7 +400,7 @@ def test_invariant_that_is_not_finite_at_the_start():
         )
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(method, problem):
     """Below 100 rtol for rtol <= 1e-2: where the guard draws the line."""

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
-from cases import ALGEBRAIC, IMPLICIT, dealt
+from cases import ALGEBRAIC, IMPLICIT, METHODS, dealt
 from problems import implicit, slack, switching
 from stiff import PROBLEMS
 
@@ -48,7 +48,7 @@ FORMS = {
 }
 
 
-@dealt(24, method=[*(name for name in filter(implicit, iv.METHODS) if not switching(name)), "BDF"], form=FORMS)
+@dealt(24, method=[*(name for name in filter(implicit, METHODS) if not switching(name)), "BDF"], form=FORMS)
 def test_every_form_of_the_jacobian_gives_the_same_run(method, form):
     expected = iv.solve_ivp(diffusion, (0, 5), U0, method, jac=diffusion_jacobian, rtol=1e-6)
     sol = iv.solve_ivp(diffusion, (0, 5), U0, method, rtol=1e-6, **FORMS[form])
@@ -302,7 +302,7 @@ class TestMass:
 
 
 @pytest.mark.parametrize("mass", [lambda t: np.eye(2), np.diag([1.0, 0])], ids=["M(t)", "singular"])
-@pytest.mark.parametrize("method", [name for name, about in iv.METHODS.items() if about.mass == "regular"])
+@pytest.mark.parametrize("method", [name for name, about in METHODS.items() if about.mass == "regular"])
 def test_a_method_for_constant_regular_mass_says_so(method, mass):
     with pytest.raises(ValueError, match=f"{method} takes a constant and regular mass matrix only; use ode15s"):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0, 0.0], method, mass=mass)

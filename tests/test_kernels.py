@@ -16,6 +16,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import METHODS
 from invariode._linear import matrices, null_space
 from kernels import loaded, runnable
 from problems import implicit
@@ -58,7 +59,7 @@ def jac(t: float, y: np.ndarray) -> np.ndarray:
 
 def cases() -> Iterator[tuple[str, iv.Solution]]:
     """Small runs of every implicit method, with each M that it takes."""
-    for method in filter(implicit, iv.METHODS):
+    for method in filter(implicit, METHODS):
         for kind, mass in MASSES.items():
             if (kind.startswith("singular") or callable(mass)) and iv.METHODS[method].mass != "any":
                 continue

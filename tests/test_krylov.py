@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, splu
 
 import invariode as iv
-from cases import dealt
-from invariode._problem.methods import METHODS
+from cases import METHODS, dealt
 
 MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
 ALONE = [name for name in MATRIX_FREE if "prefer" not in METHODS[name].options]  # auto has an explicit way out

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt
+from cases import METHODS, dealt
 from invariode import _core
 from invariode._functions import lanes
 from problems import PROBLEMS
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]
-PAIRS = [name for name, method in iv.METHODS.items() if method.stages]
+PAIRS = [name for name, method in METHODS.items() if method.stages]
 
 
 def lotka_volterra(t, y, p):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
 KEPLER = PROBLEMS["Kepler"]
@@ -26,7 +26,7 @@ def circle(t, y):
     return [y[1], -y[0]]
 
 
-@dealt(12, method=iv.METHODS, keep=["all", "outputs", "end"], project=[False, True])
+@dealt(12, method=METHODS, keep=["all", "outputs", "end"], project=[False, True])
 def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, project):
     about = {"keep": keep, "invariants": KEPLER.invariants() if project else None}
     whole, sol = kepler(method, **{**about, "keep": "all"}), kepler(method, max_steps=17, **about)
@@ -60,7 +60,7 @@ def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
 
 
-@dealt(8, method=iv.METHODS, end=[1e9, np.inf])
+@dealt(8, method=METHODS, end=[1e9, np.inf])
 def test_time_limit(method, end):
     """Python's function waits: the limit is looked at after each attempt, which takes a few calls."""
 
@@ -186,7 +186,7 @@ def interrupted_after(seconds):
     return timer
 
 
-@dealt(8, method=iv.METHODS, native=[False, True])
+@dealt(8, method=METHODS, native=[False, True])
 def test_ctrl_c_returns_what_there_is(method, native, native_circle):
     """The handler of the session is in force again afterwards, and the run can go on."""
     before = signal.getsignal(signal.SIGINT)

@@ -12,13 +12,14 @@ import pytest
 import scipy.integrate
 
 import invariode as iv
+from cases import METHODS
 from problems import PROBLEMS
 
 KEPLER = PROBLEMS["Kepler"]
 TIMES = np.linspace(0, 4, 41)[1:]
 #: The pairs end at the requested times; the others go beyond and interpolate.
-PAIRS = [name for name, about in iv.METHODS.items() if about.stages is not None]
-GOING_ON = [name for name in iv.METHODS if name not in PAIRS]
+PAIRS = [name for name, about in METHODS.items() if about.stages is not None]
+GOING_ON = [name for name in METHODS if name not in PAIRS]
 #: What stands for SciPy's integrators.
 SCIPYS = {
     "vode": "ode113",

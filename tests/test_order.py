@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt
+from cases import METHODS, dealt
 from problems import PROBLEMS, TestProblem, cost_of_pair, implicit, long_steps, switching
 
 ORBIT = PROBLEMS["Kepler"]
@@ -85,7 +85,7 @@ DRIVEN = TestProblem(
 #: Implicit formulas with their order and that of their extension. (tests/native/order.cpp has all of radau's.)
 FORMULAS = [
     pytest.param(name, about.order, about.extension_order, {}, id=name)
-    for name, about in iv.METHODS.items()
+    for name, about in METHODS.items()
     if implicit(name) and about.fixed_order
 ] + [pytest.param("radau", 5, 3, {"max_order": 5}, id="radau")]
 
@@ -182,7 +182,7 @@ def test_projection_costs_no_extra_f(method):
         assert sol.stats.switches == 0
 
 
-@pytest.mark.parametrize("pair", [name for name, method in iv.METHODS.items() if "fsal" in method.options])
+@pytest.mark.parametrize("pair", [name for name, method in METHODS.items() if "fsal" in method.options])
 def test_evaluating_f_again_costs_one_per_correction(pair):
     again = ORBIT.solve(pair, fsal="evaluate")
     stages = iv.METHODS[pair].stages
@@ -201,7 +201,7 @@ def kepler_rhs_jacobian(t, y):
     ]
 
 
-@dealt(12, method=iv.METHODS, project=[False, True])
+@dealt(12, method=METHODS, project=[False, True])
 def test_error_follows_the_tolerance(method, project):
     """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or
     to 1e-8 where the order is so low that the steps are very many."""

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit
+from cases import METHODS, dealt, explicit_and_implicit
 from invariode._results.pictures.canvas import log_axis
 from invariode._studies import work_precision
 from invariode._studies.precision import Row, Run
@@ -123,7 +123,7 @@ def below(sol):
     return np.finfo(float).eps * max(1, np.abs(drift.value).max(), drift.residual_before.max())
 
 
-@dealt(14, problem=PROBLEMS, drawing=DRAWINGS, method=iv.METHODS)
+@dealt(14, problem=PROBLEMS, drawing=DRAWINGS, method=METHODS)
 def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method):
     sol = problem.solve(method)
     ax = axes()

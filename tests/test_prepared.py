@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt
+from cases import METHODS, dealt
 
 numba = pytest.importorskip("numba")
 
@@ -89,7 +89,7 @@ def same(a: iv.Solution, b: iv.Solution) -> None:
     assert repr(a.drift()) == repr(b.drift())
 
 
-@dealt(24, form=FORMS, kept=[False, True], change=CHANGES, method=iv.METHODS)
+@dealt(24, form=FORMS, kept=[False, True], change=CHANGES, method=METHODS)
 def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> None:
     problem = described(form, kept, events=True)
     solver = problem.prepare(method)

@@ -12,7 +12,7 @@ from scipy.integrate import OdeSolver
 
 import invariode as iv
 import invariode.scipy as plugin
-from cases import dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families
 from problems import PROBLEMS, blow_up, implicit
 
 CLASSES = {name: getattr(plugin, name.upper()) for name in iv.METHODS}
@@ -42,7 +42,7 @@ def test_names_of_scipy_are_classes_too(name):
         np.testing.assert_array_equal(sol.y, expected.y)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
+@dealt(14, method=METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_steps_the_counts_and_the_dense_output_are_ours(method, problem, project):
     invariants = problem.invariants() if project else None
     ours = problem.solve(method, project, dense_output=True)
@@ -123,7 +123,7 @@ def test_times_of_output(method, backwards):
     np.testing.assert_allclose(sol.y, ours.y, rtol=1e-13, atol=1e-13)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_stepping_by_hand_is_the_solve(method, problem):
     ours = problem.solve(method)
     solver = CLASSES[method](
@@ -187,7 +187,7 @@ CORNERS = {
 }
 
 
-@dealt(12, method=iv.METHODS, name=CORNERS, dense_output=[False, True])
+@dealt(12, method=METHODS, name=CORNERS, dense_output=[False, True])
 def test_corner_cases(method, name, dense_output):
     t_span, y0, options = CORNERS[name]
 

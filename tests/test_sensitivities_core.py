@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import METHODS
 from invariode import _core
 from variations import (
     MASSES,
@@ -22,9 +23,8 @@ from variations import (
 )
 
 EPS = np.finfo(float).eps
-EXPLICIT = [name for name, method in iv.METHODS.items() if "jac" not in method.options]
-STAGED = [name for name, method in iv.METHODS.items() if method.stages is not None]
-METHODS = list(iv.METHODS)
+EXPLICIT = [name for name, method in METHODS.items() if "jac" not in method.options]
+STAGED = [name for name, method in METHODS.items() if method.stages is not None]
 
 #: d/dp of |y(10) - 1|² / 2, Lotka-Volterra from (1, 1) with p = (1.5, 1, 3, 1).
 GRADIENT = [0.6219615855514, 0.0680014041508, 0.1691764639959, 0.27256069395]

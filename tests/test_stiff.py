@@ -9,7 +9,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
-from cases import dealt
+from cases import METHODS, dealt
 from problems import implicit
 from stiff import E5_END, E5_START, E5_Y2, E5_Y3, PROBLEMS, StiffProblem, e5, e5_jacobian
 from stiff_ends import PROBLEMS as ENDS
@@ -25,7 +25,7 @@ LIMIT = {
 #: Every decade; the largest problem takes seconds per run, with the same matrices.
 DECADES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 TOLERANCES = {"Brusselator, 2-D": (1e-3, 1e-5)}
-IMPLICIT = [name for name in iv.METHODS if implicit(name)]
+IMPLICIT = [name for name in METHODS if implicit(name)]
 SMALL = [name for name, problem in PROBLEMS.items() if len(problem.y0) < 100]
 
 

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import dealt
+from cases import METHODS, dealt
 from invariode import scipy as classes
-from invariode._problem.methods import METHODS
 from problems import PROBLEMS
 
 EXPLICIT = [name for name, method in METHODS.items() if "jac" not in method.options]

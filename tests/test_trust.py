@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import invariode as iv
 import solved_mechanisms
-from cases import dealt, explicit_and_implicit
+from cases import METHODS, dealt, explicit_and_implicit
 from gallery import GALLERY
 from invariode.scipy import ODE45
 from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
@@ -37,7 +37,7 @@ EPS = np.finfo(float).eps
 # Wrong by little
 
 
-@dealt(16, method=iv.METHODS, p=[1e-7, 1e-6], rtol=[1e-9, 1e-11])
+@dealt(16, method=METHODS, p=[1e-7, 1e-6], rtol=[1e-9, 1e-11])
 def test_a_coefficient_wrong_by_less_than_one_in_a_million_is_found_where_it_matters(method, p, rtol):
     sol = iv.solve_ivp(
         henon_heiles,
@@ -104,7 +104,7 @@ def test_the_check_knows_no_unit_of_time(unit):
         assert report.conserved[0] == conserved, report
 
 
-@dealt(12, method=iv.METHODS, size=[1e-100, 1e-12, 1.0, 1e100])
+@dealt(12, method=METHODS, size=[1e-100, 1e-12, 1.0, 1e100])
 def test_the_guard_knows_no_unit_of_the_state(method, size):
     for p, found in ((0.0, False), (1e-2, True)):
         held = iv.Invariants(lambda t, y, p=p: y[1] ** 2 / 2 + 2 * (1 + p) * y[0] ** 2)
@@ -169,7 +169,7 @@ def logarithm(t, y):
     return y[0] - np.log(y[0]) + 2 * (y[1] - np.log(y[1]))
 
 
-@dealt(24, method=iv.METHODS, g=[pole, logarithm], y0=[(1e-6, 0.5), (1e-6, 2), (1e-6, 3), (1e-4, 1)])
+@dealt(24, method=METHODS, g=[pole, logarithm], y0=[(1e-6, 0.5), (1e-6, 2), (1e-6, 3), (1e-4, 1)])
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 def test_projection_does_not_leave_the_domain_of_an_invariant(method, g, y0):
@@ -185,7 +185,7 @@ def root(t, y):
 
 @pytest.mark.filterwarnings("ignore:(invalid value|divide by zero):RuntimeWarning")
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
-@dealt(27, method=iv.METHODS, g=[pole, logarithm, root], ends=[(1, 0), (1, -1), (10, 3)])
+@dealt(27, method=METHODS, g=[pole, logarithm, root], ends=[(1, 0), (1, -1), (10, 3)])
 def test_nor_a_domain_that_ends_elsewhere(method, g, ends):
     """The same populations, counted down from one number and up from another: log(1 - y), sqrt(10 - y), 1 / (y - 3)."""
     end, other = ends
@@ -261,7 +261,7 @@ def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):
         iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
 
 
-@dealt(12, method=iv.METHODS, rtol=[1e-9, 1e-11])
+@dealt(12, method=METHODS, rtol=[1e-9, 1e-11])
 def test_redundant_invariants_by_differences_cost_no_accuracy(method, rtol):
     problem = PROBLEMS["rigid body"]
     if method in ("ode23", "ode15s") and rtol < 1e-9:
@@ -281,7 +281,7 @@ def test_redundant_invariants_by_differences_cost_no_accuracy(method, rtol):
         np.testing.assert_allclose(run(four, "2-point"), exact, rtol=0, atol=10 * rtol)
 
 
-@dealt(12, method=iv.METHODS, factor=[0.1, 0.01, 30])
+@dealt(12, method=METHODS, factor=[0.1, 0.01, 30])
 def test_when_needed_keeps_its_promise_after_a_jump(method, factor):
     jump = iv.Event(lambda t, y: t - 5, action=lambda t, y: factor * y)
     sol = iv.solve_ivp(
@@ -298,7 +298,7 @@ def test_when_needed_keeps_its_promise_after_a_jump(method, factor):
     assert sol.drift().distance_after.max() < 0.02  # 0.01 of the tolerance, and what one iteration leaves
 
 
-@dealt(12, method=iv.METHODS, rtol=[1e-5, 1e-7])
+@dealt(12, method=METHODS, rtol=[1e-5, 1e-7])
 def test_when_needed_keeps_its_promise_where_gradients_change_fast(method, rtol):
     e = 0.99
     start = [1 - e, 0, 0, np.sqrt((1 + e) / (1 - e))]
@@ -334,7 +334,7 @@ def in_levels(constraints, n):
     ]
 
 
-@dealt(12, method=iv.METHODS, tolerance=[1e-3, 1e-5])
+@dealt(12, method=METHODS, tolerance=[1e-3, 1e-5])
 def test_corrections_in_levels_do_no_harm(method, tolerance):
     """The remedy: on the same problem the velocities are as accurate as without invariants."""
     options = {"method": method, "rtol": tolerance, "atol": tolerance}
@@ -346,7 +346,7 @@ def test_corrections_in_levels_do_no_harm(method, tolerance):
     assert np.abs(kept - exact).max() < 3 * max(np.abs(plain - exact).max(), tolerance)
 
 
-@dealt(12, method=iv.METHODS, tolerance=[1e-3, 1e-5])
+@dealt(12, method=METHODS, tolerance=[1e-3, 1e-5])
 def test_no_harm_is_seen_in_a_mechanism_that_has_none(method, tolerance):
     """SUNDIALS' slider crank with one atol: positions and velocities are alike in size, and projection helps."""
     with warnings.catch_warnings():
@@ -356,7 +356,7 @@ def test_no_harm_is_seen_in_a_mechanism_that_has_none(method, tolerance):
             assert sol.success
 
 
-@dealt(16, method=iv.METHODS, name=iv.problems.__all__)
+@dealt(16, method=METHODS, name=iv.problems.__all__)
 def test_no_harm_is_seen_in_classic_problems(method, name):
     if name in ("hires", "robertson") and "jac" not in iv.METHODS[method].options:
         pytest.skip("too many steps")
@@ -401,7 +401,7 @@ def test_it_is_said_of_a_run_that_scipy_ends_early_too():
     assert len(said) == 1
 
 
-@dealt(24, method=iv.METHODS, problem=PROBLEMS, rtol=[1e-3, 1e-5, 1e-7])
+@dealt(24, method=METHODS, problem=PROBLEMS, rtol=[1e-3, 1e-5, 1e-7])
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_no_harm_is_seen_where_projection_helps(method, problem, rtol):
     with warnings.catch_warnings():

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import ALGEBRAIC, dealt
+from cases import ALGEBRAIC, METHODS, dealt
 from problems import PROBLEMS, TestProblem, implicit, one_step, slack
 from stiff import PROBLEMS as STIFF
 
@@ -91,7 +91,7 @@ def assert_same(scaled: iv.Solution, plain: iv.Solution, units: Units) -> None:
 # Powers of two
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_units_do_not_matter_without_invariants(method, problem):
     plain = solve(problem, method, Units(), project=False)
     for c in FAR:
@@ -99,7 +99,7 @@ def test_units_do_not_matter_without_invariants(method, problem):
             assert_same(solve(problem, method, units, project=False), plain, units)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, jac=JACOBIANS)
+@dealt(14, method=METHODS, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_do_not_matter_with_invariants(method, problem, jac):
     plain = solve(problem, method, Units(), jac=jac)
     for c in FAR:
@@ -107,7 +107,7 @@ def test_units_do_not_matter_with_invariants(method, problem, jac):
             assert_same(solve(problem, method, units, jac=jac), plain, units)
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_extreme_units_of_the_state_do_not_matter(method, problem):
     plain = solve(problem, method, Units())
     for units in (Units(state=c) for c in EXTREME):
@@ -251,7 +251,7 @@ def end_state(problem: TestProblem, method: str, y0: np.ndarray, g: iv.Invariant
     return sol.y[:, -1]
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, jac=JACOBIANS)
+@dealt(14, method=METHODS, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_of_invariants_change_roundings_only(method, problem, jac):
     """By powers of ten: the solution moves as it does when the last digit of y0 changes."""
     y0, held = np.array(problem.y0, dtype=float), invariants(problem, Units(), jac)
@@ -278,7 +278,7 @@ def permuted(problem: TestProblem, of_state: np.ndarray, of_invariants: np.ndarr
     )
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
+@dealt(14, method=METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_order_of_components_does_not_matter(method, problem, project):
     order = np.arange(len(problem.y0))[::-1]
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))
@@ -296,7 +296,7 @@ def test_the_order_of_components_does_not_matter(method, problem, project):
     )
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS)
+@dealt(14, method=METHODS, problem=PROBLEMS)
 def test_the_order_of_invariants_does_not_matter(method, problem):
     state = np.arange(len(problem.y0))
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))[::-1]
@@ -318,7 +318,7 @@ def central_differences(fun: Callable[..., Any]) -> Callable[..., Any]:
     return jac
 
 
-@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
+@dealt(14, method=METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_direction_of_time_does_not_matter(method, problem, project):
     """s = -t: y' = f(t, y) is dy/ds = -f(-s, y), with the same steps and the same digits."""
 

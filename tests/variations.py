@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-import invariode as iv
+from cases import METHODS
 from invariode import _core
 
 NO_NULL_SPACE = (np.zeros(1, np.int32), np.zeros(0, np.int32), np.zeros(0))
@@ -258,4 +258,4 @@ def bouncing_ball() -> Varied:
 
 
 PROBLEMS = {"lotka_volterra": lotka_volterra, "kepler": kepler, "pendulum": pendulum}
-MASSES = [name for name, method in iv.METHODS.items() if method.mass == "any"]
+MASSES = [name for name, method in METHODS.items() if method.mass == "any"]

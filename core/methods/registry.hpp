@@ -30,6 +30,9 @@ struct MethodOptions {
 /// Which M of M y' = f(t, y) a method takes.
 enum class MassMatrices { none, constant_regular, any };
 
+/// What a method takes for f: any function of (t, y); one whose expression graph is known; f of y'' = f(t, y).
+enum class Equations { any, graph, second_order };
+
 /// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
 struct Method {
   static constexpr std::size_t most_options = 12;
@@ -49,6 +52,7 @@ struct Method {
   int refine = 1;       ///< points per step that the function of this name returns
   std::array<const char*, most_options> options{};  ///< those that not every method takes, and this one does
   MassMatrices mass = MassMatrices::none;
+  Equations equations = Equations::any;
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
                                 const LinearAlgebra& linear);
 

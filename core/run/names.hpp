@@ -91,6 +91,9 @@ inline constexpr Named<Fsal> fsal_names[] = {{"reuse", Fsal::reuse}, {"evaluate"
 inline constexpr Named<MassMatrices> mass_names[] = {
     {"none", MassMatrices::none}, {"regular", MassMatrices::constant_regular}, {"any", MassMatrices::any}};
 
+inline constexpr Named<Equations> equation_names[] = {
+    {"any", Equations::any}, {"graph", Equations::graph}, {"second-order", Equations::second_order}};
+
 inline constexpr Named<Interpolation> interpolation_names[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
 
@@ -128,6 +131,7 @@ constexpr const char* name_of(Consistency verdict) { return name_in(consistency_
 constexpr const char* name_of(Derivative derivative) { return name_in(derivative_names, derivative); }
 constexpr const char* name_of(Fsal fsal) { return name_in(fsal_names, fsal); }
 constexpr const char* name_of(MassMatrices kind) { return name_in(mass_names, kind); }
+constexpr const char* name_of(Equations equations) { return name_in(equation_names, equations); }
 constexpr const char* name_of(Interpolation mode) { return name_in(interpolation_names, mode); }
 
 }  // namespace invariode

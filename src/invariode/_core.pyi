@@ -775,6 +775,12 @@ class Method:
         """
 
     @property
+    def equations(self) -> str:
+        """
+        What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.
+        """
+
+    @property
     def options(self) -> tuple: ...
 
 def methods() -> list[Method]:

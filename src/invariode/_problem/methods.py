@@ -47,6 +47,9 @@ class Method:
         The options that this name implies.
     mass : str
         Which mass matrices it takes: 'none', 'regular' (constant, regular ones), or 'any'.
+    equations : str
+        What it takes for f: 'any' function of (t, y), one whose expression 'graph' is known, or f of a 'second-order'
+        system y'' = f(t, y).
     options : tuple of str
         Options that this method can use and others cannot.
     source : str
@@ -66,6 +69,7 @@ class Method:
     scipy_name: str | None
     source: str
     mass: str
+    equations: str
     options: tuple[str, ...]
     scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
