@@ -63,8 +63,8 @@ class Experiment:
         the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
         parameters. Default: the problem's y0.
     **options
-        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`, where
-        the options that are not accepted are listed.
+        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
+        which lists the options that are not accepted.
 
     Examples
     --------
