@@ -108,7 +108,7 @@ def test_an_extension_goes_on_writing(method, tmp_path):
     again = iv.load(path, problem())
     assert not differences(longer.extend(7), again.extend(7))
     problem().solve(method, checkpoint=path)  # that run has ended: another may take its place
-    with pytest.raises(ValueError, match="holds another run by now"):
+    with pytest.raises(ValueError, match="now belongs to another run"):
         longer.extend(8)
 
 

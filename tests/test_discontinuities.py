@@ -214,7 +214,7 @@ def test_ensembles_tell_where(how, tmp_path: Path):
     }[how]
     if how == "store":
         pytest.importorskip("zarr")
-    with pytest.warns(iv.DiscontinuityWarning, match="ode45: in 3 trajectories fun looks discontinuous") as said:
+    with pytest.warns(iv.DiscontinuityWarning, match="ode45: fun looks discontinuous in 3 trajectories") as said:
         m = iv.solve_ensemble(fun, (0, 10), [1.0], args=args, rtol=1e-6, workers=1, **given)
     assert len(said) == 1
     m = m.load() if how == "store" else m

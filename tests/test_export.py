@@ -393,7 +393,7 @@ def test_a_hostile_description_of_a_solution_is_damage_or_does_no_harm(tmp_path,
 def test_a_compressed_file_larger_than_it_says_is_damage(tmp_path):
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("t.npy", npy(described((10**6,)), bytes(8 * 10**6)))
-    with pytest.raises(ValueError, match="is damaged: it says that its arrays are larger than the file"):
+    with pytest.raises(ValueError, match="is damaged: its header declares arrays larger than the file"):
         iv.load(tmp_path / "bomb.npz")
 
 

@@ -403,7 +403,7 @@ BAD = {
     ),
     "constant": (
         iv.InvariantError,
-        "constraint 2 is 1 at t = 0.0, and no change of q changes it: it does not depend on q",
+        "constraint 2 is 1 at t = 0.0, and changing q does not affect it: either it does not depend on q",
         {"constraints": lambda t, q: [q[0] - 1, 1 + 0 * q[0]]},
     ),
     "of time": (

@@ -143,7 +143,7 @@ def arrays_in(file: IO[bytes], size: int, path: PathLike, only: str | None = Non
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             if sum(member.file_size for member in members) > size:
-                raise ValueError("it says that its arrays are larger than the file")
+                raise ValueError("its header declares arrays larger than the file")
             names = {member.filename.removesuffix(".npy"): member for member in members}
             return {name: _array(archive, member) for name, member in names.items() if only in (None, name)}
     except OSError as wrong:

@@ -107,8 +107,8 @@ class Remarks:
             text = f"in {self._stiff} trajectories stability, not accuracy, limits most steps"
             warn(f"{plan.method.name}: {text} (stats['stiff'] tells in which); try ode15s", StiffnessWarning)
         if self._discontinuous:
-            text = f"in {self._discontinuous} trajectories fun looks discontinuous, where steps fail"
-            what = "give breakpoints, or an event with an action where y decides when it jumps"
+            text = f"fun looks discontinuous in {self._discontinuous} trajectories, where steps were rejected"
+            what = "give breakpoints, or, if the time of the jump depends on y, an event with an action"
             where = "stats['discontinuity'] tells where at first"
             warn(f"{plan.method.name}: {text} ({where}); {what}", DiscontinuityWarning)
 

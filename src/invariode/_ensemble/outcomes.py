@@ -53,7 +53,7 @@ class Outcomes:
         return len(self.status)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Counts are most of what travels from a worker, and small."""
+        """Counts are sent as small integers, since they are most of the data that a worker returns."""
         largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
         error = None if self.error is None else (self.error[0], travelling(self.error[1]))
         return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1)), "error": error}

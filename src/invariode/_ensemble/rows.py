@@ -317,7 +317,10 @@ def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float]
     found, done = _unsolved(task, plan), 0
     happened: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.called.events]
     if workers > 1 and not may_start():
-        warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
+        warn(
+            "a daemonic process cannot start workers; solving in this process. Start it with daemon=False to use "
+            "workers"
+        )
         workers = 1
     with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
         for outcomes in chunks:

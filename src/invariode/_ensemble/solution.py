@@ -91,7 +91,7 @@ class EnsembleEvents(Record):
     Attributes
     ----------
     trajectory : ndarray of int, (k,)
-        In which trajectory each occurred; sorted.
+        Index of the trajectory of each occurrence; sorted.
     t : ndarray, (k,)
         When.
     y : ndarray, (k, n)
@@ -187,10 +187,9 @@ class EnsembleSolution:
     y_end : ndarray, (N, n)
         The state there, also of trajectories that failed on their way (status -1 to -3); NaN for status -4.
     status : ndarray of int, (N,)
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
-        invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
-        value is off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function
-        raised.
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given invariant is not
+        conserved, -3 a limit was reached, -4 an error that raises an exception in a single solve: the initial value is
+        off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str

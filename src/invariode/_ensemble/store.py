@@ -227,7 +227,7 @@ class StoreWriter:
         self._digests.resize((-(-rows // self.length),))
 
     def finish(self, size: int) -> None:
-        """All rows are solved: this many."""
+        """Record that the store is complete, with this many rows."""
         if size < self._arrays["status"].shape[0]:
             self._grow(size)
         self._group.attrs["size"] = size
@@ -254,7 +254,7 @@ class EnsembleStore:
     Raises
     ------
     ValueError
-        There is no store of an ensemble.
+        The path does not hold an ensemble store.
     ModuleNotFoundError
         zarr, of the extra `cluster`, is not installed.
     """

@@ -357,7 +357,7 @@ class _OfGraph:
         return self._for_python(self._exact.dense(), self._n, self._m * self._n)
 
     def _for_python(self, made: GraphFunction, n: int, size: int) -> Callable[[float, Array, Array], Array]:
-        """A function of the graph, of n numbers beside t and the parameters, with so many values."""
+        """A Python function of t, n numbers and the parameters, made from the graph."""
         if has_llvm():
             return as_python(native(made, self._fun, n, size, len(self._p)), size)
         formula = made.fun

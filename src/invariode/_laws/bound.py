@@ -379,7 +379,7 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     """A native g as the core takes it, and its values at (t, y). It cannot say how many there are."""
     told = [len(known) for known in (one.names, one.value) if known is not None]
     if not told:
-        raise ValueError(f"invariant {name} is native: give its value or its names, which say how many values it has")
+        raise ValueError(f"invariant {name} is compiled: pass value= or names= so that its number of values is known")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
     alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)

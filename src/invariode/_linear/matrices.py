@@ -350,7 +350,7 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
 
 
 def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
-    """z of Mᵀ z = 0 in whole numbers, if these solve it as well: where M was rounded, z is not quite that."""
+    """An integer solution z of Mᵀ z = 0, if it fits as well as the computed one, which rounding of M may have moved."""
     candidate = whole(z, _NEARLY_WHOLE)
     if candidate is None:
         return z

@@ -59,7 +59,7 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
                 "it does not depend on q, or q0 is a singular position of it. Correct its formula, or start elsewhere"
             )
         raise InvariantError(
-            f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
+            f"no velocities satisfy the constraints at t = {start.t}: the rate of {names[i]} can only be reduced to "
             f"{left[i]:.3g}. The constraints may contradict each other, or be singular at this position: check their "
             "formulas, or start from another q0"
         )
@@ -91,7 +91,8 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
         i = int(np.argmax(np.abs(residual) * off))
         if not rows[i].any():
             raise InvariantError(
-                f"{names[i]} is {residual[i]:.6g} at t = {t}, and no change of q changes it: it does not depend on q, "
+                f"{names[i]} is {residual[i]:.6g} at t = {t}, and changing q does not affect it: either it does "
+                "not depend on q, "
                 "or q0 is a singular position of it. Correct its formula, or start from another q0"
             )
         raise InvariantError(

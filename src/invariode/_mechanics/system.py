@@ -221,8 +221,8 @@ class MechanicalSystem(HasPoints):
     def consistent(self, t: float, y: ArrayLike) -> Array:
         """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
 
-        An event's action that changes velocities should return this: the links answer an impact with impulses of their
-        own, which are the least change of v in this metric.
+        An event's action that changes velocities should return this: the joints react to an impact with impulses, which
+        change v by the least amount in this metric.
 
         Parameters
         ----------

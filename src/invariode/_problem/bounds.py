@@ -35,13 +35,13 @@ def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | 
         return None
     if y0.dtype.kind == "c":
         given = "bounds" if bounds is not None else "nonnegative"
-        raise ValueError(f"{given}: complex numbers have no order. Write real and imaginary parts as components")
+        raise ValueError(f"{given}: bounds require a real problem. Split y into real and imaginary parts")
     lower, upper = (np.full(n, -np.inf), np.full(n, np.inf)) if bounds is None else _pair(bounds, n)
     lower[chosen] = np.maximum(lower[chosen], 0.0)
     crossed = np.flatnonzero(~(lower <= upper))
     if crossed.size:
         i = int(crossed[0])
-        raise ValueError(f"bounds of component {i} leave it no value: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
+        raise ValueError(f"bounds of component {i} are contradictory: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
     return Bounds(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
 
 
@@ -61,7 +61,7 @@ def _components(nonnegative: Any, n: int, labels: Sequence[str] | None) -> list[
         )
     chosen = [_component(one, n, labels) for one in given]
     if len(set(chosen)) < len(chosen):
-        raise ValueError(f"nonnegative names a component twice: {shown(nonnegative)}")
+        raise ValueError(f"nonnegative lists a component twice: {shown(nonnegative)}")
     return chosen
 
 

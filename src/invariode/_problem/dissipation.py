@@ -13,7 +13,8 @@ from .invariants import Invariants
 
 
 class Dissipated(Invariants):
-    """Functions G of the solution that never rise as t grows, such as a dissipated energy; or never fall.
+    """Functions G(t, y) that must not increase with t, such as a dissipated energy (or, with `rises=True`, must not
+    decrease).
 
     Pass it as `invariants`, alone or in a list with others. A step that would raise G above its smallest value so far
     is projected onto that value; other steps are left alone.
@@ -38,13 +39,13 @@ class Dissipated(Invariants):
     one step G may still rise, by no more than the error of the interpolant. After the action of an event, or at a
     breakpoint, G starts from its value there; with ``rehold=False`` an action must not raise it.
 
-    The law refers to t: in a backward run G never falls.
+    Monotonicity refers to increasing t: in a backward run G never falls.
 
     A solve evaluates G once per step, and its Jacobian only in steps that are projected. There the law is tested: if
     g_t + J f has the wrong sign beyond roundoff, the run ends with status -2, or is refused at its start with an
     `invariode.InvariantError`. ``sol.residual`` says how far G has risen above its smallest value at earlier outputs.
 
-    `invariode.impose` is for invariants: single points have no past.
+    `invariode.impose` does not accept `Dissipated`: a single point has no earlier value to compare with.
 
     Examples
     --------

@@ -32,9 +32,9 @@ class Event:
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
         which y_new must have. Demanded values of invariants of a later level, such as velocity constraints, are first
-        imposed on y_new: the joints of a mechanism pass a blow on one body on to all the others.
+        imposed on y_new: so that an impact on one body of a mechanism is transmitted through the joints.
     at_start : bool, default False
-        Whether an event that is exactly zero at t0 occurs there, as in SciPy: then it is the first in `t_events`,
+        Whether to report an event that is exactly zero at t0, as SciPy does. If so, it is the first in `t_events`,
         counts for `terminal`, and has the direction in which the first step leaves zero. False: it does not occur until
         it has left zero, so that a run that starts at an event does not find it again. Not possible with an `action`.
     samples : int or 'adaptive', optional

@@ -88,7 +88,8 @@ class GMRES:
         ):
             raise TypeError(
                 "preconditioner of GMRES must be a function preconditioner(t, y, c) that returns what solves "
-                f"(M - c J) x = b, got {shown(self.preconditioner)}; for the same at all c: lambda t, y, c: it"
+                f"(M - c J) x = b, got {shown(self.preconditioner)}; if it does not depend on c, "
+                "pass lambda t, y, c: solver"
             )
         if self.jac_product is not None and not is_native(self.jac_product):
             function("jac_product of GMRES", self.jac_product, "jac_product(t, y, v)")

@@ -59,12 +59,12 @@ class Invariants:
         The components of y that the correction may move; one set for all invariants of a level. Default: all. The
         distance to the manifold is measured in these alone: an invariant must depend on some of them.
     direction : {'gradient', 'stages'}, default 'gradient'
-        Where corrections may point: anywhere, so that the smallest ones are along the gradients; or into the span of
-        the stages of the step (the slopes of a Runge-Kutta or Rosenbrock method, the differences of a multistep
-        method), which keep whatever is linear in y. Linear invariants that are not listed, such as momenta and total
-        masses, then survive the projection onto others to roundoff, in the output between steps too. All invariants of
-        a run share one direction; 'stages' requires level 0 and excludes `metric`, `bounds` and mass matrices. See
-        Notes.
+        Direction of the corrections: 'gradient' allows any (the smallest is along the gradients); 'stages' restricts
+        them to the span of the stages of the step (the slopes of a Runge-Kutta or Rosenbrock method, the differences of
+        a multistep method), which keep whatever is linear in y. Linear invariants that are not listed, such as momenta
+        and total masses, then survive the projection onto others to roundoff, in the output between steps too. All
+        invariants of a run share one direction; 'stages' requires level 0 and excludes `metric`, `bounds` and mass
+        matrices. See Notes.
     metric : array_like of shape (k,) or (k, k), or callable, optional
         The matrix G that measures corrections: the one with the smallest δᵀ G δ is made. Its diagonal or all of it,
         constant or ``G(t, y, *args)``, for the k components of `moves`, in their order; one for all invariants of a
@@ -74,7 +74,7 @@ class Invariants:
     Notes
     -----
     The units of g do not matter: distances to the manifold are measured in the weights of the error test. Redundant
-    invariants are dropped with a warning. A function that the equations do not conserve is refused.
+    invariants are dropped with a warning. A function that the equations do not conserve is an error.
 
     Constraints of mechanics have levels: positions are put on φ(q) = 0 by moving q alone, then velocities on φ̇ = 0 by
     moving v alone, so that errors of v do not move q. In the metric of the mass matrix the smallest correction acts as
@@ -139,7 +139,7 @@ class Invariants:
 
 
 class AccuracyWarning(UserWarning):
-    """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
+    """Projection changes a component by much more than its estimated error, and may make it less accurate.
 
     Given once: for a run, for all trajectories of an ensemble, or by one of the classes in ``invariode.scipy``.
     """

@@ -315,11 +315,12 @@ class RunningOptions(TypedDict, total=False):
         Option(
             None,
             "list of float or of (float, callable), or dict of callables by time",
-            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
-            "reached exactly, and the method starts anew there; each piece evaluates the functions only at times "
-            "inside it. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
-            "``action(t, y, *args)``, of shape (n,); invariants without a demanded value are held at their new values, "
-            "and the output has both states. Breakpoints outside the interval wait for an extension.",
+            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. A step ends "
+            "exactly at each, and the method restarts there; between two breakpoints the functions are evaluated only "
+            "at times strictly between them. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
+            "``action(t, y, *args)``, of shape (n,); invariants without a prescribed value are held at their new "
+            "values, and the output contains both states. Breakpoints beyond the interval take effect if the run is "
+            "extended.",
             to_breakpoints,
         ),
     ]
@@ -399,8 +400,8 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "callable, Invariants, or list of these",
-            "What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4). See "
-            "`Invariants`.",
+            "Quantities that the solution conserves. Each accepted step is projected onto them (paper, sections 3 and "
+            "4). See `Invariants`.",
         ),
     ]
     jac: Annotated[
@@ -415,7 +416,7 @@ class DescribingOptions(TypedDict, total=False):
             "ensembles and in long runs, and needs the extra `compiled`. By complex steps, Im f(t, y + i h e_j) / h, "
             "exact to roundoff, if f takes complex y; or by differences. Default: 'trace' for functions of "
             "`invariode.compile`, or complex steps for one that only numba compiles; else differences. "
-            "``stats.jacobian`` tells.",
+            "``stats.jacobian`` reports which was used.",
             every_method=False,
         ),
     ]
@@ -427,7 +428,7 @@ class DescribingOptions(TypedDict, total=False):
             "Which entries of the Jacobian can differ from zero, for differences, complex steps and sparse linear "
             "algebra. If a test finds that an entry is missing, the pattern is enlarged, with a warning. Default: from "
             "n = 200 on the pattern is detected, by evaluations of f near y0, at most n / 2 of them, and enlarged "
-            "where it turns out to lack an entry; 'detect' does so for any n, 'dense' does not.",
+            "when an entry is found missing. 'detect' forces detection for any n; 'dense' disables it.",
             every_method=False,
         ),
     ]
@@ -586,7 +587,7 @@ class ManyOptions(TypedDict, total=False):
         Option(
             None,
             "int, list of int or str",
-            "What made the random rows, for the record: it is kept in the attributes of the store.",
+            "Seed of the random rows, recorded in the attributes of the store.",
         ),
     ]
 

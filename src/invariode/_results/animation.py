@@ -143,7 +143,7 @@ def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
     """Equally spaced, from the first time of the solution to the last."""
     ends = sol.t if sol.sol is None else sol.sol.ts
     if len(ends) < 2:
-        raise ValueError("the solution has one point, so nothing moves: solve with keep='all', or with dense_output")
+        raise ValueError("cannot animate a solution with a single point: solve with keep='all' or dense_output=True")
     rate = positive("fps", fps)
     span = float(abs(ends[-1] - ends[0]))
     seconds = min(max(span, _SHORTEST), _LONGEST) if duration is None else positive("duration", duration)

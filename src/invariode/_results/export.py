@@ -213,6 +213,6 @@ def _attributes(solution: Result) -> dict[str, Any]:
 
 
 def _tolerance(given: ArrayLike) -> float | list[float]:
-    """A number, also for an array of one, which netCDF does not tell from it."""
+    """A tolerance as a number if it is one, or an array of one, which netCDF cannot distinguish."""
     values = np.asarray(given, dtype=float)
     return float(values.item()) if values.size == 1 else [float(one) for one in values]

@@ -17,7 +17,7 @@ _TIMES = 4
 MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
-    "running": (-3, "The run had not ended when this was written: Solution.extend goes on."),
+    "running": (-3, "This is a checkpoint of an unfinished run. Continue it with Solution.extend."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 
@@ -84,8 +84,8 @@ def discontinuous(times: Sequence[float]) -> str:
     listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
     more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
     return (
-        f"fun looks discontinuous at t = {listed}{more}, where steps fail; give breakpoints=[{listed}"
-        f"{', ...' * (len(times) > _TIMES)}], or an event with an action where y decides when it jumps"
+        f"fun looks discontinuous at t = {listed}{more}, where steps were rejected; pass breakpoints=[{listed}"
+        f"{', ...' * (len(times) > _TIMES)}], or, if the time of the jump depends on y, an event with an action"
     )
 
 
@@ -167,8 +167,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
         return (
-            f"{what} NaN or infinite even with the smallest step, {where}. If the solution should not get "
-            "there, try a smaller rtol and atol; if it should, stop it earlier with a terminal event."
+            f"{what} NaN or infinite even with the smallest step, {where}. If the exact solution does "
+            "not go there, reduce rtol and atol; if it does, stop the run earlier with a terminal event."
         )
     if run.cause == "newton" and run.unsolved in _UNDEFINED:
         return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
@@ -271,7 +271,8 @@ def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
     if run.finding == "off_value" and laws.senses[run.finding_invariant]:
         return (
             f"The action at t = {run.finding_t:.6g} takes {names[run.finding_invariant]} back by "
-            f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated excludes. "
+            f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated does "
+            "not allow. "
             "Correct the action, or give the event rehold=True."
         )
     if run.finding == "off_value":
@@ -299,7 +300,7 @@ def _not_conserved(run: Run, laws: Laws) -> str:
             f"{names[run.finding_invariant]} is not dissipated by fun: at t = {run.finding_t:.6g} it "
             f"{'rises' if sense < 0 else 'falls'} at the rate {abs(run.finding_size):.6g} "
             f"({run.finding_distance:.1e} of the size of its terms), and Dissipated(rises={sense > 0}) excludes that. "
-            "Check its formula, its sign and the parameters; no law of this kind holds if something drives the system. "
+            "Check its formula, its sign and the parameters; a system with external driving need not satisfy this. "
             "check=False switches this test off."
         )
     text = (
@@ -334,7 +335,7 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
 
 
 def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
-    """The text of the InvariantError with which a run was refused at its start."""
+    """The message of the InvariantError raised at the start of a run."""
     names = laws.names
     name = names[run.finding_invariant]
     if run.finding == "off_value":

@@ -102,8 +102,8 @@ class Stats(Record):
         'differences' or 'complex step', from which t on differences replaced complex steps, and the sparsity pattern
         if it was detected; 'products' with `GMRES`; None for explicit methods.
     discontinuities : tuple of float
-        Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
-        value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
+        Times at which f appears discontinuous and steps were rejected, in order. Each t is the first with the new value
+        of f. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
     sensitivities : str or None
         Of a run with `sensitivities`: how the derivatives of its functions were formed: 'graph' (exact, from their
         expressions), 'given', 'complex-step' or 'differences'; of each function, if they differ.
@@ -221,7 +221,7 @@ class Drift(Record):
     projections : int
         Projected attempts.
     skipped : int
-        Steps that were close enough.
+        Steps close enough to the manifold to need no projection.
     """
 
     names: list[str]

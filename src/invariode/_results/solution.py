@@ -66,8 +66,8 @@ class Solution(Exports):
 
     Notes
     -----
-    A solution can be copied and pickled. The functions of its invariants go with it: pickle takes only functions
-    defined in a module, no lambdas; `save` needs none. Other functions are left out: a copy from a pickle cannot be
+    A solution can be copied and pickled. A pickle includes the functions of the invariants, so these must be defined in
+    a module (not lambdas); `save` has no such restriction. Other functions are left out: a copy from a pickle cannot be
     extended.
     """
 
@@ -112,12 +112,12 @@ class Solution(Exports):
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
-        If the run ended between two steps, the method goes on from its memory; after a limit or Ctrl-C the run is, to
-        the last bit, the one that had not been ended. If it ended inside a step, at a terminal event, the method starts
-        anew from there, and one of several orders builds its order up again. Problem and options are those of the run.
-        Invariants keep the values at which they are held. An event that ended the run, or occurred at its very end, is
-        not found again; one with ``terminal=True`` ends the extension at its next occurrence, and an integer `terminal`
-        continues its count. The action of an event that ended the run was not taken, and is not taken now.
+        If the run ended between two steps, the method goes on from its memory; after a limit or Ctrl-C the result is
+        bitwise identical to that of an uninterrupted run. If it ended inside a step, at a terminal event, the method
+        starts anew from there, and one of several orders builds its order up again. Problem and options are those of
+        the run. Invariants keep the values at which they are held. An event that ended the run, or occurred at its very
+        end, is not found again; one with ``terminal=True`` ends the extension at its next occurrence, and an integer
+        `terminal` continues its count. The action of an event that ended the run was not taken, and is not taken now.
 
         Parameters
         ----------

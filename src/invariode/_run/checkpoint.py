@@ -82,7 +82,7 @@ class Checkpoint:
         with self._taking() as left:
             if left is None or left["token"] != self._token:
                 raise ValueError(
-                    f"checkpoint: {self._path} holds another run by now: load it, or solve with another file"
+                    f"checkpoint: {self._path} now belongs to another run: load it, or choose another file name"
                 )
             if left["sequence"] != self._sequence and left["writer"] != _writer():
                 raise ValueError(

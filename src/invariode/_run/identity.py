@@ -233,7 +233,7 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
             options[name] = value
         elif not _equal(options.get(name), value):
             was = in_words(options.get(name), code=False)
-            raise ValueError(f"{name} is {value!r} here, and {was} in the file: leave it out, or load another file")
+            raise ValueError(f"{name} = {value!r} differs from {was} in the file: omit it, or load another file")
     for name in about["functions"]:
         if name not in given:
             raise ValueError(f"the run has {name} with functions, which are not in the file: give {name}=... too")

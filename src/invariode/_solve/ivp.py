@@ -89,8 +89,8 @@ def solve_ivp(
 
     Notes
     -----
-    A numerical failure is a value: ``success`` is False, and ``message`` says why. Exceptions in the user's functions
-    are passed on unchanged.
+    A numerical failure does not raise: ``success`` is False and ``message`` gives the reason. Exceptions in your
+    functions propagate unchanged.
 
     References
     ----------

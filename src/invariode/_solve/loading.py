@@ -40,12 +40,12 @@ def load(
     trust: Literal["code"] | None = None,
     **options: Unpack[Options],
 ) -> Solution:
-    """The Solution that ``Solution.save`` wrote to a file, or that a run has come to in its `checkpoint`.
+    """Load a Solution from a file written by ``Solution.save`` or from a `checkpoint`.
 
-    All its values, including those of ``sol(t)``, equal the original's to the last bit. The file holds no functions.
-    With the `problem` of the run the Solution is as good as the original: ``extend`` continues it, to the last bit, as
-    the uninterrupted run would have gone on, on the same machine with the same libraries. That needs functions of
-    ``(t, y, *args)`` alone; what functions remember by themselves is not in the file.
+    All its values, including those of ``sol(t)``, equal the original's to the last bit. The file holds no functions. If
+    `problem` is given, the loaded Solution is equivalent to the original: ``extend`` continues it, to the last bit, as
+    the uninterrupted run would have gone on, on the same machine with the same libraries. That needs functions of ``(t,
+    y, *args)`` alone; internal state of your functions is not saved.
 
     Without it, `residual` and ``drift()`` are as they were when it was saved, and ``impose()`` needs `invariants`. So
     does ``sol(t)`` between the steps of a run that projects there (``interpolation="projected"``, the default): without

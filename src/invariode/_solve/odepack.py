@@ -143,7 +143,7 @@ def odeint(
     hmax : float, default 0
         Largest step; 0: limited only by the tolerances.
     mxstep : int, default 0
-        Most steps between two times of the output; 0: no limit.
+        Maximum number of steps between two output times; 0 means no limit.
     mxordn, mxords : int, default 12 and 5
         Highest order of ode113 and of ode15s, with ``method`` of that name. 'auto' uses all orders, and a warning says
         so where lower ones are asked for.

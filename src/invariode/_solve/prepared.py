@@ -33,7 +33,7 @@ _OF_SPAN: tuple[Literal["t_eval", "breakpoints", "first_step"], ...] = ("t_eval"
 
 
 class PreparedSolver:
-    """A problem with a method and options, checked once: what `Problem.prepare` returns.
+    """A problem, method and options, validated once; returned by `Problem.prepare`.
 
     ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` the same problem with these changed.
     Several threads may call it at once.

@@ -207,9 +207,9 @@ class Problem(Description):
         FileExistsError
             There is a store of this name, and not `resume`.
         TypeError, ValueError
-            What is wrong for all trajectories; a store is of another problem. With several processes on a platform that
-            starts them afresh (not by fork): a function that cannot be pickled, such as a lambda or one defined in a
-            function or a notebook.
+            An error that affects every trajectory, or a store that belongs to another problem. With several processes
+            on a platform that starts them afresh (not by fork): a function that cannot be pickled, such as a lambda or
+            one defined in a function or a notebook.
         RuntimeError
             The processes end before they solve anything: they cannot import the functions. An executor lost its
             processes and cannot start others.

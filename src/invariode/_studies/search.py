@@ -115,8 +115,8 @@ def find_invariants(
     """Proposes polynomials that y' = f(t, y) conserves.
 
     p is an invariant if ∇p · f = 0. At points around several trajectories this is a linear system for the coefficients
-    of the monomials; degree by degree its null space is taken if its dimension is beyond doubt, and the polynomials
-    found are verified on other trajectories.
+    of the monomials; for each degree, its null space is used if its dimension is numerically unambiguous. The
+    polynomials are then verified on other trajectories.
 
     Parameters
     ----------

@@ -35,7 +35,9 @@ def check(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="Its method."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="The unit of distances.")] = RTOL,
+    rtol: Annotated[
+        float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance; distances are in units of it.")
+    ] = RTOL,
     atol: Annotated[
         float, typer.Option("--atol", metavar="NUMBER", help="Size below which a component counts as small.")
     ] = ATOL,
@@ -117,7 +119,12 @@ def _print_report(console: Console, problem: Problem, report: CheckReport) -> No
     for finding in report.findings:
         console.print(Text(finding, style="red" if not report.ok else "yellow"))
     if not report.findings:
-        console.print(Text("All conserved, on the manifold, independent; Jacobians right.", style="green"))
+        console.print(
+            Text(
+                "All invariants are conserved, independent and satisfied at the start; their Jacobians are correct.",
+                style="green",
+            )
+        )
 
 
 def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]) -> list[str]:
@@ -138,5 +145,5 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     for finding in findings:
         console.print(Text(finding, style="red"))
     if not findings:
-        console.print(Text("All is well there too.", style="green"))
+        console.print(Text("No problems found along the solution.", style="green"))
     return findings

@@ -77,7 +77,8 @@ def compare(
     ] = "3-9",
     atol_ratio: Annotated[float, typer.Option("--atol-ratio", metavar="NUMBER", help="atol / rtol.")] = 1e-3,
     limit: Annotated[
-        float, typer.Option("--limit", metavar="SECONDS", help="Give up a method if a run takes longer.")
+        float,
+        typer.Option("--limit", metavar="SECONDS", help="Stop testing a method once a run takes longer than this."),
     ] = 5.0,
     plot: Annotated[
         Path | None,

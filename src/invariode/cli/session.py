@@ -51,7 +51,7 @@ def paragraphs(command: Callable[..., Any]) -> str:
 
 
 def stop(message: str, code: int) -> typer.Exit:
-    """Says why on stderr; to be raised."""
+    """An exit, to be raised, with the reason on stderr."""
     Console(stderr=True, highlight=False).print(Text(message), soft_wrap=True)
     return typer.Exit(code)
 

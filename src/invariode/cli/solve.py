@@ -111,7 +111,9 @@ PlotOption = Annotated[
 NonnegativeOption = Annotated[
     str | None,
     typer.Option(
-        "--nonnegative", metavar="LIST", help="What is not to be negative: labels or indices, as in x,y,3, or all."
+        "--nonnegative",
+        metavar="LIST",
+        help="Components that must stay nonnegative: labels or indices (x,y,3), or all.",
     ),
 ]
 ComponentsOption = Annotated[
@@ -144,7 +146,7 @@ def solve(
 ) -> None:
     """Solve the problem that a file defines.
 
-    The file is Python and says [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
+    FILE is a Python script that defines [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
     Reports on the run and on the drift of its invariants.
 
     Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
@@ -157,9 +159,9 @@ def solve(
     if plot is not None:
         writable(plot, PICTURES, "--plot", "plot", force)
     elif components is not None or log:
-        raise typer.BadParameter("is for the picture: give --plot FILE too", param_hint="--components, --log")
+        raise typer.BadParameter("only affects the plot: add --plot FILE", param_hint="--components, --log")
     if resume and checkpoint is None:
-        raise typer.BadParameter("needs the file to go on from: give --checkpoint FILE too", param_hint="--resume")
+        raise typer.BadParameter("needs a checkpoint to resume from: add --checkpoint FILE", param_hint="--resume")
     with guarded():
         problem = load(file)
         problem = _nonnegative(problem, nonnegative)

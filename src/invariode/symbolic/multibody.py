@@ -115,7 +115,7 @@ class Multibody(Mechanical):
 
 
 class Start(NamedTuple):
-    """What a system of PyDy's says of its start."""
+    """The initial values that a PyDy system specifies."""
 
     y0: Mapping[Any, Any]
     times: tuple[float, float] | None

@@ -87,7 +87,7 @@ class Formula:
 
     @cached_property
     def outputs(self) -> list[Node]:
-        """Its values."""
+        """The values of its outputs."""
         return list(self._outputs())
 
     @cached_property
