@@ -61,7 +61,7 @@ def methods() -> Iterator[str]:
         yield f"| [`{method.name}`](#{method.name}) | {scipy} | {orders(method)} | {method.summary} | {method.mass} |"
     yield ""
     for method in METHODS.values():
-        yield f"### {method.name}\n"
+        yield f"## {method.name}\n"
         yield f"{method.family[0].upper()}{method.family[1:]}; {'; '.join(details(method))}.\n"
         yield f"Source: {method.source}.\n"
 

@@ -170,7 +170,7 @@ def test_other_options_are_refused(tmp_path):
 
     problem().solve(rtol=1e-5).save(tmp_path / "a")
     assert iv.load(tmp_path / "a", problem(), rtol=1e-5).extend(4).success
-    with pytest.raises(ValueError, match=r"rtol is 0\.001 here, and 1e-05 in the file"):
+    with pytest.raises(ValueError, match=r"rtol = 0\.001 differs from 1e-05 in the file"):
         iv.load(tmp_path / "a", problem(), rtol=1e-3)
     with pytest.raises(ValueError, match=r"rtol is an option of the run, .* give problem too"):
         iv.load(tmp_path / "a", rtol=1e-3)
@@ -187,7 +187,7 @@ def test_the_members_of_auto_are_in_the_file(tmp_path):
     whole, part = problem().solve("auto", **pair), problem().solve("auto", max_steps=5, **pair)
     part.save(tmp_path / "run")
     assert not differences(whole, iv.load(tmp_path / "run", problem(), **pair).extend(3, max_steps=None))
-    with pytest.raises(ValueError, match=r"prefer is \('ode78', 'radau'\) here, and \['ode45', 'radau'\] in the file"):
+    with pytest.raises(ValueError, match=r"prefer = \('ode78', 'radau'\) differs from \['ode45', 'radau'\] in the file"):
         iv.load(tmp_path / "run", problem(), prefer=("ode78", "radau"))
 
 

@@ -106,7 +106,7 @@ def test_every_option_and_method_has_its_place(monkeypatch):
     for name in tables.TABLE:
         assert re.search(rf"^### .*`{name}`", options, re.MULTILINE), name
     for name in invariode.METHODS:
-        assert f"### {name}\n" in methods
+        assert f"## {name}\n" in methods
 
 
 def test_every_formula_can_be_shown_without_a_network(monkeypatch):
