@@ -14,7 +14,7 @@ from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from measure import folded, machine, table, write_section
+from measure import machine, table, write_section
 from nonstiff import DAY, MASSES, PROBLEMS
 from numpy.typing import NDArray
 
@@ -245,9 +245,8 @@ def solar_table(orbits: float) -> str:
         slopes = deviations @ np.arange(1, LOOKS + 1) / (np.arange(1, LOOKS + 1) ** 2).sum()
         trend = abs(slopes.mean()) / (slopes.std(ddof=1) / math.sqrt(len(slopes))) if len(slopes) > 1 else math.nan
         print(name, rms, walk, trend, seconds, steps, file=sys.stderr)
-        rows.append([
-            name, f"{len(errors)}", f"{steps:,}", f"{rms:.1e}", f"{rms / walk:.2f}", f"{trend:.1f}", f"{min(seconds) / orbits * 1e6:.0f}"
-        ])  # fmt: skip
+        row = [f"{len(errors)}", f"{steps:,}", f"{rms:.1e}", f"{rms / walk:.2f}", f"{trend:.1f}"]
+        rows.append([name, *row, f"{min(seconds) / orbits * 1e6:.0f}"])
     return table(
         ["", "starts", "steps", "RMS error of the energy", "in 1.1e-16 √steps", "trend, σ", "µs an orbit"], rows
     )
