@@ -147,7 +147,7 @@ else:
         if name == "__version__":
             return _version()
         if name not in _LATER:
-            raise AttributeError(_absent(__name__, name, __all__, ("problems", "scipy", "symbolic")))
+            raise AttributeError(_absent(__name__, name, __all__, ("jax", "problems", "scipy", "symbolic", "torch")))
         globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
         return found
 
