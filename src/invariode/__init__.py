@@ -1,4 +1,4 @@
-"""ODE solvers that keep what the equations keep.
+"""ODE solvers that conserve what your equations conserve.
 
 The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto invariants, after L. F. Shampine,
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
