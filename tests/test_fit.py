@@ -131,7 +131,7 @@ class TestKnownParameters:
         fit = iv.fit(problem, None, None, {"k": (0.1, 2)}, event_times={"at 0.5": [2.0]}, event_sigma=0.1, **TIGHT)
         assert fit.parameters["k"] == pytest.approx(np.log(2), rel=1e-6)
         same = problem.replace(events=[iv.Event(event.fun, name="level") for event in events])
-        with pytest.raises(ValueError, match=r"several events have this name: give them Event\(name=\)"):
+        with pytest.raises(ValueError, match=r"several events have this name: give Event\(name=\)"):
             iv.Experiment(same, event_times={"level": [2.0]})
 
     def test_a_quantity_without_data(self):

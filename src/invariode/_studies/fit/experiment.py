@@ -63,8 +63,8 @@ class Experiment:
         the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
         parameters. Default: the problem's y0.
     **options
-        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`, which
-        lists the options that are not accepted.
+        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
+        which lists the options that are not accepted.
 
     Examples
     --------
@@ -358,7 +358,7 @@ def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None)
         if names.count(name) != 1:
             listed = ", ".join(names) or "no events"
             if name in names:
-                raise ValueError(f"event_times names {name!r}, but several events have this name: give them Event(name=)")
+                raise ValueError(f"event_times names {name!r}, and several events have this name: give Event(name=)")
             raise ValueError(f"event_times names {name!r}{meant(name, names)}: the problem has {listed}")
         values = real_numbers(f"event_times of {name}", times)
         if values.ndim != 1 or np.isinf(values).any() or np.isnan(values).all():
