@@ -43,7 +43,7 @@ class Event:
         along the step by Chebyshev interpolation, from which all of its roots follow: from 9 for a smooth function to
         hundreds around a kink.
     name : str, optional
-        What messages, tables and `Experiment(event_times=)` call the event. Default: the name of `fun`.
+        What messages, tables and ``Experiment(event_times=)`` call the event. Default: the name of `fun`.
 
     Notes
     -----
@@ -84,9 +84,7 @@ class Event:
                 "at_start is not possible with an action: if the event is zero at t0, apply the action to y0 first"
             )
         self.samples = _samples(samples)
-        if name is not None and (not isinstance(name, str) or not name):
-            raise TypeError(f"name of an event must be a string, got {shown(name)}")
-        self.__name__ = name or call_name(fun, "event")
+        self.__name__ = call_name(fun, "event") if name is None else _name(name)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
@@ -95,6 +93,12 @@ class Event:
     def __repr__(self) -> str:
         at_start = ", at_start=True" if self.at_start else ""
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"name of an event must be a string that is not empty, got {shown(name)}")
+    return name
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:
