@@ -107,8 +107,9 @@ def test_a_jump_of_f_at_a_breakpoint_is_not_stepped_over():
     np.testing.assert_allclose(sol.gradient([1.0]), sol.sensitivities[0, :, -1], rtol=1e-8)
 
 
-def both_ways(sol, *, integral=None, times=None, rtol):
-    """The gradient of a cost at some times, forwards and backwards, up to a tolerance in units of the largest term."""
+def both_ways(sol, *, times=None, rtol):
+    """The gradient of a cost at some times, forwards and backwards, up to a tolerance in units of the largest term: ten
+    times rtol of the run, 100 times where jumps add to the errors."""
     times = np.linspace(*sol.sol.ts[[0, -1]], 5) if times is None else np.asarray(times)
     costs = np.random.default_rng(29).normal(size=(len(sol.y), len(times)))
     terms = costs[:, None, :] * sol.sol.sensitivities(times)
@@ -134,7 +135,7 @@ def test_the_gradient_goes_through_impacts(method):
     options = {"args": (9.81, 0.8), "events": BOUNCE, "rtol": RTOL, "atol": ATOL, "dense_output": True}
     sol = iv.solve_ivp(ball, (0, 2), [1.0, 0.5], method, **options, sensitivities=[*(0, 1), "y0"])
     assert len(sol.t_events[0]) == 3
-    both_ways(sol, rtol=1e-5)
+    both_ways(sol, rtol=100 * RTOL)
 
 
 def test_an_integral_over_impacts_moves_with_their_times():
@@ -179,7 +180,7 @@ def test_laws_take_new_values_behind_actions(rehold):
         sensitivities=[0, 1, "y0"],
     )
     assert len(sol.t_events[0])
-    both_ways(sol, rtol=1e-4)
+    both_ways(sol, rtol=1e-5)
 
 
 def test_a_start_that_is_moved_onto_a_demanded_value():
@@ -196,7 +197,7 @@ def test_a_start_that_is_moved_onto_a_demanded_value():
         dense_output=True,
         sensitivities=["w", "y0"],
     )
-    both_ways(sol, rtol=1e-6)
+    both_ways(sol, rtol=RTOL)
 
 
 @pytest.mark.parametrize("when", [0.0, 1.0, 3.0])
@@ -215,7 +216,7 @@ def test_the_gradient_goes_through_doses(when, span):
         dense_output=True,
         sensitivities=[0, 1, "y0"],
     )
-    both_ways(sol, rtol=1e-5)
+    both_ways(sol, rtol=10 * RTOL)
 
 
 @pytest.mark.parametrize("method", ["ode45", "ode15s"])
@@ -230,7 +231,7 @@ def test_where_f_jumps_so_does_the_multiplier(method, span):
     bounce = iv.Event(lambda t, y, low, rate: y[1] + 2.5, action=lambda t, y, low, rate: [y[0], -y[1] * rate])
     options = {"args": (0.6, 0.4), "events": bounce, "rtol": 1e-8, "atol": 1e-10, "dense_output": True}
     sol = iv.solve_ivp(pumped, span, [0.2, 1.0], method, **options, sensitivities=[0, 1, "y0"])
-    both_ways(sol, rtol=1e-5)
+    both_ways(sol, rtol=1e-6)
 
 
 def robertson(t, y, k1, k2, k3):
@@ -255,7 +256,7 @@ def test_algebraic_equations_have_multipliers(method, doses):
         dense_output=True,
         sensitivities=True,
     )
-    both_ways(sol, times=[0.0, 0.3, 10.0, 25.0, 40.0], rtol=1e-4)
+    both_ways(sol, times=[0.0, 0.3, 10.0, 25.0, 40.0], rtol=1e-5)
 
 
 def test_a_mass_matrix_that_depends_on_t():
@@ -271,7 +272,7 @@ def test_a_mass_matrix_that_depends_on_t():
         dense_output=True,
         sensitivities=["a", "c", "y0"],
     )
-    both_ways(sol, rtol=1e-5)
+    both_ways(sol, rtol=10 * RTOL)
 
 
 def test_a_component_at_rest_on_a_bound_pulls_nothing():
@@ -289,7 +290,7 @@ def test_a_component_at_rest_on_a_bound_pulls_nothing():
         sensitivities=[0, 1, "y0"],
     )
     assert sol.stats.clipped
-    both_ways(sol, times=[1.0, 3.0, 4.2, 5.5, 6.0], rtol=1e-4)
+    both_ways(sol, times=[1.0, 3.0, 4.2, 5.5, 6.0], rtol=10 * RTOL)
 
 
 def test_bounds_that_are_never_met_do_not_matter():

@@ -213,9 +213,9 @@ class Solution(Exports):
         -----
         Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
         the solution stays on the manifold and its sensitivities in the tangent space, so that only the tangential part
-        of ∂G/∂y enters the adjoint. At times of actions, G depends on the state behind them. If f has conditions at
-        which it jumps, the problem is solved again to locate them. The end of the run counts as fixed, even if a terminal
-        event has determined it.
+        of ∂G/∂y enters the adjoint. At the time of an action, G depends on the state behind it. If f has conditions at
+        which it jumps, the problem is solved again to locate them. The end of the run counts as fixed, even if a
+        terminal event has determined it.
 
         Examples
         --------
