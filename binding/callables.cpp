@@ -390,6 +390,26 @@ class NativeFunction final : public Callable {
   const double* p_;  // what the code gets: the parameters, or those behind the inputs; null: there are none
 };
 
+/// (v, f(t, q)) of f of y'' = f(t, y).
+class FirstOrderForm final : public Callable {
+ public:
+  /// Of a state of so many doubles. `acceleration` belongs to the same owner.
+  FirstOrderForm(const Callback& acceleration, std::size_t size) : acceleration_(acceleration), half_(size / 2) {}
+
+  [[nodiscard]] Callback callback() { return {&entry, this}; }
+  int visit(visitproc, void*) const override { return 0; }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) {
+    auto& me = *static_cast<FirstOrderForm*>(self);
+    std::copy_n(y + me.half_, me.half_, out);
+    return me.acceleration_(t, y, out + me.half_);
+  }
+
+  Callback acceleration_;
+  std::size_t half_;
+};
+
 void require(bool right, const char* what) {
   if (!right) throw std::invalid_argument(what);
 }
@@ -549,6 +569,16 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
     owned_.push_back(std::move(owner));
     return callback;
   }
+  if (nb::isinstance<SecondOrderSpec>(f)) {
+    Takes positions = takes;
+    Returns accelerations = returns;
+    positions.n /= 2, accelerations.rows /= 2;
+    const Callback acceleration = add(nb::cast<const SecondOrderSpec&>(f).fun, args, name, accelerations, positions);
+    auto owner = std::make_unique<FirstOrderForm>(acceleration, space_.size);
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
   if (nb::isinstance<QuadraticSpec>(f)) {
     auto owner = std::make_unique<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f));
     const Callback callback = owner->callback();
@@ -688,6 +718,12 @@ void define_callables(nb::module_& module) {
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
           nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
       .def_prop_ro("address", [](const Native& self) { return self.address; });
+  nb::class_<SecondOrderSpec>(module, "SecondOrder", nb::type_slots(slots<SecondOrderSpec>),
+                              "f of (t, q) with y'' = f(t, y), as y' of (q, v).")
+      .def(
+          "__init__", [](SecondOrderSpec* self, nb::object fun) { new (self) SecondOrderSpec{std::move(fun)}; },
+          nb::arg("fun"))
+      .def_prop_ro("fun", [](const SecondOrderSpec& self) { return self.fun; });
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

@@ -58,6 +58,13 @@ struct Native {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
 
+/// The right-hand side of y'' = f(t, y), a Python function or a `Native`, of states y = (q, v).
+struct SecondOrderSpec {
+  nb::object fun;  ///< of (t, q)
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+};
+
 /// What keeps a user function for as long as the core may call it.
 class Callable {
  public:
