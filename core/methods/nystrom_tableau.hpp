@@ -118,6 +118,19 @@ constexpr bool consistent(const NystromTableau<S, D, X>& T, double roundoff) {
   if (T.c[0] != 0 || T.c[S - 1] != 1) return false;          // the last stage is f(t₁, q*)
   if (T.E_v[S - 1] == 0 && T.E_v[S - 2] == 0) return false;  // the error estimate sees a NaN in the last stage it has
 
+  const auto end_q = nested_weights(T.B_q, 1), end_v = nested_weights(T.B_v, 1);
+  const auto slope0 = nested_weights(T.B_v, 0, true), slope1 = nested_weights(T.B_v, 1, true);
+  for (std::size_t k = 0; k < S + X; ++k) {
+    if (!close(end_q[k], T.b_bar()[k]) || !close(end_v[k], T.b[k])) return false;
+    if (!close(slope0[k], k == 0 ? 1 : 0) || !close(slope1[k], k == S - 1 ? 1 : 0)) return false;
+  }
+  for (std::size_t theta = 1; theta < D; ++theta) {  // at as many places as tell polynomials apart
+    const double at = static_cast<double>(theta) / D;
+    const auto slope = nested_weights(T.B_q, at, true), v = nested_weights(T.B_v, at);
+    for (std::size_t k = 0; k < S + X; ++k)
+      if (!close(slope[k], v[k])) return false;
+  }
+
   const auto reaches = [&T, roundoff](Nystrom sum, int order, const std::array<double, S + X>& w, double theta = 1) {
     return nystrom_defect(T.A, T.c, w, sum, order, theta, roundoff) <= roundoff;
   };
@@ -128,18 +141,8 @@ constexpr bool consistent(const NystromTableau<S, D, X>& T, double roundoff) {
     return false;
   for (const double theta : {0.25, 0.5, 0.75, 1.0}) {
     const auto q = nested_weights(T.B_q, theta), v = nested_weights(T.B_v, theta);
-    const auto slope = nested_weights(T.B_q, theta, true);
     if (!reaches(Nystrom::position, T.extension_order + 1, q, theta)) return false;
     if (!reaches(Nystrom::velocity, T.extension_order, v, theta)) return false;
-    for (std::size_t k = 0; k < S + X; ++k)
-      if (!close(slope[k], v[k])) return false;
-  }
-
-  const auto end_q = nested_weights(T.B_q, 1), end_v = nested_weights(T.B_v, 1);
-  const auto slope0 = nested_weights(T.B_v, 0, true), slope1 = nested_weights(T.B_v, 1, true);
-  for (std::size_t k = 0; k < S + X; ++k) {
-    if (!close(end_q[k], T.b_bar()[k]) || !close(end_v[k], T.b[k])) return false;
-    if (!close(slope0[k], k == 0 ? 1 : 0) || !close(slope1[k], k == S - 1 ? 1 : 0)) return false;
   }
   return true;
 }
