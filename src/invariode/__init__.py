@@ -16,6 +16,7 @@ from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
 from ._functions.compiled import CompiledFunction
+from ._functions.second_order import SecondOrder
 from ._laws.imposing import ImposeResult, impose
 from ._problem.dissipation import Dissipated
 from ._problem.events import Event
@@ -85,6 +86,7 @@ __all__ = [
     "Problem",
     "Profile",
     "RotationMatrix",
+    "SecondOrder",
     "Sensitivities",
     "SensitivityReport",
     "Solution",
