@@ -24,8 +24,8 @@ from .series import Inverse, SeriesForm, SeriesWriter, inverse_of
 _WIDTH = 8
 #: Vectors that are summed side by side: additions need not wait for each other.
 _SIDE_BY_SIDE = 4
-#: From this many vectors on they are a loop.
-_LOOPED = 16
+#: From this many vectors on they are a loop; at order 0, which is computed once, from fewer.
+_LOOPED, _LOOPED_AT_0 = 16, 3
 #: Doubles that are kept on the stack; more are allocated.
 _MOST_ON_STACK = 2**15
 
@@ -120,6 +120,7 @@ class Looped(SeriesWriter):
         self._histories: dict[int, Row] = {}
         self._packed: dict[tuple[int, tuple[Node, ...]], Packed] = {}
         self._inverses: dict[int, Row] = {}
+        self._looped = _LOOPED_AT_0
 
     def _write(self, outputs: Sequence[Node]) -> bool:
         self._y = [outputs[0].graph.y(i) for i in range(self._form.n)]
@@ -127,6 +128,7 @@ class Looped(SeriesWriter):
         operands = [self._operands(group) for group in self._groups]
         with self._memory():
             self._begin(outputs)
+            self._looped = _LOOPED
             last = self._form.order + self._form.along
             if last > 1:
                 with self._loop(last, first=1) as k:
@@ -311,7 +313,7 @@ class Looped(SeriesWriter):
         """For all members."""
         found = chunks(count, self._width)
         full = [one for one in found if one.valid == self._width]
-        if len(full) < _LOOPED:
+        if len(full) < self._looped:
             full = []
         else:
             with self._loop(len(full)) as i:
