@@ -390,6 +390,28 @@ class NativeFunction final : public Callable {
   const double* p_;  // what the code gets: the parameters, or those behind the inputs; null: there are none
 };
 
+/// Machine code for Taylor coefficients, with the parameters that it gets.
+class NativeSeries final : public Callable {
+ public:
+  NativeSeries(const SeriesSpec& spec, std::span<const double> parameters)
+      : spec_(spec), p_(parameters.empty() ? nullptr : parameters.data()) {}
+
+  [[nodiscard]] Series series() { return {&entry, this, spec_.order}; }
+  int visit(visitproc visit, void* arg) const override { return spec_.visit(visit, arg); }
+
+ private:
+  using Code = void(double t, double unit, const double* in, double* out, const double* p);
+
+  static Status entry(void* self, double t, double unit, const double* in, double* out) noexcept {
+    auto& me = *static_cast<NativeSeries*>(self);
+    in_python([&] { reinterpret_cast<Code*>(me.spec_.address)(t, unit, in, out, me.p_); });  // by ctypes
+    return Status::ok;
+  }
+
+  SeriesSpec spec_;
+  const double* p_;
+};
+
 void require(bool right, const char* what) {
   if (!right) throw std::invalid_argument(what);
 }
@@ -642,6 +664,13 @@ Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k) {
              Takes{.n = n, .rows = 1 + rows, .second = n, .complex = space_.complex});
 }
 
+Series Functions::series(const SeriesSpec& spec) {
+  auto owner = std::make_unique<NativeSeries>(spec, parameters_);
+  const Series series = owner->series();
+  owned_.push_back(std::move(owner));
+  return series;
+}
+
 Preconditioner Functions::preconditioner(nb::handle f) {
   native_ = false;
   auto owner = std::make_unique<PythonPreconditioner>(f, space_);
@@ -688,6 +717,18 @@ void define_callables(nb::module_& module) {
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
           nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
       .def_prop_ro("address", [](const Native& self) { return self.address; });
+  nb::class_<SeriesSpec>(module, "Series", nb::type_slots(slots<SeriesSpec>),
+                         "Machine code for Taylor coefficients, and what keeps it alive.")
+      .def(
+          "__init__",
+          [](SeriesSpec* self, std::uintptr_t address, int order, nb::object owner) {
+            new (self) SeriesSpec{address, order, std::move(owner)};
+          },
+          nb::kw_only(), nb::arg("address"), nb::arg("order"), nb::arg("owner").none(),
+          "void (double t, double unit, const double* in, double* out, const double* p) writes the coefficients in s "
+          "at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m "
+          "values from those of y, (order + 1, m).")
+      .def_ro("order", &SeriesSpec::order);
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

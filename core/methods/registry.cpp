@@ -8,6 +8,7 @@
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
 #include "methods/switching.hpp"
+#include "methods/taylor.hpp"
 #include "methods/trapezoidal.hpp"
 #include "methods/trbdf2.hpp"
 
@@ -16,18 +17,18 @@ namespace {
 
 template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                const LinearAlgebra&) {
+                                const LinearAlgebra&, Series*) {
   using namespace runge_kutta;
   return (weights.size() <= small_system ? steps_of_small_systems : steps_of_any_system)[I](f, weights, given.fsal);
 }
 
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra&) {
+                                 const LinearAlgebra&, Series*) {
   return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order);
 }
 
 std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                               const LinearAlgebra& linear) {
+                               const LinearAlgebra& linear, Series*) {
   const Ndf::Options options{.max_order = given.max_order > 0 ? given.max_order : method.order,
                              .bdf = given.bdf,
                              .renew_on_error = given.projected};
@@ -35,14 +36,14 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 }
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra& linear) {
+                                 const LinearAlgebra& linear, Series*) {
   const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
   return std::make_unique<Radau>(f, weights, linear, given.max_order > 0 ? given.max_order : own);
 }
 
 template <class Implicit>
 std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
-                                    const LinearAlgebra& linear) {
+                                    const LinearAlgebra& linear, Series*) {
   return std::make_unique<Implicit>(f, weights, linear);
 }
 
@@ -61,12 +62,12 @@ double calls_per_jacobian(const Jacobian& jacobian) {
 
 /// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
 std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                     const LinearAlgebra& linear) {
+                                     const LinearAlgebra& linear, Series* series) {
   const auto [explicit_one, implicit_one] = members(given);
   MethodOptions own = given;
   own.max_order = 0;  // each goes up to its own
   Switching::Members two;
-  if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear);
+  if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear, series);
   if (linear.jacobian != nullptr) {
     two.implicit_one = implicit_one.step(f, weights, own, linear);
     two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
@@ -75,6 +76,11 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
     two.state_f = linear.state != nullptr ? linear.state->f : nullptr;
   }
   return std::make_unique<Switching>(f, weights, std::move(two));
+}
+
+std::unique_ptr<Step> make_taylor(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
+                                  const LinearAlgebra&, Series* series) {
+  return std::make_unique<Taylor>(f, weights, *series, given.projected);
 }
 
 /// The row of the pair T, number I of the pairs.
@@ -164,6 +170,17 @@ constexpr Method others[] = {
      .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_radau},
+    {.name = "taylor",
+     .summary = "Taylor series of any order, for tight tolerances and f that is an expression graph",
+     .family = "Taylor series",
+     .source = "A. Jorba, M. Zou, A software package for the numerical integration of ODEs by means of high-order "
+               "Taylor methods, Exp. Math. 14 (2005) 99-117",
+     .min_order = Taylor::lowest_order,
+     .order = Taylor::highest_order,
+     .extension_order = Taylor::highest_order,
+     .options = {"max_order"},
+     .equations = Equations::graph,
+     .make = make_taylor},
     {.name = "auto",
      .summary = "ode113 and ode15s taking turns, for problems that may or may not be stiff",
      .family = "explicit and implicit methods that take turns",

@@ -9,6 +9,7 @@
 
 #include "linear/mass.hpp"
 #include "methods/runge_kutta.hpp"
+#include "series.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -33,7 +34,8 @@ enum class MassMatrices { none, constant_regular, any };
 /// What a method takes for f: any function of (t, y); one whose expression graph is known; f of y'' = f(t, y).
 enum class Equations { any, graph, second_order };
 
-/// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
+/// A method as data: what it is called, what it can do, where it comes from, how a step of it is made. (`series`: for
+/// those that take graphs; null for the others.)
 struct Method {
   static constexpr std::size_t most_options = 12;
 
@@ -54,11 +56,11 @@ struct Method {
   MassMatrices mass = MassMatrices::none;
   Equations equations = Equations::any;
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
-                                const LinearAlgebra& linear);
+                                const LinearAlgebra& linear, Series* series);
 
   [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& given = {},
-                                           const LinearAlgebra& linear = {}) const {
-    return make(*this, f, weights, given, linear);
+                                           const LinearAlgebra& linear = {}, Series* series = nullptr) const {
+    return make(*this, f, weights, given, linear, series);
   }
   [[nodiscard]] bool takes(std::string_view option) const;
   [[nodiscard]] bool implicit() const { return takes("jac"); }

@@ -1,0 +1,20 @@
+#pragma once
+// The methods that most laws of the native tests are about.
+
+#include <algorithm>
+#include <iterator>
+#include <vector>
+
+#include "methods/registry.hpp"
+
+namespace invariode {
+
+/// Those that take any function for f. (The others have tests of their own.)
+inline std::vector<Method> general_methods() {
+  std::vector<Method> chosen;
+  std::ranges::copy_if(methods(), std::back_inserter(chosen),
+                       [](const Method& method) { return method.equations == Equations::any; });
+  return chosen;
+}
+
+}  // namespace invariode
