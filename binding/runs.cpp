@@ -512,6 +512,7 @@ void define_report_of_run(RunClass& run) {
   property(run, "h", [](const RunResult& r) { return r.report.h; });
   property(run, "cause", [](const RunResult& r) { return name_of(r.report.cause); });
   property(run, "component", [](const RunResult& r) { return r.report.component; });
+  property(run, "coefficient", [](const RunResult& r) { return r.report.coefficient; });
   property(run, "pure_relative", [](const RunResult& r) { return r.report.pure_relative; });
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
   property(run, "unsolved", [](const RunResult& r) { return name_of(r.report.linear.unsolved); });

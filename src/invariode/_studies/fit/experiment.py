@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Unpack
 
@@ -24,6 +25,10 @@ Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
 
 #: Noise levels: numbers, names of parameters, or one of these for each quantity.
 Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | None
+
+
+#: Runs without an end of their own go on to so many times the last measured time of an event.
+_BEYOND = 10
 
 
 @public
@@ -151,6 +156,27 @@ class Experiment:
             if self.observation.function is not None and self.data.names is not None
             else self.observation.names(len(self.data.values))
         )
+
+    @property
+    def last(self) -> float:
+        """The time of the last datum."""
+        times = [self.data.t, *self.events.values()]
+        return float(max(np.nanmax(one, initial=-np.inf) for one in times))
+
+    def ended(self) -> Problem:
+        """The problem with the end that the data give, if it has no other. If times of one event are all there is, it
+        is terminal at the last one of them; otherwise runs go on beyond the last of these times, in case events come
+        later in a trial."""
+        problem, t0 = self.problem, self.problem.t_span[0]
+        if not self.events:
+            return problem.replace(t_span=(t0, self.last))
+        end = t0 + _BEYOND * (self.last - t0)
+        if len(self.events) > 1 or len(self.data.t):
+            return problem.replace(t_span=(t0, end))
+        (place, times), *_ = self.events.items()
+        events = [copy(one) for one in problem.events]
+        events[place].terminal = events[place].terminal or int(np.flatnonzero(~np.isnan(times))[-1]) + 1
+        return problem.replace(t_span=(t0, end), events=events)
 
     # For the parameters of the fit
 
