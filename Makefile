@@ -40,6 +40,13 @@ test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at 
 test-bridges: $(VENV)/.installed-test-jax-torch  ## the tests of what is for JAX and PyTorch, skipped where these are missing
 	$(BIN)/python -m pytest -q tests/test_jax.py tests/test_torch.py
 
+# Tests that need no extra, and share nothing but the package and its problems.
+THREAD_TESTS := $(patsubst %,tests/test_%.py,counts callbacks events projection dense order)
+
+test-threads: $(WHEEL)/.built  ## these tests, each on four threads at once; meant for a CPython without the lock, such as 3.14t
+	$(PIP) install pytest hypothesis pytest-run-parallel
+	$(BIN)/python -m pytest -q --parallel-threads=4 $(THREAD_TESTS)
+
 # Of OpenBLAS, that this processor can run: tests that find their way from one rounding error to the next.
 KERNEL_TESTS := tests/test_kernels.py tests/test_stiff.py -k "chosen or null_space or put_back or ends_of_the_test_set"
 

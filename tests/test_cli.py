@@ -584,7 +584,8 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path):
     assert dict(on.stats) == dict(whole.stats)
     assert invariode(*kept, "--resume").exit_code == 0  # there is nothing left to do
     other = invariode(*kept, "--resume", "--rtol", "1e-4")
-    assert (other.exit_code, "rtol = 0.0001 differs from 0.001 in the file" in flat(other.output)) == (2, True), other.output
+    said = "rtol = 0.0001 differs from 0.001 in the file" in flat(other.output)
+    assert (other.exit_code, said) == (2, True), other.output
     assert invariode("solve", "pendulum.py", "--resume").exit_code == 2
 
 

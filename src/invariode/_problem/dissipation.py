@@ -13,7 +13,7 @@ from .invariants import Invariants
 
 
 class Dissipated(Invariants):
-    """Functions G(t, y) that must not increase with t, such as a dissipated energy (or, with `rises=True`, must not
+    """Functions G(t, y) that must not increase with t, such as a dissipated energy (or, with ``rises=True``, must not
     decrease).
 
     Pass it as `invariants`, alone or in a list with others. A step that would raise G above its smallest value so far
