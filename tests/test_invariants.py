@@ -194,8 +194,8 @@ class TestDrift:
         assert drift.correction == pytest.approx(sol.correction.max())
         assert drift.projections == sol.stats.projections
         lines = str(drift).splitlines()
-        assert len(lines) == 4
-        assert "energy" in lines[1]
+        assert len(lines) == 5
+        assert "energy" in lines[1]  # one line each, between the head and two about all
 
     def test_without_invariants(self):
         assert str(iv.solve_ivp(kepler, (0, 1), [0.4, 0, 0, 2]).drift()) == "no invariants were imposed"

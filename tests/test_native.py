@@ -418,7 +418,7 @@ def test_signatures_are_checked_where_they_are_told():
         iv.solve_ivp(ctypes.CFUNCTYPE(None, ctypes.c_double)(wrong.address), (0, 1), [1.0])
     with pytest.raises(ValueError, match="null pointer"):
         iv.solve_ivp(CALLBACK(0), (0, 1), [1.0])
-    with pytest.raises(ValueError, match="give its value or its names"):
+    with pytest.raises(ValueError, match="pass value= or names= so that"):
         iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=kepler_code)
 
 
