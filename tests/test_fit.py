@@ -124,6 +124,16 @@ class TestKnownParameters:
         with pytest.raises(TypeError, match="needs data, or event_times"):
             iv.Experiment(problem, event_times={})
 
+    def test_events_are_told_apart_by_their_names(self):
+        """Functions without names of their own: 2 exp(−k t) is 1 at ln 2 / k and ½ at ln 4 / k."""
+        events = [iv.Event(lambda t, y, k, level=level: y[0] - level, name=f"at {level}") for level in (1, 0.5)]
+        problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 9), [2.0], args=(0.5,), events=events)
+        fit = iv.fit(problem, None, None, {"k": (0.1, 2)}, event_times={"at 0.5": [2.0]}, event_sigma=0.1, **TIGHT)
+        assert fit.parameters["k"] == pytest.approx(np.log(2), rel=1e-6)
+        same = problem.replace(events=[iv.Event(event.fun, name="level") for event in events])
+        with pytest.raises(ValueError, match=r"several events have this name: give Event\(name=\)"):
+            iv.Experiment(same, event_times={"level": [2.0]})
+
     def test_a_quantity_without_data(self):
         """Data of x alone are the same with a row of NaN for y, in the fit and in its picture."""
         pytest.importorskip("matplotlib")
@@ -696,7 +706,8 @@ class TestWhatGoesWrong:
             ((T, LINE_DATA, LINE), {"loss": "huber"}, "needs a known sigma"),
             ((T, LINE_DATA, LINE), {"loss": "square"}, "loss must be one of"),
             ((T, LINE_DATA, LINE), {"event_times": {"hit": [1.0]}}, "event_times names 'hit'.*no events"),
-            ((T, LINE_DATA, LINE), {"t_eval": T}, "t_eval is no option of fit"),
+            ((T, LINE_DATA, LINE), {"t_eval": T}, "t_eval is not an option of fit: fit sets"),
+            ((T, LINE_DATA, LINE), {"events": []}, "events is not an option of fit: give events to the Problem"),
             ((T, LINE_DATA, LINE), {"starts": 3}, r"starts=3 needs two bounds of y0\[y\]"),
             ((T, LINE_DATA, {"slope": iv.Parameter(start=2, bounds=(2.0, 3.0))}), {"rtoll": 1}, "rtoll"),
             (([1.0], [[1.0]], {"slope": (0, 1)}), {"observe": lambda t, y, s, *, gain: gain * y[0]}, "needs gain"),

@@ -22,6 +22,7 @@ from .._base.arguments import EPS, Array, warn
 from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.layout import Parameters, with_numbers
+from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
@@ -496,7 +497,11 @@ def _sign_of(value: Callable[[float, Array], Array]) -> Callable[..., float]:
 
 def require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
     """That there are sensitivities. What there are none for is refused by name."""
-    if isinstance(problem.fun, CoreFunction):
+    if isinstance(problem.fun, SecondOrder) and problem.fun.native:
+        raise ValueError(
+            "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
+        )
+    if isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder):
         raise ValueError(
             "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "
             "equations as a function, or use invariode.symbolic"
@@ -542,10 +547,11 @@ def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> t
 
 def _with_inputs(problem: Description) -> Any:
     """f, with its inputs."""
-    if not problem.inputs:
-        return problem.fun
-    inputs = problem.inputs
-    return NativeWithInputs(problem.fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
+    fun, inputs = problem.fun, problem.inputs
+    fun = fun.first_order if isinstance(fun, SecondOrder) else fun
+    if not inputs:
+        return fun
+    return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
 
 
 def _is_python(given: Any) -> bool:

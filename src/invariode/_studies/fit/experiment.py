@@ -59,8 +59,8 @@ class Experiment:
         The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
         which is then a relative error.
     event_times : dict, optional
-        Measured times of events, by the name of the event's function. The first value is the time of the first
-        occurrence; NaN means not measured.
+        Measured times of events of the problem, by name: that of ``Event(name=)``, or else of the event's function. The
+        first value is the time of the first occurrence; NaN means not measured.
     event_sigma : float, str or dict, optional
         The standard deviation of these times, specified as for `sigma`.
     y0 : {"steady"}, optional
@@ -68,7 +68,8 @@ class Experiment:
         the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
         parameters. Default: the problem's y0.
     **options
-        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`.
+        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
+        which lists the options that are not accepted.
 
     Examples
     --------
@@ -382,6 +383,8 @@ def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None)
     for name, times in event_times.items():
         if names.count(name) != 1:
             listed = ", ".join(names) or "no events"
+            if name in names:
+                raise ValueError(f"event_times names {name!r}, and several events have this name: give Event(name=)")
             raise ValueError(f"event_times names {name!r}{meant(name, names)}: the problem has {listed}")
         values = real_numbers(f"event_times of {name}", times)
         if values.ndim != 1 or np.isinf(values).any() or np.isnan(values).all():

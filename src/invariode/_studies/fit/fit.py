@@ -71,7 +71,9 @@ def fit(
     method : str, default 'ode45'
         The method of the runs, a name in `METHODS`.
     **options
-        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9.
+        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9. Not accepted are
+        `t_eval`, `dense_output`, `refine`, `keep`, `sensitivities`, `on_failure`, `callback` and `checkpoint`, which
+        the fit sets itself, and `events`, which belong to the problem.
 
     Returns
     -------

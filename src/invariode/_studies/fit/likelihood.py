@@ -111,7 +111,8 @@ class Model:
     ) -> None:
         for name in _OWN:
             if name in options or any(name in one.options for one in experiments):
-                raise TypeError(f"{name} is no option of fit, which sets it itself")
+                instead = "give events to the Problem" if name == "events" else "fit sets it itself"
+                raise TypeError(f"{name} is not an option of fit: {instead}")
         tolerant: Options = {"rtol": RTOL, "atol": ATOL, **options}
         self.rtol = float(np.min(tolerant["rtol"]))
         self.experiments = experiments
