@@ -1,14 +1,17 @@
 """What sensitivities gain by projection and cost: ``python benchmarks/sensitivities.py [--write]``, or ``make bench``.
 
 Kepler's problem without projection, with y projected alone, and with y and its sensitivities; Robertson's problem; the
-time of a run with k sensitivities at the mesh of a run without; and a gradient backwards against forward sensitivities.
+time of a run with k sensitivities at the mesh of a run without; a gradient backwards against forward sensitivities; and
+CVODES and diffrax.
 ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from measure import folded, interleaved, machine, ratio, run, table
@@ -162,9 +165,116 @@ def gradients(repetitions: int) -> list[str]:
     return [table(["Parameters", "ms: y alone", "sensitivities", "gradient after it", "apart"], rows)]
 
 
+# ----------------------------------------------------------------------------------------------------------------------
+# Beside other codes
+
+
+class Contestant(NamedTuple):
+    """A code on one problem: a run without sensitivities, and one with them that returns S (n, k) at the end."""
+
+    name: str
+    plain: Callable[[], object]
+    varied: Callable[[], Array]
+
+
+class Case(NamedTuple):
+    """A problem for other codes, and theirs to write: ``jacfwd`` and CasADi trace this f."""
+
+    fun: Callable[..., list[object]]
+    args: tuple[float, ...]
+    y0: list[float]
+    end: float
+    rtol: float
+    atol: list[float]
+
+
+CASES = (
+    Case(predators, (1.5, 1.0, 3.0, 1.0), [1.0, 1.0], 10.0, 1e-8, [1e-10, 1e-10]),
+    Case(robertson, RATES, [1.0, 0.0, 0.0], 4e7, 1e-6, [1e-10, 1e-16, 1e-8]),
+)
+
+
+def ours(case: Case, method: str) -> Contestant:
+    problem = iv.Problem(iv.compile(case.fun), (0, case.end), case.y0, args=case.args)
+    options = {"rtol": case.rtol, "atol": case.atol, "max_step": np.inf, "keep": "end"}
+    plain = problem.prepare(method, **options)
+    varied = problem.replace(sensitivities=iv.Sensitivities(scale=case.args)).prepare(method, **options)
+    return Contestant(f"invariode {method}", plain, lambda: varied().sensitivities[:, :, -1])
+
+
+def cvodes(case: Case) -> Contestant:
+    """CVODES of SUNDIALS with its forward sensitivities in the error test, as CasADi calls it, with exact Jacobians."""
+    import casadi
+
+    y, p = casadi.SX.sym("y", len(case.y0)), casadi.SX.sym("p", len(case.args))
+    slope = case.fun(0.0, casadi.vertsplit(y), *casadi.vertsplit(p))
+    equations = {"x": y, "p": p, "ode": casadi.vertcat(*slope)}
+    options = {"reltol": case.rtol, "abstol": min(case.atol), "max_num_steps": 10**6, "fsens_err_con": True}
+    end = casadi.integrator("end", "cvodes", equations, 0, case.end, options)
+    jacobian = end.factory("jacobian", ["x0", "p"], ["xf", "jac:xf:p"])
+    return Contestant(
+        f"CVODES (CasADi {casadi.__version__})",
+        lambda: end(x0=case.y0, p=case.args),
+        lambda: np.array(jacobian(case.y0, case.args)[1]),
+    )
+
+
+def diffrax_of(case: Case) -> Contestant:
+    """diffrax, compiled, in double precision: derivatives of the steps, forwards."""
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    stiff = case.fun is robertson
+    solver = diffrax.Kvaerno5() if stiff else diffrax.Dopri8()
+    controller = diffrax.PIDController(rtol=case.rtol, atol=jnp.array(case.atol))
+    term = diffrax.ODETerm(lambda t, y, p: jnp.stack(case.fun(t, y, *p)))
+
+    def end(p: object) -> object:
+        given = {"stepsize_controller": controller, "max_steps": 10**5, "adjoint": diffrax.ForwardMode()}
+        found = diffrax.diffeqsolve(term, solver, 0.0, case.end, None, jnp.array(case.y0), p, **given)
+        return found.ys[0]
+
+    p = jnp.array(case.args)
+    plain, varied = jax.jit(end), jax.jit(jax.jacfwd(end))
+    return Contestant(
+        f"diffrax {diffrax.__version__} {type(solver).__name__}",
+        lambda: plain(p).block_until_ready(),
+        lambda: np.array(varied(p)),
+    )
+
+
+def beside(repetitions: int) -> list[str]:
+    rows = []
+    for case, methods in zip(CASES, (("dop853", "ode113"), ("ode15s", "radau")), strict=True):
+        exact = reference_of(case)
+        contestants = [*(ours(case, method) for method in methods), cvodes(case), diffrax_of(case)]
+        for one in contestants:
+            times = interleaved({"plain": one.plain, "varied": one.varied}, repetitions)
+            error = np.abs(one.varied() - exact).max(axis=0) / np.abs(exact).max(axis=0)
+            cells = [f"{1e3 * median(times[way]):.2f}" for way in ("plain", "varied")]
+            rows.append(
+                [
+                    case.fun.__name__,
+                    one.name,
+                    *cells,
+                    f"{ratio(times['varied'], times['plain']):.1f}",
+                    f"{error.max():.0e}",
+                ]
+            )
+    return [table(["Problem", "code", "ms: y alone", "y and S", "ratio", "error of S"], rows)]
+
+
+def reference_of(case: Case) -> Array:
+    """S by radau at tolerances far below."""
+    return ours(case._replace(rtol=1e-12, atol=[1e-5 * one for one in case.atol]), "radau").varied()
+
+
 def report(repetitions: int) -> str:
     parts = [f"{machine('invariode', 'numpy')}. Errors are the largest, relative to the largest entry of S."]
-    return "\n\n".join([*parts, *projected(), *stiff(), *costs(repetitions), *gradients(max(3, repetitions // 4))])
+    few = max(3, repetitions // 4)
+    return "\n\n".join([*parts, *projected(), *stiff(), *costs(repetitions), *gradients(few), *beside(few)])
 
 
 if __name__ == "__main__":

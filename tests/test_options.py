@@ -327,4 +327,4 @@ class TestPublicNames:
 
 
 #: What users import besides the names of the package.
-MODULES = {"cli", "problems", "scipy", "symbolic"}
+MODULES = {"cli", "jax", "problems", "scipy", "symbolic", "torch"}

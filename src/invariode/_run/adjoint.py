@@ -29,18 +29,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import EPS, Array, quietly, real_numbers, shown, warn
+from .._base.arguments import Array, quietly, real_numbers, shown, warn
 from .._base.types import MethodName
 from .._functions.directional import Directional, Given, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import as_matrix, is_sparse
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
 from .adjoint_jumps import Jump, Jumps, at_bounds
+from .algebraic import Algebraic, dense_mass
 from .plan import ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
 
@@ -176,30 +176,21 @@ class _Adjoint:
 
     # -------------------------------------------------------------------------------------------------------- the mass
 
-    def _mass(self, t: float) -> Array | None:
-        """Mᵀ; None: the identity."""
-        mass = self._problem.matrices.mass
-        if mass is None:
-            return None
-        given = as_matrix("mass", mass(t, *self._problem.args) if callable(mass) else mass, False)
-        return np.asarray(given.toarray() if is_sparse(given) else given, dtype=float).T
-
     @cached_property
-    def _algebraic(self) -> _Algebraic | None:
+    def _algebraic(self) -> Algebraic | None:
         """The algebraic equations of a singular M."""
-        transposed = self._mass(self._at.t)
-        if transposed is None or np.linalg.matrix_rank(transposed) == self.n:
-            return None
-        if callable(self._problem.matrices.mass):
+        mass = self._problem.matrices.mass
+        found = Algebraic.of(dense_mass(mass, self._at.t, self._problem.args))
+        if found is not None and callable(mass):
             raise ValueError(
                 "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
             )
-        return _Algebraic.of(transposed)
+        return found
 
     def _multiplier(self, t: float, mu: Array) -> Array:
         """λ."""
-        transposed = self._mass(t)
-        return mu if transposed is None else np.asarray(np.linalg.solve(transposed, mu))
+        M = dense_mass(self._problem.matrices.mass, t, self._problem.args)
+        return mu if M is None else np.asarray(np.linalg.solve(M.T, mu))
 
     # ------------------------------------------------------------------------------------------------- on the manifold
 
@@ -320,8 +311,7 @@ class _Adjoint:
         lam = self._backwards(piece, mu, within)
         self._total = self._total + self._integral(piece, lam)
         end = lam.y[:, -1]
-        transposed = None if self._algebraic is None else self._algebraic.transposed
-        return np.asarray((end if transposed is None else transposed @ end) + first)
+        return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
         found, beside = self._projected(t, self._sol.sol(t), cost, self._laws)
@@ -377,15 +367,15 @@ class _Adjoint:
         def jacobian(s: float, mu: Array) -> Array:
             t = piece.inside(s)
             found = slope.jacobian(t, solution(t)).T * piece.moving
-            transposed = None if singular else self._mass(t)
-            return found if transposed is None else np.linalg.solve(transposed.T, found.T).T
+            M = None if singular else dense_mass(self._problem.matrices.mass, t, self._problem.args)
+            return found if M is None else np.linalg.solve(M, found.T).T
 
         sizes = self._sizes
         if singular is not None:
             end = piece.inside(0.0)
-            solved = singular.solved(slope.jacobian(end, solution(end)))
+            solved = singular.multiplier(slope.jacobian(end, solution(end)))
             mu, sizes = solved @ mu, np.abs(solved) @ sizes
-            costs = {t: np.linalg.lstsq(singular.transposed, cost, rcond=None)[0] for t, cost in costs.items()}
+            costs = {t: np.linalg.lstsq(singular.M.T, cost, rcond=None)[0] for t, cost in costs.items()}
         method, rtol = self._run.method, np.max(self._sol._rtol)
         implicit = "jac" in find_method(method)[0].options
         adjoint = Description(
@@ -393,7 +383,7 @@ class _Adjoint:
             (0.0, piece.end - piece.begin),
             mu,
             jac=jacobian if implicit else None,
-            mass=None if singular is None else singular.transposed,
+            mass=None if singular is None else singular.M.T,
             name="the adjoint",
         )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
@@ -461,39 +451,6 @@ class _Law:
         """∂r/∂p, (m, k)."""
         k, n = self.law.k, self.law.n
         return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
-
-
-class _Algebraic(NamedTuple):
-    """The algebraic equations Zᵀ f = 0 of a singular M of index 1, Zᵀ M = 0 and M N = 0: Zᵀ (J S + ∂f/∂p) = 0.
-
-    Attributes
-    ----------
-    transposed : ndarray, (n, n)
-        Mᵀ.
-    Z, N : ndarray, (n, m)
-        Bases of the null spaces.
-    """
-
-    transposed: Array
-    Z: Array
-    N: Array
-
-    @staticmethod
-    def of(transposed: Array) -> _Algebraic:
-        U, sizes, V = np.linalg.svd(transposed.T)
-        rank = int(np.sum(sizes > sizes[0] * len(sizes) * EPS))
-        return _Algebraic(transposed, U[:, rank:], V[rank:].T)
-
-    def differential(self, J: Array, cost: Array) -> tuple[Array, Array]:
-        """The cost c as one in the range of Mᵀ, c + JᵀZ ξ with Nᵀ(c + JᵀZ ξ) = 0, and Z ξ: for all S that satisfy the
-        equations, c S = (c + JᵀZ ξ) S + (Z ξ)ᵀ ∂f/∂p."""
-        xi = -np.linalg.solve(self.N.T @ J.T @ self.Z, self.N.T @ cost)
-        return cost + J.T @ (self.Z @ xi), self.Z @ xi
-
-    def solved(self, J: Array) -> Array:
-        """The λ of a μ, as a matrix: Mᵀ λ = μ, Nᵀ Jᵀ λ = 0."""
-        rows = np.vstack([self.transposed, self.N.T @ J.T])
-        return np.linalg.pinv(rows)[:, : len(self.transposed)]
 
 
 def _objective(

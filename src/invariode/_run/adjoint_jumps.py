@@ -22,7 +22,7 @@ from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
 from .._results.result import Result
-from .variations import Rate, Switching
+from .variations import Rate, Switching, given_derivatives
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]
@@ -88,14 +88,17 @@ class Jumps:
     """
 
     def __init__(self, problem: Description, derivatives: Derivatives, conditions: Sequence[Switching]) -> None:
-        self._rate, self._derivatives, self._conditions = Rate(problem), derivatives, conditions
+        fun, given = given_derivatives(problem, problem.parameters())
+        n = len(problem.y0)
+        self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
+        self._derivatives, self._conditions = derivatives, conditions
         self._events: list[Event] = problem.events
         self._t0, self._y0, self._forward = (
             problem.t_span[0],
             problem.y0,
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
-        self._n, self._k = len(problem.y0), len(problem.parameters())
+        self._n, self._k = n, len(problem.parameters())
 
     def of(self, sol: Result, points: Sequence[Breakpoint], rests: Sequence[Rest]) -> list[Jump]:
         """Those of a solution, in the order of its times.

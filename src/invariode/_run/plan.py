@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
 
 from .. import _core
 from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
@@ -384,9 +387,17 @@ def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
 
 
 def _with_graph(problem: Description, method: Method) -> Any:
-    """f as Jacobians are made of it: traced, if that was chosen."""
+    """f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities have to
+    satisfy algebraic equations, whose derivatives by differences would be off by up to 1e-6."""
     fun, jac = problem.fun, problem.matrices.jac
-    if "jac" not in method.options or not isinstance(jac, str) or jac != "trace" or isinstance(fun, OnGraph):
+    if "jac" not in method.options or isinstance(fun, OnGraph):
+        return fun
+    if jac is None and problem.sensitivities is not None and problem.matrices.mass is not None:
+        if is_native(fun) or problem.y0.dtype.kind == "c":
+            return fun
+        with suppress(TypeError), np.errstate(all="ignore"):  # it cannot be traced
+            return compile(fun, by="trace")
+    if not isinstance(jac, str) or jac != "trace":
         return fun
     if is_native(fun) and not isinstance(fun, CompiledFunction):
         raise TypeError(

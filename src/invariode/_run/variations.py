@@ -30,9 +30,10 @@ from .._problem.events import Event, EventSpec, event_spec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import as_matrix, is_sparse
+from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
+from .algebraic import Algebraic, dense_mass
 
 #: A change of a parameter that a mass matrix which depends on it shows.
 _CHANGE = 1e-3
@@ -184,7 +185,7 @@ def make_variations(
         about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
         for one, spec in zip(problem.invariants, specs, strict=True)
     ]
-    rate = Rate(problem)
+    rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     times = [EventTime(event, about, rate, weights) for event in problem.events]
     jumps = [
         None
@@ -255,21 +256,20 @@ class _Derivatives:
 
 
 class Rate:
-    """y' = M⁻¹ f."""
+    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these."""
 
-    def __init__(self, problem: Description) -> None:
+    def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
+        self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
+        self._derivatives = None if self._algebraic is None else slope()
 
     def __call__(self, t: float, y: Array) -> Array:
-        return self.solved(t, self._slope(np.array([t]), y[:, None])[:, 0])
-
-    def solved(self, t: float, value: Array) -> Array:
-        """M⁻¹ times a value of f."""
-        if self._mass is None:
-            return value
-        mass = self._mass(t, *self._args) if callable(self._mass) else self._mass
-        solved: Array = np.linalg.solve(mass.toarray() if is_sparse(mass) else np.asarray(mass, dtype=float), value)
-        return solved
+        f = self._slope(np.array([t]), y[:, None])[:, 0]
+        if self._algebraic is not None and self._derivatives is not None:
+            ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
+            return self._algebraic.rate(self._derivatives.jacobian(t, y), f, ft)
+        M = dense_mass(self._mass, t, self._args)
+        return f if M is None else np.asarray(np.linalg.solve(M, f))
 
 
 class EventTime:
@@ -513,14 +513,12 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
             )
     mass = problem.matrices.mass
     t0, args = problem.t_span[0], problem.args
-    if mass is not None and problem.events:
-        given = as_matrix("mass", mass(t0, *args) if callable(mass) else mass, False)
-        if np.linalg.matrix_rank(given.toarray() if is_sparse(given) else given) < len(problem.y0):
-            raise ValueError(
-                "sensitivities are not possible with both events and a singular mass matrix, since y' of its algebraic "
-                "components is not known where an event occurs: leave out the events, or solve the algebraic equations "
-                "in fun"
-            )
+    if callable(mass) and problem.events and Algebraic.of(dense_mass(mass, t0, args)) is not None:
+        raise ValueError(
+            "sensitivities are not possible with events and a singular mass matrix that is a function of t, since y' "
+            "of its algebraic components is not known where an event occurs: leave out the events, or solve the "
+            "algebraic equations in fun"
+        )
     if not callable(mass):
         return
     own = [one for one in names if one.kind == "args"]
