@@ -78,8 +78,8 @@ class PythonFunction final : public Callable {
 
 bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape) const {
   constexpr int flags = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
-  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == static_cast<int>(shape.size()) &&
-         std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
+  return a != nullptr && is_unique(reinterpret_cast<PyObject*>(a)) &&
+         PyArray_NDIM(a) == static_cast<int>(shape.size()) && std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
          (PyArray_FLAGS(a) & ~NPY_ARRAY_F_CONTIGUOUS) == flags &&
          PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
 }
@@ -220,6 +220,7 @@ bool PythonFunction::read_sequence(PyObject* result, double* out) const {
   const npy_intp stride = returns_.complex ? 2 : 1;
   const bool list = PyList_CheckExact(result);
   if (!list && !PyTuple_CheckExact(result)) return size == 1 && number(result, out);
+  const ListLock lock(result);
   if ((list ? PyList_GET_SIZE(result) : PyTuple_GET_SIZE(result)) != size) return false;
   for (npy_intp i = 0; i < size; ++i)
     if (!number(list ? PyList_GET_ITEM(result, i) : PyTuple_GET_ITEM(result, i), out + i * stride)) return false;

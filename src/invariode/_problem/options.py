@@ -650,9 +650,19 @@ def table_of(kind: type) -> dict[str, Option]:
 
 #: The options by topic, in the order in which they are documented.
 TOPICS: Mapping[str, tuple[str, ...]] = {
-    "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "second_order", "breakpoints"),
-    "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
-    "its parameters": ("sensitivities",),
+    "the problem": (
+        "args",
+        "vectorized",
+        "events",
+        "invariants",
+        "bounds",
+        "nonnegative",
+        "mass",
+        "second_order",
+        "breakpoints",
+    ),
+    "the Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
+    "parameters": ("sensitivities",),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),
     "output": ("t_eval", "dense_output", "adjoint", "interpolation", "refine", "keep"),
@@ -665,7 +675,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "on_interrupt",
         "on_failure",
     ),
-    "an ensemble": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
+    "ensembles": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
 }
 
 _ROWS = {**table_of(AllOptions), **table_of(ManyOptions)}
