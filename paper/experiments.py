@@ -23,6 +23,8 @@ from .rows import Row, Rule, of_the_paper, within
 
 __all__ = ["Code", "Kinetics", "LotkaVolterra", "Pendulum", "Results", "ThreeBody", "gap", "residual", "run"]
 
+#: The methods for any f.
+GENERAL = [name for name, about in METHODS.items() if about.equations == "any"]
 #: Points per step in the paper's graphs (p. 69) and in the suite's ode45 by default.
 REFINE = 4
 #: Width of the orbit in Fig. 1, from x = -1.3 to x = 1.2.
@@ -273,7 +275,7 @@ class Code:
         )
         found = []
         for name, problem, invariants in problems:
-            for method in METHODS:
+            for method in GENERAL:
                 plain, projected = (solved(problem(imposed=imposed), method) for imposed in (False, True))
                 largest = (float(residual(invariants, plain).max()), float(residual(invariants, projected).max()))
                 gaps = (gap(plain), gap(projected)) if problem is three_body else None

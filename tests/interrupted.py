@@ -24,7 +24,7 @@ from scipy.sparse import csc_matrix
 
 import invariode as iv
 
-METHODS = tuple(iv.METHODS)
+METHODS = tuple(name for name, about in iv.METHODS.items() if about.equations == "any")
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 from mpmath import lu_solve, matrix, mp, mpf, sqrt
 
@@ -44,7 +44,8 @@ def _rational(text: str) -> mpf:
     return mpf(top) / mpf(bottom or 1)
 
 
-class Pair(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Pair:
     """A pair whose last stage is f at the end of the step, and further stages behind it."""
 
     c: Numbers
@@ -54,22 +55,24 @@ class Pair(NamedTuple):
     lower_b_bar: Numbers
     lower_b: Numbers
     last: int
+    _sums: dict[Tree, Numbers] = field(default_factory=dict)
 
     def with_stage(self, c: mpf, row: Numbers) -> Pair:
-        return self._replace(c=[*self.c, c], A=[*self.A, row])
+        return replace(self, c=[*self.c, c], A=[*self.A, row], _sums={})
 
     def stage_sums(self, tree: Tree) -> Numbers:
         """Φ_i of the tree, for all stages."""
-        return _stage_sums(tree, tuple(self.c), tuple(map(tuple, self.A)))
+        if tree not in self._sums:
+            sums = [x ** tree[0] for x in self.c]
+            for branch in tree[1]:
+                below = self.stage_sums(branch)
+                sums = [x * _product(row, below) for x, row in zip(sums, self.A, strict=True)]
+            self._sums[tree] = sums
+        return self._sums[tree]
 
 
-@lru_cache(maxsize=None)
-def _stage_sums(tree: Tree, c: tuple[mpf, ...], A: tuple[tuple[mpf, ...], ...]) -> Numbers:
-    sums = [x ** tree[0] for x in c]
-    for branch in tree[1]:
-        below = _stage_sums(branch, c, A)
-        sums = [x * sum((a * y for a, y in zip(row, below, strict=False)), mpf(0)) for x, row in zip(sums, A, strict=True)]
-    return sums
+def _product(row: Numbers, values: Numbers) -> mpf:
+    return sum((a * y for a, y in zip(row, values, strict=False) if a), mpf(0))
 
 
 def printed(name: str) -> Pair:
@@ -121,7 +124,7 @@ def defect(pair: Pair, w: Numbers, order: int, *, position: bool, theta: mpf | i
     r = order - position
     exact = mpf(theta) ** order / (r * (r + 1) if position else r)
     return max(
-        abs(sum(x * y for x, y in zip(w, pair.stage_sums(tree), strict=False)) - exact * factor(tree))
+        abs(_product(w, pair.stage_sums(tree)) - exact * factor(tree))
         for tree in trees(r)
     )
 

@@ -11,7 +11,7 @@ import pytest
 import scipy
 
 import invariode as iv
-from cases import explicit_and_implicit
+from cases import METHODS, explicit_and_implicit
 from problems import cost_of_pair
 
 
@@ -204,7 +204,7 @@ def test_repr_and_iteration():
 
 
 def test_registry():
-    for name, method in iv.METHODS.items():
+    for name, method in METHODS.items():
         assert name == method.name
         assert method.source
         assert getattr(iv, name)(decay, (0, 1), [1, 2]).success

@@ -35,7 +35,7 @@ def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
 
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # of random problems without breakpoints
 def test_in_another_process(tmp_path):
-    methods = {SEED + 100 + k: name for k, name in enumerate(iv.METHODS)}
+    methods = {SEED + 100 + k: name for k, name in enumerate(METHODS)}
     cases = {seed: random_case(seed, name) for seed, name in methods.items()}
     for seed, case in cases.items():
         interrupt(case, tmp_path / f"{seed}.npz")

@@ -17,7 +17,7 @@ import typer
 from typer.testing import CliRunner
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit
+from cases import METHODS, dealt, explicit_and_implicit
 from invariode._studies.precision import power
 from invariode.cli.app import app
 from invariode.cli.session import clock, count, guarded
@@ -559,7 +559,7 @@ def test_compare_without_invariants_says_so_and_compares_plain():
     assert "free has no invariants, so there is nothing to project" in flat(outcome.output)
     assert "find_invariants" in outcome.output
     assert "projected" not in outcome.output
-    for name in iv.METHODS:
+    for name in METHODS:
         assert re.search(rf"^{name} +1e-3 ", outcome.output, re.MULTILINE)
 
 

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import invariode as iv
+from cases import METHODS
 from invariode.cli.app import app
 from paper import Results, Row, experiments, lotka_volterra, pendulum, report, run, three_body
 from paper.command import app as papers
@@ -311,8 +312,8 @@ def test_library_and_table_need_no_extra():
 
 def test_all_codes_run_on_all_problems_and_gain_by_projection():
     codes = results().codes
-    assert {code.method for code in codes} == set(iv.METHODS)
-    assert len(codes) == 3 * len(iv.METHODS)
+    assert {code.method for code in codes} == set(METHODS)
+    assert len(codes) == 3 * len(METHODS)
     for code in codes:
         assert code.plain.success
         assert code.projected.success

@@ -62,7 +62,7 @@ class NystromStep final : public Step {
     purified_ = t1 - t_;
     error_ = std::numeric_limits<double>::quiet_NaN();
     std::copy(y_.begin(), y_.end(), stage_);  // whose velocities stay
-    Outcome outcome = inner_stages(h);
+    Outcome outcome = inner_stages();
     if (outcome == Outcome::ok) {
       propose_positions();
       if constexpr (T.last_in_error()) outcome = evaluate(t1, candidate_, last);
@@ -173,7 +173,8 @@ class NystromStep final : public Step {
   }
 
   /// Stages 1 … last − 1.
-  Outcome inner_stages(double h) {
+  Outcome inner_stages() {
+    const double h = purified_;
     Outcome outcome = Outcome::ok;
     [&]<std::size_t... I>(std::index_sequence<I...>) {
       const auto stage = [&]<std::size_t i>(std::integral_constant<std::size_t, i>) {

@@ -48,8 +48,8 @@ struct Kernel {
     for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<I>(k, [](auto j) { return T.A[I][j]; }, i);
   }
 
-  /// Stages 1 … last − 1 from (t, y), formed with h as it is (docs/algorithms.md, 'Every method'): evaluate(t, y, I)
-  /// puts f(t, y) into k_I; false ends them.
+  /// Stages 1 … last − 1 from (t, y), of the step of size h = t₁ − t as all else (docs/algorithms.md, 'Every method'):
+  /// evaluate(t, y, I) puts f(t, y) into k_I; false ends them.
   template <class Evaluate>
   static void inner_stages(const Real& t, const Real* y, const Real& h, const Stages& k, std::size_t n, Real* work,
                            Evaluate evaluate) {

@@ -58,7 +58,7 @@ class RungeKuttaStep final : public Step {
     reevaluation_failed_ = false;
     error_ = std::numeric_limits<double>::quiet_NaN();
     Outcome outcome = Outcome::ok;
-    Kernel::inner_stages(t_, y_.data(), h, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
+    Kernel::inner_stages(t_, y_.data(), purified_, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
       return (outcome = evaluate(t, y, k)) == Outcome::ok;
     });
     if (outcome == Outcome::ok) {

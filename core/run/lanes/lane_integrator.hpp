@@ -220,7 +220,7 @@ class LaneIntegrator {
     const Aimed<P, M> aim = aimed<M>(t, row(Rows::h), reach, hmin, job_.hmax, job_.forward(), job_.tf);
     const P purified = aim.t1 - t;
     M odd = no_lane<W>();
-    Kernel::inner_stages(t, y_, aim.h, k_, job_.n, stage_, [&](const P& at, P* y, std::size_t k) {
+    Kernel::inner_stages(t, y_, purified, k_, job_.n, stage_, [&](const P& at, P* y, std::size_t k) {
       odd = odd | mend(y, y_, job_.n);
       evaluate(job_.f, at, y, k_[k], p_);
       return true;

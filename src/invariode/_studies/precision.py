@@ -18,6 +18,7 @@ from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
 from .._base.types import MethodName
 from .._problem.grouped import Limits
+from .._functions.graph.function import OnGraph
 from .._problem.methods import METHODS, Method
 from .._results.result import LIMIT_REACHED, StiffnessWarning
 from .._results.solution import Solution
@@ -129,13 +130,20 @@ def able(problem: Problem) -> list[Method]:
     """The methods that can solve the problem."""
     mass = problem.matrices.mass
     if mass is None:
-        return list(METHODS.values())
+        return [m for m in METHODS.values() if _takes(m, problem)]
     from scipy.sparse import csc_array  # takes longer to import than everything else
 
     from .._linear.matrices import null_basis
 
     regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
     return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]
+
+
+def _takes(method: Method, problem: Problem) -> bool:
+    """Whether f is what the method takes."""
+    if method.equations == "second-order":
+        return problem.second_order and problem.bounds is None
+    return method.equations == "any" or isinstance(problem.fun, OnGraph)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

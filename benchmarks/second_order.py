@@ -1,0 +1,171 @@
+"""Second-order equations y'' = f(t, y): Nyström pairs beside the Runge-Kutta pairs, at equal error.
+
+    python benchmarks/second_order.py [--write]
+
+Every method gets the same native f, compiled by numba, and runs at rtol = 1e-4 ... 2.5e-14; evaluations of f and times
+at an error of 1e-10 are interpolated between the two tolerances around it (logarithms, linearly). The error is the
+largest of the components at the end, relative to the largest position or velocity. ``--write`` puts the tables into
+docs/benchmarks/second_order.md.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from measure import interleaved, machine, run, table
+from nonstiff import PROBLEMS
+
+import invariode as iv
+
+METHODS = ("rkn64", "rkn86", "rkn1210", "ode89", "dop853", "ode113")
+TOLERANCES = 10.0 ** -np.arange(4, 13.6, 0.5)
+WANTED = 1e-10
+#: Between two tolerances, no farther: an error of roundoff says nothing.
+LEAST = 2.5e-14
+DOUBLE, POINTER = numba.types.double, numba.types.CPointer(numba.types.double)
+
+
+class Case(NamedTuple):
+    title: str
+    fun: Any  # native, of (t, y)
+    y0: list[float]
+    tf: float
+
+
+def native(rhs: Any, n: int) -> Any:
+    """f(t, y) that returns a tuple, as machine code."""
+    inner = numba.njit(rhs, error_model="numpy")
+
+    @numba.cfunc(numba.void(DOUBLE, POINTER, POINTER, POINTER), error_model="numpy")
+    def code(t, y, out, p):
+        values = inner(t, numba.carray(y, (n,)))
+        for i in range(n):
+            out[i] = values[i]
+
+    return code
+
+
+def of_nonstiff(name: str) -> Case:
+    problem = PROBLEMS[name]
+    power = numba.njit(lambda s: 1 / (s * math.sqrt(s)), error_model="numpy")
+    return Case(problem.title, native(problem.rhs(power), len(problem.y0)), list(problem.y0), problem.span[1])
+
+
+def pendulum() -> Case:
+    return Case("Pendulum, t ≤ 100", native(lambda t, y: (y[1], -math.sin(y[0])), 2), [2.0, 0.0], 100.0)
+
+
+@numba.cfunc(numba.void(DOUBLE, POINTER, POINTER, POINTER), error_model="numpy")
+def pleiades_code(t, y, out, p):
+    for i in range(7):
+        ax, ay = 0.0, 0.0
+        for j in range(7):
+            if j != i:
+                dx, dy = y[j] - y[i], y[7 + j] - y[7 + i]
+                s = dx * dx + dy * dy
+                factor = (j + 1) / (s * math.sqrt(s))
+                ax += factor * dx
+                ay += factor * dy
+        out[i], out[7 + i], out[14 + i], out[21 + i] = y[14 + i], y[21 + i], ax, ay
+
+
+def pleiades() -> Case:
+    """Hairer, Nørsett & Wanner, Solving ODEs I, II.10: seven bodies in the plane."""
+    x, y = [3, 3, -1, -3, 2, -2, 2], [3, -3, 2, 0, 0, -4, 4]
+    u, v = [0, 0, 0, 0, 0, 1.75, -1.5], [0, 0, 0, -1.25, 1, 0, 0]
+    return Case("Pleiades, t ≤ 3, n = 28", pleiades_code, [float(a) for a in [*x, *y, *u, *v]], 3.0)
+
+
+CHAIN = 32
+
+
+@numba.cfunc(numba.void(DOUBLE, POINTER, POINTER, POINTER), error_model="numpy")
+def chain_code(t, y, out, p):
+    left = y[0]
+    force = left + 0.25 * left * left
+    for i in range(CHAIN):
+        stretch = (y[i + 1] if i + 1 < CHAIN else 0.0) - y[i]
+        pull = stretch + 0.25 * stretch * stretch
+        out[i], out[CHAIN + i] = y[CHAIN + i], pull - force
+        force = pull
+
+
+def chain() -> Case:
+    """Fermi, Pasta, Ulam and Tsingou's chain of 32 masses, springs with a square term, from its slowest mode."""
+    q = [math.sin(math.pi * (i + 1) / (CHAIN + 1)) for i in range(CHAIN)]
+    return Case("Chain of Fermi, Pasta, Ulam, Tsingou, t ≤ 200, n = 64", chain_code, [*q, *[0.0] * CHAIN], 200.0)
+
+
+def solve(case: Case, method: str, rtol: float) -> iv.Solution:
+    more = {"second_order": True} if iv.METHODS[method].equations == "second-order" else {}
+    return iv.solve_ivp(case.fun, (0.0, case.tf), case.y0, method, rtol=rtol, atol=rtol, keep="end", **more)
+
+
+def reference(case: Case) -> tuple[np.ndarray, float]:
+    """The final state, and by how much two methods differ on it."""
+    one, other = (solve(case, method, LEAST).y[:, -1] for method in ("rkn1210", "ode89"))
+    return one, error(other, one)
+
+
+def error(y: np.ndarray, exact: np.ndarray) -> float:
+    half = len(exact) // 2
+    parts = [slice(0, half), slice(half, None)]
+    return max(float(np.abs(y[part] - exact[part]).max() / np.abs(exact[part]).max()) for part in parts)
+
+
+def at_wanted(errors: list[float], costs: list[float]) -> float:
+    """The cost at the wanted error, between the first two tolerances around it."""
+    for k in range(1, len(errors)):
+        if errors[k] <= WANTED < errors[k - 1]:
+            part = math.log(WANTED / errors[k - 1]) / math.log(errors[k] / errors[k - 1])
+            return float(np.exp(np.interp(part, [0, 1], np.log([costs[k - 1], costs[k]]))))
+    return math.nan
+
+
+def costs(case: Case, exact: np.ndarray, repetitions: int) -> dict[str, tuple[float, float]]:
+    """Of each method evaluations of f and seconds at the wanted error."""
+    near = {}
+    for method in METHODS:
+        runs = [solve(case, method, rtol) for rtol in TOLERANCES]
+        errors = [max(error(sol.y[:, -1], exact), 1e-16) for sol in runs]
+        place = next((k for k in range(1, len(errors)) if errors[k] <= WANTED < errors[k - 1]), None)
+        if place is not None:
+            near[method] = [(TOLERANCES[k], errors[k], runs[k].nfev) for k in (place - 1, place)]
+    contestants = {(m, k): partial(solve, case, m, rows[k][0]) for m, rows in near.items() for k in (0, 1)}
+    times = {key: float(np.median(s)) for key, s in interleaved(contestants, repetitions).items()}
+    found = {}
+    for method, rows in near.items():
+        errors = [row[1] for row in rows]
+        found[method] = (
+            at_wanted(errors, [row[2] for row in rows]),
+            at_wanted(errors, [times[method, k] for k in (0, 1)]),
+        )
+    return found
+
+
+def report(repetitions: int) -> str:
+    cases = [of_nonstiff("kepler"), of_nonstiff("henon-heiles"), pendulum(), pleiades(), of_nonstiff("solar-system")]
+    evaluations, milliseconds = [], []
+    for case in [*cases, chain()]:
+        exact, doubt = reference(case)
+        if doubt > 0.2 * WANTED:
+            print(f"{case.title}: the reference is known to {doubt:.1e} only")
+        found = costs(case, exact, repetitions)
+        for rows, part, shown in ((evaluations, 0, "{:.0f}"), (milliseconds, 1, "{:.3f}")):
+            scale = 1 if part == 0 else 1e3
+            of = {m: found[m][part] * scale if m in found else math.nan for m in METHODS}
+            best = min(of["ode89"], of["dop853"])
+            rows.append([case.title, *(shown.format(of[m]) for m in METHODS), f"{of['rkn1210'] / best:.2f}"])
+    header = ["problem", *METHODS, "rkn1210 ÷ the better of ode89, dop853"]
+    intro = f"{machine('invariode', 'numba')}. At an error of {WANTED:g}, medians of {repetitions}."
+    return "\n\n".join(
+        [intro, "Evaluations of f:", table(header, evaluations), "Milliseconds:", table(header, milliseconds)]
+    )
+
+
+if __name__ == "__main__":
+    run("second_order", __doc__, report, 9)
