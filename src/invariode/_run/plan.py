@@ -40,6 +40,8 @@ from .._results.messages import (
 )
 from .._results.result import LIMIT_REACHED, Names
 
+from .second_order import require_second_order
+
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
@@ -235,6 +237,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
             f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
             "y' in fun"
         )
+    if chosen.equations == "second-order":
+        require_second_order(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = _settings(problem, chosen, options)
