@@ -77,6 +77,8 @@ class Variations:
         What happens to S at the action of each event, with its log.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
+    differences : list of Node
+        What changes its sign there.
     log : list of tuple
         When conditions of f have changed, and which.
     near : float
@@ -95,10 +97,27 @@ class Variations:
     times: list[EventTime]
     actions: list[_Jump | None]
     switches: list[EventSpec]
+    differences: list[Node]
     log: list[tuple[float, str]]
     near: float
     follows_jumps: bool
     derivatives_of: list[Directional]
+
+    def tangent_nodes(self) -> list[Node]:
+        """f_y S + f_p as a graph, of (t, Y).
+
+        Raises
+        ------
+        TypeError
+            A parameter is a constant of the graph of f.
+        """
+        found = self.derivatives_of[0].tangent_nodes()
+        if found is None:
+            raise TypeError(
+                "sensitivities by Taylor series need the derivatives of fun from its graph, of which a parameter is a "
+                "constant, such as the count of a loop: name the other parameters, or use method='dop853' or 'ode89'"
+            )
+        return found
 
     def augmented(self, y: Array) -> Array:
         """Y for the core."""
@@ -149,8 +168,7 @@ class Variations:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
         before, after, times = [], [], []
         k = len(self.names)
-        own = happened[: len(self.times)]
-        for (t, rows), time, action in zip(own, self.times, self.actions, strict=True):
+        for (t, rows), time, action in zip(happened, self.times, self.actions, strict=True):
             states = rows.reshape(len(t), 1 + k, n)
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([time.at(*one) for one in zip(t.tolist(), states, strict=True)]).reshape(len(t), k))
@@ -163,9 +181,14 @@ class Variations:
 
 
 def make_variations(
-    problem: Description, y0: Array, weights: Weights, specs: Sequence[InvariantSpec], points: Sequence[Breakpoint]
+    problem: Description,
+    y0: Array,
+    weights: Weights,
+    specs: Sequence[InvariantSpec],
+    points: Sequence[Breakpoint],
+    conditions: Sequence[Node] = (),
 ) -> Variations:
-    """The sensitivities that a problem asks for.
+    """The sensitivities that a problem asks for. `conditions`: of f, which do not change S if they are no switches.
 
     Raises
     ------
@@ -197,6 +220,7 @@ def make_variations(
     doses = [made.get(id(point.action)) for point in points]
     log: list[tuple[float, str]] = []
     switches = _switches(slope, about, problem, log)
+    differences = [node for *_, node in switches]
     sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
     tangents = [law.for_core for law in laws]
     for_core = _core.Variations(
@@ -204,7 +228,7 @@ def make_variations(
         slope=slope.for_core,
         thresholds=np.ascontiguousarray(_absolute(y0, weights) / sizes[:, None]),
         invariants=tangents,
-        jumps=[*jumps, *(jump for _, jump in switches)],
+        jumps=[*jumps, *(jump for _, jump, _ in switches), *(None for one in conditions if one not in differences)],
         breakpoints=doses,
         error_test=wanted.error_test,
     )
@@ -218,7 +242,8 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
-        switches=[event for event, _ in switches],
+        switches=[event for event, *_ in switches],
+        differences=differences,
         log=log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
@@ -440,8 +465,8 @@ class _Switching:
 
 def _switches(
     slope: Directional, about: _Derivatives, problem: Description, log: list[tuple[float, str]]
-) -> list[tuple[EventSpec, Callable[..., Array]]]:
-    """The conditions of f at which it jumps, as events, and what happens to S there."""
+) -> list[tuple[EventSpec, Callable[..., Array], Node]]:
+    """The conditions of f at which it jumps, as events, what happens to S there, and what changes its sign."""
     found = slope.switches(about.at)
     if not found:
         return []
@@ -475,7 +500,7 @@ def _switches(
             rehold=False,
             samples=0,
         )
-        made.append((event, switching.jump))
+        made.append((event, switching.jump, switch.difference))
     return made
 
 
