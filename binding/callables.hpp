@@ -59,6 +59,13 @@ struct Native {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
 
+/// The right-hand side of y'' = f(t, y), a Python function or a `Native`, of states y = (q, v).
+struct SecondOrderSpec {
+  nb::object fun;  ///< of (t, q)
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+};
+
 /// Machine code for Taylor coefficients, what keeps it alive, and the order up to which it goes.
 struct SeriesSpec {
   std::uintptr_t address;

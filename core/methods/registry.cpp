@@ -5,6 +5,7 @@
 
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
+#include "methods/nystrom.hpp"
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
 #include "methods/switching.hpp"
@@ -20,6 +21,12 @@ std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weigh
                                 const LinearAlgebra&, Series*) {
   using namespace runge_kutta;
   return (weights.size() <= small_system ? steps_of_small_systems : steps_of_any_system)[I](f, weights, given.fsal);
+}
+
+template <std::size_t I>
+std::unique_ptr<Step> make_nystrom(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
+                                   const LinearAlgebra&, Series*) {
+  return nystrom::steps[I](f, weights, given.fsal, given.state > 0 ? given.state : weights.size());
 }
 
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
@@ -100,6 +107,25 @@ constexpr Method row() {
                 .refine = T.refine,
                 .make = make_pair<I>};
   if (T.last_in_error()) method.options[0] = "fsal";  // else f(t₁, y₁) is evaluated in any case
+  return method;
+}
+
+/// The same of the pair T for second-order systems.
+template <const auto& T, std::size_t I>
+constexpr Method nystrom_row() {
+  Method method{.name = T.name,
+                .summary = T.summary,
+                .family = "Runge-Kutta-Nystrom pair, for y'' = f(t, y)",
+                .source = T.source,
+                .min_order = T.order,
+                .order = T.order,
+                .extension_order = T.extension_order,
+                .stages = static_cast<int>(T.stages) - 1,
+                .extra = static_cast<int>(T.all_stages - T.stages),
+                .iterations = T.iterations,
+                .equations = Equations::second_order,
+                .make = make_nystrom<I>};
+  if (T.last_in_error()) method.options[0] = "fsal";
   return method;
 }
 
@@ -195,13 +221,15 @@ constexpr Method others[] = {
      .make = make_switching},
 };
 
-template <const auto&... T>
-constexpr auto all(runge_kutta::Tableaux<T...>) {
-  return [&]<std::size_t... I, std::size_t... J>(std::index_sequence<I...>, std::index_sequence<J...>) {
-    return std::array{row<T, I>()..., others[J]...};
-  }(std::index_sequence_for<decltype(T)...>{}, std::make_index_sequence<std::size(others)>{});
+template <const auto&... T, const auto&... N>
+constexpr auto all(runge_kutta::Tableaux<T...>, runge_kutta::Tableaux<N...>) {
+  return [&]<std::size_t... I, std::size_t... J, std::size_t... K>(std::index_sequence<I...>, std::index_sequence<J...>,
+                                                                   std::index_sequence<K...>) {
+    return std::array{row<T, I>()..., others[J]..., nystrom_row<N, K>()...};
+  }(std::index_sequence_for<decltype(T)...>{}, std::make_index_sequence<std::size(others)>{},
+         std::index_sequence_for<decltype(N)...>{});
 }
-constexpr auto table = all(runge_kutta::Pairs());
+constexpr auto table = all(runge_kutta::Pairs(), nystrom::Pairs());
 
 /// The row of that name, which is there.
 const Method& row_of(std::string_view name) { return *std::ranges::find(table, name, &Method::name); }

@@ -24,6 +24,7 @@ struct MethodOptions {
   int max_order = 0;                        ///< highest order of the formulas; 0: the method's own
   bool bdf = false;                         ///< backward differentiation formulas instead of NDFs
   bool projected = false;                   ///< the steps are projected, which Newton's iteration does not see
+  std::size_t state = 0;                    ///< doubles of a state, of which sensitivities are several; 0: there is one
   const Method* prefer_explicit = nullptr;  ///< of those that take turns; null: see `members`
   const Method* prefer_implicit = nullptr;
 };

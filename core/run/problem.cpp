@@ -103,6 +103,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   const Method& implicit_one = method_.switches() ? members(options_).implicit_one : method_;
   require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
           std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
+  require(method_.equations != Equations::second_order || (problem_.n % 2 == 0 && !problem_.bounds),
+          std::string(method_.name) + " takes a state of positions and velocities, without bounds");
+  options_.state = problem_.n;
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
   if (problem_.linear) jacobian_.emplace(make_jacobian(problem_, weights_));
 }

@@ -17,4 +17,12 @@ inline std::vector<Method> general_methods() {
   return chosen;
 }
 
+/// And those for second-order systems: laws of steps, on problems that are such systems.
+inline std::vector<Method> methods_of_second_order() {
+  std::vector<Method> chosen;
+  std::ranges::copy_if(methods(), std::back_inserter(chosen),
+                       [](const Method& method) { return method.equations != Equations::graph; });
+  return chosen;
+}
+
 }  // namespace invariode

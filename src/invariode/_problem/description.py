@@ -14,6 +14,7 @@ from .._base.arguments import (
     call_name,
     distinct_labels,
     extra_arguments,
+    flag,
     function,
     interval,
     shown,
@@ -21,9 +22,11 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
+from .._functions.compile import compile
 from .._functions.compiled import is_native
 from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
+from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
@@ -52,6 +55,7 @@ class Description:
     bounds: Bounds | None
     sensitivities: Sensitivities | None
     records_events: bool
+    second_order: bool
     _title: str | None
     _labels: list[str] | None
     _as_given: dict[str, Any]
@@ -70,6 +74,7 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
+        second_order: bool = False,
         nonnegative: Any = None,
         bounds: Any = None,
         sensitivities: SensitivitiesLike | None = None,
@@ -78,6 +83,8 @@ class Description:
         labels: Sequence[str] | None = None,
     ) -> None:
         called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+        if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
+            called = compile(called)
         span, start = interval(t_span), state(y0)
         start.flags.writeable = False
         listed = _checked_events(events)
@@ -101,6 +108,7 @@ class Description:
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
+            second_order=flag("second_order", second_order) or states_second_order(called),
             _title=name,
             _labels=named,
             _as_given={
@@ -187,6 +195,7 @@ class Description:
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,
             **self._as_given,
+            "second_order": self.second_order and not states_second_order(self.fun),
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "name": self._title,

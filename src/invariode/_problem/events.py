@@ -45,6 +45,8 @@ class Event:
     touching : bool, default False
         With ``method="taylor"``: whether a zero of `fun` without a change of sign, to roundoff, is an event too. Other
         methods cannot tell it from a near miss.
+    name : str, optional
+        What messages, tables and ``Experiment(event_times=)`` call the event. Default: the name of `fun`.
 
     Notes
     -----
@@ -73,6 +75,7 @@ class Event:
         at_start: bool = False,
         samples: int | Literal["adaptive"] | None = None,
         touching: bool = False,
+        name: str | None = None,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
@@ -88,7 +91,7 @@ class Event:
             )
         self.samples = _samples(samples)
         self.touching = flag("touching", touching)
-        self.__name__ = call_name(fun, "event")
+        self.__name__ = call_name(fun, "event") if name is None else _name(name)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
@@ -103,6 +106,12 @@ class Event:
     def __repr__(self) -> str:
         at_start = ", at_start=True" if self.at_start else ""
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"name of an event must be a string that is not empty, got {shown(name)}")
+    return name
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:

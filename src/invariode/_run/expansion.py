@@ -9,16 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import EPS, Array, reals, warn
+from .._base.arguments import Array, reals, warn
 from .._base.extras import extra
 from .._functions.compile import compile
-from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native, to_native
-from .._functions.graph.derivatives import tangent
+from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
 from .._functions.graph.derived import derived
-from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
+from .._functions.graph.function import OnGraph, TracedFunction
 from .._functions.graph.kinks import is_analytic, kinks, substituted
 from .._functions.graph.nodes import Graph, Node, in_order
-from .._functions.graph.python import Formula
 from .._functions.graph.tables import looked_up
 from .._functions.layout import Parameters, count_of
 from .._problem.bounds import Bounds
@@ -30,10 +28,6 @@ from .variations import Variations
 
 #: With more conditions than this at which f changes its branch, steps do not end there.
 _MOST_CONDITIONS = 64
-#: By so many units of roundoff a condition on t alone is looked for late: the step behind it is in the new branch.
-_LATE = 4
-#: Beyond a condition y is moved by 0, 1, 16, ... units of roundoff, until the condition has changed.
-_FARTHER, _MOST_MOVES = 16.0, 11
 #: What takes any f.
 _INSTEAD = "use method='dop853' or 'ode89', which take any function"
 
@@ -112,7 +106,7 @@ class System(NamedTuple):
     times : list of float
         When it changes its branch, if that depends on t alone.
     conditions : list of Node
-        What changes its sign where it changes its branch otherwise.
+        What changes its sign where it changes its branch otherwise; none if there are too many.
     own : bool
         Whether our elementary functions are called.
     """
@@ -187,12 +181,22 @@ class Expansion(NamedTuple):
     ----------
     series : _core.Series
         Of the solution, and of its sensitivities.
+    conditions : _core.Series or None
+        Along the solution, of what changes its sign where f changes its branch: a step ends there.
+    count : int
+        How many conditions there are.
     events : list of EventSpec
-        Those of the problem with their series, and the conditions of f.
+        Those of the problem with their series.
     """
 
     series: _core.Series
+    conditions: _core.Series | None
+    count: int
     events: list[EventSpec]
+
+    def for_core(self) -> dict[str, Any]:
+        """What the core's problem takes, besides its events."""
+        return {"series": self.series}
 
 
 def make_expansion(
@@ -204,30 +208,29 @@ def make_expansion(
     varied: Variations | None,
 ) -> Expansion:
     """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
-    n, forward = reals(problem.y0), 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
+    forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
     outputs = _within_bounds(system.outputs, problem.bounds, forward)
     if varied is not None:
         outputs = [*outputs, *_with_inputs(varied.tangent_nodes(), problem.inputs)]
-    makes = _Maker(len(outputs), order, system.own, parameters)
+    makes = _Maker(len(outputs), order, system.own)
     given = [
         makes.expanded(spec, _graph_of_event(event.fun, problem))
         for spec, event in zip(events, problem.events, strict=False)
     ]
-    followed = [] if varied is None else varied.differences
-    conditions = [one for one in system.conditions if one not in followed]
-    late = forward * _LATE * EPS * max(abs(t) if math.isfinite(t) else 0.0 for t in problem.t_span)
-    own = [
-        makes.condition(f"condition {i} of fun", one, system.outputs[:n], forward, late)
-        for i, one in enumerate(conditions, 1)
-    ]
-    return Expansion(makes.series(outputs, along=False), [*given, *events[len(given) :], *own])
+    conditions = makes.series(system.conditions, along=True) if system.conditions else None
+    return Expansion(
+        series=makes.series(outputs, along=False),
+        conditions=conditions,
+        count=len(system.conditions),
+        events=[*given, *events[len(given) :]],
+    )
 
 
 class _Maker:
-    """Series for the core, and functions of graphs, of a state with sensitivities behind it."""
+    """Series for the core, of a state with its sensitivities behind it."""
 
-    def __init__(self, size: int, order: int, own: bool, parameters: Array) -> None:
-        self._size, self._order, self._own, self._parameters = size, order, own, parameters
+    def __init__(self, size: int, order: int, own: bool) -> None:
+        self._size, self._order, self._own = size, order, own
 
     def series(self, outputs: Sequence[Node], *, along: bool) -> _core.Series:
         """Coefficients of the solution of y' = outputs, or of the outputs along a polynomial."""
@@ -244,45 +247,6 @@ class _Maker:
                 warn(f"touching of event {spec.name} has no effect: its function {why}, and has no Taylor series")
             return spec
         return spec._replace(series=self.series(value, along=True))
-
-    def condition(self, name: str, difference: Node, f: Sequence[Node], forward: float, late: float) -> EventSpec:
-        """An event where f changes its branch. Behind it the solution is in the new one."""
-        graph, n = difference.graph, len(f)
-        y = [graph.y(i) for i in range(n)]
-        if not any(node.op == "y" for node in in_order([difference])):
-            difference = substituted([difference], {graph.t: graph.t - late})[0]
-            moved = y
-        else:
-            moved = _beyond(difference, y, f, forward)
-        value, action = (
-            GraphFunction(Formula(name, lambda nodes=nodes: nodes, (len(nodes),)), "own" if self._own else "libm")  # type: ignore[misc]
-            for nodes in ([difference], moved)
-        )
-        return EventSpec(
-            fun=to_native(name, value, n, 1, self._parameters, event=True),
-            terminal=0,
-            direction=0,
-            name=name,
-            action=to_native(name, action, n, n, self._parameters),
-            rehold=False,
-            samples=0,
-            series=self.series([difference], along=True) if is_analytic([difference]) else None,
-        )
-
-
-def _beyond(difference: Node, y: Sequence[Node], f: Sequence[Node], forward: float) -> list[Node]:
-    """y, moved along the solution by as much roundoff as it takes until the condition has changed."""
-    graph = difference.graph
-    rate = tangent([difference], {graph.t: graph.node(1.0), **dict(zip(y, f, strict=True))})[0]
-    side = graph.make("sign", rate * forward)
-    unit = forward * EPS * graph.make("maximum", graph.make("abs", graph.t), graph.node(1.0))
-    lengths = [graph.node(0.0), *(_FARTHER**i * unit for i in range(_MOST_MOVES))]
-    found = lengths[-1]
-    for length in lengths[-2::-1]:
-        there = substituted([difference], {one: one + length * slope for one, slope in zip(y, f, strict=True)})[0]
-        found = graph.select(graph.make("less", graph.node(0.0), side * there), length, found)
-    found = graph.select(graph.make("equal", side, graph.node(0.0)), graph.node(0.0), found)
-    return [one + found * slope for one, slope in zip(y, f, strict=True)]
 
 
 def _within_bounds(outputs: Sequence[Node], bounds: Bounds | None, forward: float) -> list[Node]:

@@ -51,11 +51,12 @@ from .._results.messages import (
     status_and_message,
 )
 from .._results.result import LIMIT_REACHED, Names
+from .second_order import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
-    from .expansion import System
+    from .expansion import Expansion, System
     from .variations import Variations
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
@@ -156,8 +157,8 @@ class Plan(NamedTuple):
     on_failure: OnFailure
     checkpoint: Checkpoint | None
     varied: Variations | None  # what is computed besides y
-    series: _core.Series | None  # of the solution, for methods that expand it
-    described: Description  # the problem; with f and events on their graphs for these methods
+    expansion: Expansion | None  # for methods by series
+    described: Description  # the problem; for these methods with f and events on their graphs
 
     @property
     def start(self) -> Array:
@@ -239,7 +240,7 @@ def solver(plan: Plan) -> _core.Solver:
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
         variations=None if plan.varied is None else plan.varied.for_core,
-        series=plan.series,
+        **({} if plan.expansion is None else plan.expansion.for_core()),
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -264,6 +265,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
             f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
             "y' in fun"
         )
+    if chosen.equations == "second-order":
+        require_second_order(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
     settings = _settings(problem, chosen, options)
@@ -289,18 +292,17 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     called = Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
     varied = None
     if problem.sensitivities is not None:
-        varied = _variations(problem, options, y0, weights, bound, breakpoints, system)
+        varied = _variations(problem, options, y0, weights, bound, breakpoints)
         bound = bound.varied(varied.tangents)
         functions = functions._replace(events=[*functions.events, *varied.switches])
         event_names = [*event_names, *(one.name for one in varied.switches)]
-    series = None
+    expansion = None
     if system is not None:
         from .expansion import make_expansion, order_of
 
         order = order_of(chosen, weights.rtol, settings.max_order or None)
-        series, events = make_expansion(problem, system, order, parameters, functions.events, varied)
-        event_names = [*event_names, *(one.name for one in events[len(functions.events) :])]
-        functions = functions._replace(events=events)
+        expansion = make_expansion(problem, system, order, functions.events, varied)
+        functions = functions._replace(events=expansion.events)
     elif any(event.touching for event in problem.events):
         warn(f"touching of events has no effect on {chosen.name}, whose steps are no polynomials in t of f: use taylor")
     return Plan(
@@ -322,7 +324,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
         varied=varied,
-        series=series,
+        expansion=expansion,
         described=problem,
     )
 
@@ -494,14 +496,12 @@ def _variations(
     weights: Tolerances,
     bound: BoundInvariants,
     breakpoints: list[Breakpoint],
-    system: System | None,
 ) -> Variations:
     """The sensitivities, if the problem asks for them."""
     from .variations import Weights, make_variations, require_direct
 
     require_direct(options["linear_solver"])
-    located = [] if system is None else system.conditions
-    return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints, located)
+    return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)
 
 
 def _system(problem: Description, parameters: Array, method: Method) -> System:
