@@ -301,7 +301,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         from .expansion import make_expansion, order_of
 
         order = order_of(chosen, weights.rtol, settings.max_order or None)
-        expansion = make_expansion(problem, system, order, functions.events, varied)
+        expansion = make_expansion(problem, system, order, parameters, functions.events, varied)
         functions = functions._replace(events=expansion.events)
     elif any(event.touching for event in problem.events):
         warn(f"touching of events has no effect on {chosen.name}, whose steps are no polynomials in t of f: use taylor")
