@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from bisect import bisect_right
+from collections import OrderedDict
 
 import mpmath
 import numpy as np
@@ -12,7 +14,9 @@ import pytest
 from invariode._functions.graph.nodes import ELEMENTARY, Graph
 from invariode._functions.graph.python import as_text
 
-series = pytest.importorskip("invariode._functions.graph.series")
+machine = pytest.importorskip("invariode._functions.graph.machine")
+
+from invariode._functions.graph import series  # noqa: E402  # needs what was just imported
 
 EPS = np.finfo(float).eps
 ORDER = 9
@@ -21,6 +25,11 @@ TIME, UNIT = 0.3, 0.25
 RNG = np.random.default_rng(30)
 ALONG = np.vstack([[0.7, 0.4, 1.3], RNG.uniform(-0.3, 0.3, (ORDER, 3))])
 ARGS = [1.6, 0.4]
+
+
+def batched(values, count):
+    values = list(values)
+    return [values[i : i + count] for i in range(0, len(values), count)]
 
 
 def jet(outputs, **form):
@@ -80,23 +89,103 @@ def samples():
 
 
 SAMPLES = samples()
+#: Products up to which coefficients are written out: all, or none.
+forms = pytest.mark.parametrize("most", [math.inf, -1], ids=["straight", "loops"])
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_coefficients_of_functions_are_those_of_60_digits(name):
+@pytest.fixture(autouse=True)
+def form(request, monkeypatch):
+    """How the code is written, and nothing that was written otherwise."""
+    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    if "most" in request.fixturenames:
+        monkeypatch.setattr(series, "_MOST_PRODUCTS", request.getfixturevalue("most"))
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return {name: exactly(node) for name, node in SAMPLES.items()}
+
+
+@forms
+def test_coefficients_of_functions_are_those_of_60_digits(most, expected):
     """Along a polynomial, within the roundoff of sums with growing terms."""
-    node = SAMPLES[name]
-    found = jet([node], along=True)(TIME, UNIT, ALONG)[:, 0]
-    expected = exactly(node)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=64 * EPS * np.maximum.accumulate(np.abs(expected)).max())
+    together = batched(SAMPLES.values(), 8)  # straight code takes more than linear time to compile
+    found = np.hstack([jet(some, along=True)(TIME, UNIT, ALONG) for some in together])
+    for name, values in zip(SAMPLES, found.T, strict=True):
+        scale = np.abs(expected[name]).max()
+        np.testing.assert_allclose(values, expected[name], rtol=0, atol=64 * EPS * scale, err_msg=name)
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_loops_have_the_coefficients_of_straight_lines(name, monkeypatch):
-    node = SAMPLES[name]
-    expected = jet([node, node.graph.y(1)], along=True)(TIME, UNIT, ALONG)
-    monkeypatch.setattr(series, "_MOST_PRODUCTS", -1)
-    machine = pytest.importorskip("invariode._functions.graph.machine")
-    machine._kept.clear()
-    found = jet([node, node.graph.y(1)], along=True)(TIME, UNIT, ALONG)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=64 * EPS * np.abs(expected).max())
+def systems():
+    """Right-hand sides: of an orbit with drag; with a linear system; of many bodies on a line, for loops of each kind."""
+    graph = Graph()
+    t, p = graph.t, graph.p(0)
+    x, z, u = (graph.y(i) for i in range(3))
+    few = [u * p, graph.elementary("sin", x + t) / z, (x * x + z * z) ** -1.5 - graph.elementary("exp", -u)]
+    solved = graph.solve([[x + 2.0, z], [u, t + 3.0]], [[x * z], [u * u]])
+    many = [graph.y(i) for i in range(12)]
+    forces = [
+        sum((b - a) / ((b - a) * (b - a) + 1.0) * (j + 0.5) for j, b in enumerate(many) if b is not a) for a in many
+    ]
+    return {"few": few, "solve": [solved[0][0], solved[1][0], x * 1.0], "many": forces}
+
+
+SYSTEMS = systems()
+#: The large one takes long to compile as straight code, and linear systems are straight always.
+written = pytest.mark.parametrize(("name", "most"), [("few", math.inf), ("few", -1), ("solve", math.inf), ("many", -1)])
+
+
+@written
+def test_coefficients_of_solutions_are_those_of_their_slope(name, most):
+    """y_k+1 = unit f_k / (k + 1) with one rounding, where f_k is the coefficient of f along the series itself."""
+    f, n = SYSTEMS[name], len(SYSTEMS[name])
+    y = np.random.default_rng(1).uniform(0.5, 1.5, n)
+    c = jet(f, n=n)(TIME, UNIT, y)
+    slopes = jet(f, n=n, along=True)(TIME, UNIT, c)
+    np.testing.assert_array_equal(c[0], y)
+    np.testing.assert_array_equal(c[1:], UNIT * slopes[:-1] / np.arange(1, ORDER + 1)[:, None])
+
+
+@written
+def test_the_unit_of_time_scales_coefficients_exactly(name, most):
+    f, n = SYSTEMS[name], len(SYSTEMS[name])
+    y = np.random.default_rng(2).uniform(0.5, 1.5, n)
+    by_unit = jet(f, n=n)
+    factors = (2.0**-70) ** np.arange(ORDER + 1)[:, None]
+    np.testing.assert_array_equal(by_unit(TIME, UNIT * 2.0**-70, y), by_unit(TIME, UNIT, y) * factors)
+
+
+@forms
+@pytest.mark.parametrize("along", [False, True])
+def test_lanes_have_the_bits_of_one_at_a_time(most, along):
+    """Of a small system and of a large one, each lane with its own t, unit and parameters."""
+    rng, lanes = np.random.default_rng(3), 4
+    for f in [SYSTEMS["few"], *([SYSTEMS["many"]] if most < 0 else [])]:
+        n = len(f)
+        y = rng.uniform(0.5, 1.5, (ORDER + 1, n, lanes) if along else (n, lanes))
+        t, unit, p = rng.uniform(0, 1, lanes), 2.0 ** rng.integers(-3, 3, lanes), rng.uniform(1, 2, (2, lanes))
+        one = jet(f, n=n, along=along)
+        alone = [one(t[i], unit[i], y[..., i], p[:, i]) for i in range(lanes)]
+        together = jet(f, n=n, along=along, lanes=lanes)(t, unit, y, p)
+        np.testing.assert_array_equal(together, np.stack(alone, axis=-1))
+
+
+def test_solutions_of_linear_systems_are_those_of_cramers_rule():
+    graph = Graph()
+    a, b, c, t = graph.y(0), graph.y(1), graph.y(2), graph.t
+    ((x,), (z,)) = graph.solve([[a, b], [c, t]], [[a * c], [b]])
+    determinant = a * t - b * c
+    expected = jet([(a * c * t - b * b) / determinant, (a * b - a * c * c) / determinant], along=True)
+    np.testing.assert_allclose(
+        jet([x, z], along=True)(TIME, UNIT, ALONG), expected(TIME, UNIT, ALONG), rtol=0, atol=1e-9
+    )
+
+
+def test_there_is_no_series_at_a_root_of_zero():
+    """√y and y^1.5 are defined at y = 0, their derivatives are not: no later coefficient is finite."""
+    graph = Graph()
+    along = np.vstack([[0.0, 0.4, 1.3], ALONG[1:]])
+    for f in (graph.elementary("sqrt", graph.y(0)), graph.y(0) ** 1.5):
+        found = jet([f, graph.node(1.0), graph.t], along=True)(TIME, UNIT, along)
+        assert found[0, 0] == 0
+        assert not np.isfinite(found[2:, 0]).any()

@@ -284,15 +284,21 @@ def reals(y: Array) -> int:
     return 2 * len(y) if y.dtype.kind == "c" else len(y)
 
 
-def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float | Array, Array | None]:
+#: What an error test can tell from roundoff.
+LEAST_RTOL = 100 * EPS
+
+
+def tolerances(
+    rtol: ArrayLike, atol: ArrayLike, y: Array, least: float = LEAST_RTOL
+) -> tuple[float, float | Array, Array | None]:
     """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
-    if type(rtol) is float and type(atol) is float and 100 * EPS <= rtol < math.inf and 0 <= atol < math.inf:
+    if type(rtol) is float and type(atol) is float and least <= rtol < math.inf and 0 <= atol < math.inf:
         return rtol, atol / rtol, None  # the common case, without arrays
     pairs = 2 if y.dtype.kind == "c" else 1
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
-    least = 100 * EPS
     if (relative < least).any():
-        warn(f"At least one element of `rtol` is too small: raised to {least:.3g} (100 units of roundoff)")
+        why = " (100 units of roundoff)" if least == LEAST_RTOL else ""
+        warn(f"At least one element of `rtol` is too small: raised to {least:.3g}{why}")
         relative = np.maximum(relative, least)
     smallest = float(relative.min()) if relative.size else RTOL
     threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)

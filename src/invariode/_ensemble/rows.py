@@ -112,7 +112,7 @@ def _on_threads(
         stiff_since=stiff_since,
         discontinuity=discontinuity,
         messages=_messages(task, plan, failures, misshapen, states),
-        events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
+        events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()[: plan.own_events]],
         value=value,
         residual_before=before,
         residual_after=after,
@@ -220,8 +220,8 @@ def _solve_one(task: Task, i: int) -> _Outcome:
         row = _row(plan, run)
         if status == _RAISED:
             del row["y_end"]
-        n, own = plan.functions.n, len(plan.called.events)
-        events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in run.take_events()[:own]]
+        n, happened = plan.functions.n, run.take_events()[: plan.own_events]
+        events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in happened]
         return _Outcome(i, status, message, row, events)
     except KeyboardInterrupt:
         raise

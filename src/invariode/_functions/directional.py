@@ -207,6 +207,10 @@ class Directional:
         found: _core.Native = self._graph.native
         return found
 
+    def tangent_nodes(self) -> list[Node] | None:
+        """The same as a graph, of (t, (y, S_1, S_2, ...)) and the numbers of the arguments."""
+        return None if self._graph is None else self._graph.tangent_nodes()
+
     @property
     def for_core(self) -> Any:
         """`tangent` as the core calls it."""
@@ -339,6 +343,10 @@ class _OfGraph:
         """Of (t, (y, S_1, S_2, ...))."""
         k = len(self._places)
         return native(self._exact.tangents(self._places), self._fun, (1 + k) * self._n, k * self._m, len(self._p))
+
+    def tangent_nodes(self) -> list[Node]:
+        """See `Directional.tangent_nodes`."""
+        return self._exact.tangents(self._places).fun.outputs
 
     @cached_property
     def _tangent(self) -> Callable[[float, Array, Array], Array]:

@@ -42,6 +42,9 @@ class Event:
         Default: the degree of the method's continuous extension, at least 3. 'adaptive': enough points to resolve `fun`
         along the step by Chebyshev interpolation, from which all of its roots follow: from 9 for a smooth function to
         hundreds around a kink.
+    touching : bool, default False
+        With ``method="taylor"``: whether a zero of `fun` without a change of sign, to roundoff, is an event too. Other
+        methods cannot tell it from a near miss.
     name : str, optional
         What messages, tables and ``Experiment(event_times=)`` call the event. Default: the name of `fun`.
 
@@ -49,7 +52,9 @@ class Event:
     -----
     An odd number of roots between two neighbouring points is seen as one, an even number as none. Roots are sign
     changes of `fun` along the continuous solution, to two units in the last place of t; 'adaptive' finds all sign
-    changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each.
+    changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each. With ``method="taylor"``
+    `fun` is expanded along the polynomial of the step, if it can be traced and has no branches: then every sign change
+    is found, without samples; roots closer than 1e-8 of the step count once.
 
     Examples
     --------
@@ -69,6 +74,7 @@ class Event:
         rehold: bool = True,
         at_start: bool = False,
         samples: int | Literal["adaptive"] | None = None,
+        touching: bool = False,
         name: str | None = None,
     ) -> None:
         if not callable(fun) and not is_native(fun):
@@ -84,11 +90,18 @@ class Event:
                 "at_start is not possible with an action: if the event is zero at t0, apply the action to y0 first"
             )
         self.samples = _samples(samples)
+        self.touching = flag("touching", touching)
         self.__name__ = call_name(fun, "event") if name is None else _name(name)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
         return value
+
+    def replaced(self, fun: Any) -> Event:
+        """The same event of another function, with its name."""
+        made = Event.__new__(Event)
+        made.__dict__.update(self.__dict__, fun=fun)
+        return made
 
     def __repr__(self) -> str:
         at_start = ", at_start=True" if self.at_start else ""
@@ -125,7 +138,7 @@ def to_events(events: EventsLike) -> list[Event]:
 #: Up to here doubles are integers, and every count fits into the core's.
 _MOST_OCCURRENCES = 2**53
 
-_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples")
+_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples", "touching")
 
 
 def _from_function(fun: EventFunction) -> Event:
@@ -166,6 +179,8 @@ class EventSpec(NamedTuple):
     action: Any
     rehold: bool
     samples: int  # 0: the usual number, -1: adaptive
+    series: Any = None  # along polynomials
+    touching: bool = False
 
 
 def event_spec(event: Event, n: int, p: Array) -> EventSpec:
@@ -173,4 +188,5 @@ def event_spec(event: Event, n: int, p: Array) -> EventSpec:
     fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
     action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
     samples = -1 if event.samples == "adaptive" else event.samples or 0
-    return EventSpec(fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold, samples)
+    count, sign = terminal_count(event), direction_sign(event)
+    return EventSpec(fun, count, sign, event.__name__, action, event.rehold, samples, touching=event.touching)

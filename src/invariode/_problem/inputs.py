@@ -65,7 +65,7 @@ class Input:
             raise ValueError("values of an input must be finite")
         self.breakpoints = flag("breakpoints", breakpoints)
         self.times.flags.writeable = self.values.flags.writeable = False
-        self._core = _polynomial(self.times, self.values, self.kind)
+        self._core = _polynomial(self.times, self.pieces()[1])
 
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(self, "_core"):
@@ -85,6 +85,18 @@ class Input:
         u = self._core.evaluate(times.ravel())
         return u.reshape(times.shape if single else (*times.shape, self.size))[()]
 
+    def pieces(self) -> tuple[Array, Array]:
+        """The times, and the coefficients in t since the start of each piece, the highest power first: of shape
+        (powers, pieces, size)."""
+        rows = self.values.reshape(len(self.times), -1)
+        if self.kind == "previous":
+            return self.times, rows[None]
+        if self.kind == "linear":
+            return self.times, np.stack([np.diff(rows, axis=0) / np.diff(self.times)[:, None], rows[:-1]])
+        from scipy.interpolate import CubicSpline  # takes longer to import than everything else
+
+        return self.times, CubicSpline(self.times, rows).c
+
     def covers(self, t0: float, tf: float) -> bool:
         """Whether the table covers t0 to tf."""
         low, high = min(t0, tf), max(t0, tf)
@@ -100,19 +112,9 @@ class Input:
 InputsLike: TypeAlias = Input | Sequence[Input]
 
 
-def _polynomial(times: Array, values: Array, kind: str) -> _core.PiecewisePolynomial:
-    """The pieces with their coefficients, the highest power first."""
-    rows = values.reshape(len(times), -1)
-    if kind == "previous":
-        powers = rows[None]
-    elif kind == "linear":
-        powers = np.stack([np.diff(rows, axis=0) / np.diff(times)[:, None], rows[:-1]])
-    else:
-        from scipy.interpolate import CubicSpline  # takes longer to import than everything else
-
-        powers = CubicSpline(times, rows).c
+def _polynomial(times: Array, powers: Array) -> _core.PiecewisePolynomial:
     ordered = np.ascontiguousarray(np.moveaxis(powers, 0, -1), dtype=float)  # (pieces, size, powers)
-    return _core.PiecewisePolynomial(times, ordered.ravel(), len(powers) - 1, rows.shape[1])
+    return _core.PiecewisePolynomial(times, ordered.ravel(), len(powers) - 1, powers.shape[2])
 
 
 def to_inputs(inputs: InputsLike | None, t_span: tuple[float, float]) -> list[Input]:

@@ -122,6 +122,8 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
             f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
             "that is regular there, or differentiate the constraints until the slopes are determined."
         )
+    if run.state == "start_undefined" and run.coefficient is not None:
+        return -1, f"{_without_series(run, pairs)} at the start, t = {run.t}. {_OTHER_METHODS}"
     if run.state == "start_undefined":
         return -1, (
             f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
@@ -162,8 +164,21 @@ def _component(run: Run, pairs: bool) -> str:
     return f"component {run.component // 2 if pairs else run.component}"
 
 
+#: What to do where there is no Taylor series.
+_OTHER_METHODS = "Use a method that evaluates fun only, dop853 or ode89, there, or all along."
+
+
+def _without_series(run: Run, pairs: bool) -> str:
+    return (
+        f"{_component(run, pairs).capitalize()} of y has no Taylor series: its coefficient {run.coefficient} is NaN or "
+        "infinite, although fun is finite (as √y and y**1.5 are at y = 0),"
+    )
+
+
 def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
+    if run.cause == "not_finite" and run.coefficient is not None:
+        return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
         return (

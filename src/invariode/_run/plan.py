@@ -14,7 +14,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from .. import _core
-from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
+from .._base.arguments import (
+    EPS,
+    LARGEST_COUNT,
+    LEAST_RTOL,
+    Array,
+    distinct,
+    kept,
+    output_times,
+    reals,
+    shown,
+    tolerances,
+    warn,
+)
 from .._base.failures import InvariantError
 from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
@@ -42,17 +54,20 @@ from .._results.messages import (
     status_and_message,
 )
 from .._results.result import LIMIT_REACHED, Names
-
 from .second_order import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
+    from .expansion import Expansion, System
     from .variations import Variations
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
+#: The length of steps by series follows from coefficients, and their errors may be below one unit of roundoff: in long
+#: runs their sum counts.
+_LEAST_BY_SERIES = 1e-30
 
 
 class Tolerances(NamedTuple):
@@ -145,12 +160,19 @@ class Plan(NamedTuple):
     on_failure: OnFailure
     checkpoint: Checkpoint | None
     varied: Variations | None  # what is computed besides y
+    expansion: Expansion | None  # for methods by series
+    described: Description  # the problem; for these methods with f and events on their graphs
 
     @property
     def start(self) -> Array:
         """What the core starts from: y0, and the sensitivities behind it."""
         y0 = self.y0.view(float)
         return y0 if self.varied is None else self.varied.augmented(y0)
+
+    @property
+    def own_events(self) -> int:
+        """How many events are the user's; the conditions of f are behind them."""
+        return len(self.called.events)
 
     @property
     def laws(self) -> Laws:
@@ -221,6 +243,7 @@ def solver(plan: Plan) -> _core.Solver:
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
         variations=None if plan.varied is None else plan.varied.for_core,
+        **({} if plan.expansion is None else plan.expansion.for_core()),
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -231,6 +254,11 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     chosen, implied = find_method(method)
     _require_linear_solver(chosen, given.get("linear_solver"))
     options = checked(given, chosen)
+    by_series = chosen.equations == "graph"
+    if by_series:
+        from .expansion import on_graph
+
+        problem = on_graph(problem, chosen)
     if options["prefer"]:
         _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
     if options["bdf"] is None:
@@ -243,15 +271,18 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     if chosen.equations == "second-order":
         require_second_order(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
-    weights = Tolerances(*tolerances(rtol, atol, problem.y0))
+    weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
     settings = _settings(problem, chosen, options)
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
-    traced = _with_graph(problem, chosen)
+    traced = problem.fun if by_series else _with_graph(problem, chosen)
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
     if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
         parameters = Parameters.of(problem.args)
+    system = _system(problem, parameters, chosen) if by_series else None
+    if system is not None:
+        breakpoints = ordered([*breakpoints, *(Breakpoint(t, None) for t in system.times)], *problem.t_span)
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     bound.forward = settings.forward
@@ -268,6 +299,15 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         bound = bound.varied(varied.tangents)
         functions = functions._replace(events=[*functions.events, *varied.switches])
         event_names = [*event_names, *(one.name for one in varied.switches)]
+    expansion = None
+    if system is not None:
+        from .expansion import make_expansion, order_of
+
+        order = order_of(chosen, weights.rtol, settings.max_order or None)
+        expansion = make_expansion(problem, system, order, parameters, functions.events, varied)
+        functions = functions._replace(events=expansion.events)
+    elif any(event.touching for event in problem.events):
+        warn(f"touching of events has no effect on {chosen.name}, whose steps are no polynomials in t of f: use taylor")
     return Plan(
         method=chosen,
         tolerances=weights,
@@ -287,6 +327,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
         varied=varied,
+        expansion=expansion,
+        described=problem,
     )
 
 
@@ -471,6 +513,13 @@ def _variations(
 
     require_direct(options["linear_solver"])
     return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)
+
+
+def _system(problem: Description, parameters: Array, method: Method) -> System:
+    """f as a graph, which is imported when it is used."""
+    from .expansion import system_of
+
+    return system_of(problem, parameters, method)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

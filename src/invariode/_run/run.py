@@ -197,7 +197,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
             sol = sol.changed(status=status, message=message)
     else:
         sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
-    compare(problem, sol, options.get("check", True))
+    compare(plan.described, sol, options.get("check", True))
     return concluded(sol, plan.on_failure)
 
 
@@ -341,7 +341,7 @@ def _solution(
         bound = bound.jumped(jumps)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
-    happened = run.take_events() if plan.records_events or plan.varied else None
+    happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
     sensitivities = None
     if plan.varied is not None:
         y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
@@ -380,9 +380,9 @@ def _parted(
     n, k = len(plan.y0), len(varied.names)
     y, S = states_and_sensitivities(Y, n, k)
     y_end, S_end = states_and_sensitivities(end[:, None], n, k)
-    recorded, own = plan.records_events, happened[: len(varied.times)]  # then the conditions of f
-    at_events = varied.at_events(own, n)
-    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in own] if recorded else None
+    recorded = plan.records_events
+    at_events = varied.at_events(happened, n)
+    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened] if recorded else None
     found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
     return y, y_end[:, 0], states, found
 

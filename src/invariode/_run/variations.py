@@ -21,6 +21,7 @@ from .. import _core
 from .._base.arguments import EPS, Array, warn
 from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
+from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters, with_numbers
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
@@ -101,6 +102,22 @@ class Variations:
     follows_jumps: bool
     derivatives_of: list[Directional]
 
+    def tangent_nodes(self) -> list[Node]:
+        """f_y S + f_p as a graph, of (t, Y).
+
+        Raises
+        ------
+        TypeError
+            A parameter is a constant of the graph of f.
+        """
+        found = self.derivatives_of[0].tangent_nodes()
+        if found is None:
+            raise TypeError(
+                "sensitivities by Taylor series need the derivatives of fun from its graph, of which a parameter is a "
+                "constant, such as the count of a loop: name the other parameters, or use method='dop853' or 'ode89'"
+            )
+        return found
+
     def augmented(self, y: Array) -> Array:
         """Y for the core."""
         return np.concatenate([y, self.start.ravel()])
@@ -150,8 +167,7 @@ class Variations:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
         before, after, times = [], [], []
         k = len(self.names)
-        own = happened[: len(self.times)]
-        for (t, rows), time, action in zip(own, self.times, self.actions, strict=True):
+        for (t, rows), time, action in zip(happened, self.times, self.actions, strict=True):
             states = rows.reshape(len(t), 1 + k, n)
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([time.at(*one) for one in zip(t.tolist(), states, strict=True)]).reshape(len(t), k))

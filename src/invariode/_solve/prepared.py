@@ -15,8 +15,8 @@ from .. import _core
 from .._base.arguments import Array, extra_arguments, interval, kept
 from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
-from .._functions.second_order import SecondOrder
 from .._functions.layout import Arguments, count_of
+from .._functions.second_order import SecondOrder
 from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments
 from .._results.messages import MESSAGES

@@ -2,13 +2,12 @@
 
     void jet(double t, double unit, const double* y, double* out, const double* p)
 
-With `order` + 1 rows in out, row k has the coefficients of s^k: of the solution through (t, y) at t + unit s, out of shape
-(order + 1, n); or of a function with m values along a polynomial of which y has the coefficients, (order + 1, n), out of
-shape (order + 1, m).
-In lanes every number, t and unit too, is a row of that many.
+Row k of out, of order + 1, has the coefficients of s^k: of the solution through (t, y) at t + unit s, of shape
+(order + 1, n); or of a function with m values along a polynomial whose coefficients are y, (order + 1, n), of shape
+(order + 1, m). In lanes every number, t and unit too, is a row of that many.
 
-A product and a sum are rounded once, by fma: its bits are the same on every processor, even if the library has to compute
-it.
+A product and a sum are rounded once, by fma: the bits are the same on every processor, even where the library has to
+compute it.
 """
 
 from __future__ import annotations

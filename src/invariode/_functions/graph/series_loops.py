@@ -1,8 +1,8 @@
 """Taylor coefficients of large graphs, as loops over the order in which equal operations are done side by side.
 
-Nodes of one kind that do not need each other are a group. Its values lie one after the other: `first` has all coefficients
-of order 0, `now` those of order k, and `work` a history of those that sums need. Members are sorted by where their
-arguments are, so that these are often neighbours too.
+Nodes of one kind that do not need each other are a group. Its values lie one after the other: `first` has all
+coefficients of order 0, `now` those of order k, and `work` a history of those that sums need. Members are sorted by
+where their arguments are, so that these are often neighbours too.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ class Members(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Members that are computed at once: how many, from which one on; `valid` of them are there, the last one is repeated."""
+    """Members that are computed at once: how many, from which one on. `valid` of them are there; the last one is
+    repeated."""
 
     start: Any
     width: int

@@ -395,10 +395,13 @@ class _Copies:
         found = {**function.__globals__}
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         closed = tuple(types.CellType() for _ in code.co_freevars)
-        copy = types.FunctionType(code, found, function.__name__, function.__defaults__, closed)
-        copy.__kwdefaults__ = function.__kwdefaults__
+        copy = types.FunctionType(code, found, function.__name__, None, closed)
         self._made[id(function)] = copy  # it may call itself
         self._kept.append(function)
+        if function.__defaults__ is not None:
+            copy.__defaults__ = tuple(map(self.of, function.__defaults__))
+        if function.__kwdefaults__ is not None:
+            copy.__kwdefaults__ = {name: self.of(one) for name, one in function.__kwdefaults__.items()}
         for name, cell in zip(code.co_freevars, closed, strict=True):
             if _is_full(cells[name]):
                 cell.cell_contents = self.of(cells[name].cell_contents)

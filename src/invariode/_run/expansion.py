@@ -1,0 +1,266 @@
+"""Taylor series of the solution of a problem, and of its events along it, as the core takes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array, reals, warn
+from .._base.extras import extra
+from .._functions.compile import compile
+from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
+from .._functions.graph.derived import derived
+from .._functions.graph.function import OnGraph, TracedFunction
+from .._functions.graph.kinks import is_analytic, kinks, substituted
+from .._functions.graph.nodes import Graph, Node, in_order
+from .._functions.graph.tables import looked_up
+from .._functions.layout import Parameters, count_of
+from .._problem.bounds import Bounds
+from .._problem.description import Description
+from .._problem.events import Event, EventSpec
+from .._problem.inputs import Input
+from .._problem.methods import Method
+from .variations import Variations
+
+#: With more conditions than this at which f changes its branch, steps do not end there.
+_MOST_CONDITIONS = 64
+#: What takes any f.
+_INSTEAD = "use method='dop853' or 'ode89', which take any function"
+
+
+def order_of(method: Method, rtol: float, given: int | None) -> int:
+    """The order of the series: the one given, or that of the least work, with steps of 1/e² of the radius of
+    convergence (Jorba and Zou 2005)."""
+    if given is not None:
+        return given
+    return min(max(math.ceil(1 - math.log(rtol) / 2), method.min_order), method.order)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Functions as graphs
+
+
+def on_graph(problem: Description, method: Method) -> Description:
+    """The problem with f, and events if they can be, as functions that are compiled from their graphs.
+
+    Raises
+    ------
+    TypeError
+        f is machine code, or belongs to the core.
+    ModuleNotFoundError
+        What compiles graphs is not installed.
+    """
+    extra("llvmlite", f"method={method.name!r} needs", "compiled")
+    fun = _traceable(problem.fun, method)
+    events = [_on_graph(event, problem) for event in problem.events] if problem.records_events else None
+    return problem.replace(fun=fun, events=events)
+
+
+def _traceable(fun: Any, method: Method) -> Any:
+    needs = f"method={method.name!r} needs the expression graph of fun, "
+    if isinstance(fun, OnGraph):
+        return fun
+    if isinstance(fun, CoreFunction):
+        raise TypeError(
+            f"{needs}and the equations of a MechanicalSystem, which the core forms, have none: {_INSTEAD}, or "
+            "write the equations with invariode.symbolic"
+        )
+    if is_native(fun) and not isinstance(fun, CompiledFunction):
+        raise TypeError(f"{needs}and machine code has none: give the Python function, or {_INSTEAD}")
+    if isinstance(fun, CompiledFunction):  # by numba
+        return TracedFunction(fun.fun, fun.inplace, "own", "trace")
+    return compile(fun, by="trace")
+
+
+def _on_graph(event: Event, problem: Description) -> Event:
+    """The event; with a function that is traced, if it can be."""
+    if is_native(event.fun) or problem.y0.dtype.kind == "c":
+        return event
+    traced = compile(event.fun, by="trace")
+    try:
+        _graph_of_event(traced, problem)
+    except TypeError:
+        return event
+    return event.replaced(traced)
+
+
+def _graph_of_event(fun: Any, problem: Description) -> list[Node] | None:
+    """Its value, of (t, y) and the parameters of native functions."""
+    if not isinstance(fun, OnGraph):
+        return None
+    shape = fun.known(Shape(len(problem.y0), 1, count_of(Parameters.of(problem.args)), event=True))
+    return fun.graph(shape)
+
+
+class System(NamedTuple):
+    """f of a problem as a graph.
+
+    Attributes
+    ----------
+    outputs : list of Node
+        Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
+    times : list of float
+        When it changes its branch, if that depends on t alone.
+    conditions : list of Node
+        What changes its sign where it changes its branch otherwise; none if there are too many.
+    own : bool
+        Whether our elementary functions are called.
+    """
+
+    outputs: list[Node]
+    times: list[float]
+    conditions: list[Node]
+    own: bool
+
+
+def system_of(problem: Description, parameters: Array, method: Method) -> System:
+    """The graph of f.
+
+    Raises
+    ------
+    TypeError
+        It has none.
+    """
+    n = reals(problem.y0)
+    traced = problem.fun
+    try:
+        found = derived(problem.slope.fun, n, n, count_of(parameters))
+    except TypeError as error:
+        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
+        raise TypeError(
+            f"method={method.name!r} needs the expression graph of fun: {why}; change that, or {_INSTEAD}"
+        ) from None
+    if found is None:
+        raise TypeError(
+            f"method={method.name!r} needs the expression graph of fun, which was compiled by {traced.how}; {_INSTEAD}"
+        )
+    outputs = _with_inputs(found.outputs, problem.inputs)
+    t0, tf = problem.t_span
+    where = kinks(outputs, t0, tf)
+    conditions = where.differences if len(where.differences) <= _MOST_CONDITIONS else []
+    return System(outputs, where.times, conditions, found.elementary == "own")
+
+
+def _with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
+    """The values with polynomials in t in the place of the first parameters, the inputs."""
+    if not inputs:
+        return list(outputs)
+    graph = outputs[0].graph
+    values = [value for one in inputs for value in _polynomials(one, graph)]
+    places = sorted({node.value for node in in_order(outputs) if node.op == "p"})
+    instead = {graph.p(i): values[i] if i < len(values) else graph.p(i - len(values)) for i in places}
+    return substituted(outputs, instead)
+
+
+def _polynomials(given: Input, graph: Graph) -> list[Node]:
+    """The values of an input at t."""
+    breaks, powers = given.pieces()
+    t, inside = graph.t, breaks[1 : powers.shape[1]]
+    since = t - looked_up(t, inside, breaks[: powers.shape[1]])
+    found = []
+    for column in np.moveaxis(powers, 2, 0):
+        value = looked_up(t, inside, column[0])
+        for row in column[1:]:
+            value = value * since + looked_up(t, inside, row)
+        found.append(value)
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Series for the core
+
+
+class Expansion(NamedTuple):
+    """What the core expands.
+
+    Attributes
+    ----------
+    series : _core.Series
+        Of the solution, and of its sensitivities.
+    conditions : _core.Series or None
+        Along the solution, of what changes its sign where f changes its branch: a step ends there.
+    count : int
+        How many conditions there are.
+    events : list of EventSpec
+        Those of the problem with their series.
+    """
+
+    series: _core.Series
+    conditions: _core.Series | None
+    count: int
+    events: list[EventSpec]
+
+    def for_core(self) -> dict[str, Any]:
+        """What the core's problem takes, besides its events."""
+        return {"series": self.series}
+
+
+def make_expansion(
+    problem: Description,
+    system: System,
+    order: int,
+    parameters: Array,
+    events: Sequence[EventSpec],
+    varied: Variations | None,
+) -> Expansion:
+    """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
+    forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
+    outputs = _within_bounds(system.outputs, problem.bounds, forward)
+    if varied is not None:
+        outputs = [*outputs, *_with_inputs(varied.tangent_nodes(), problem.inputs)]
+    makes = _Maker(len(outputs), order, system.own)
+    given = [
+        makes.expanded(spec, _graph_of_event(event.fun, problem))
+        for spec, event in zip(events, problem.events, strict=False)
+    ]
+    conditions = makes.series(system.conditions, along=True) if system.conditions else None
+    return Expansion(
+        series=makes.series(outputs, along=False),
+        conditions=conditions,
+        count=len(system.conditions),
+        events=[*given, *events[len(given) :]],
+    )
+
+
+class _Maker:
+    """Series for the core, of a state with its sensitivities behind it."""
+
+    def __init__(self, size: int, order: int, own: bool) -> None:
+        self._size, self._order, self._own = size, order, own
+
+    def series(self, outputs: Sequence[Node], *, along: bool) -> _core.Series:
+        """Coefficients of the solution of y' = outputs, or of the outputs along a polynomial."""
+        from .._functions.graph.series import SeriesForm, series_code
+
+        code = series_code(outputs, SeriesForm(self._size, self._order, along, own=self._own))
+        return _core.Series(address=code.address, order=self._order, owner=code.owner)
+
+    def expanded(self, spec: EventSpec, value: list[Node] | None) -> EventSpec:
+        """An event with its series, if it has one."""
+        if value is None or not is_analytic(value):
+            if spec.touching:
+                why = "has branches, such as abs" if value else "cannot be traced"
+                warn(f"touching of event {spec.name} has no effect: its function {why}, and has no Taylor series")
+            return spec
+        return spec._replace(series=self.series(value, along=True))
+
+
+def _within_bounds(outputs: Sequence[Node], bounds: Bounds | None, forward: float) -> list[Node]:
+    """f without what leads out of the bounds."""
+    if bounds is None:
+        return list(outputs)
+    graph = outputs[0].graph
+    zero = graph.node(0.0)
+    found = []
+    for i, (f, lower, upper) in enumerate(zip(outputs, bounds.lower, bounds.upper, strict=True)):
+        y, inward, outward = graph.y(i), *(("maximum", "minimum") if forward > 0 else ("minimum", "maximum"))
+        if lower > -math.inf:
+            f = graph.select(graph.make("less_equal", y, graph.node(lower)), graph.make(inward, f, zero), f)
+        if upper < math.inf:
+            f = graph.select(graph.make("less_equal", graph.node(upper), y), graph.make(outward, f, zero), f)
+        found.append(f)
+    return found
