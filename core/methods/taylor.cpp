@@ -39,53 +39,70 @@ constexpr auto real_limits = [] {
   return limits;
 }();
 
-/// log₂ x of a normal x > 0, to 1e-7: h needs no more, and is the same on every processor.
+constexpr auto reciprocals = [] {
+  std::array<double, Taylor::highest_order + 1> values{};
+  for (std::size_t k = 1; k < values.size(); ++k) values[k] = 1 / static_cast<double>(k);
+  return values;
+}();
+
+constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
+constexpr int bias = 1023;  // of exponents
+
+/// log₂ x of a normal x > 0, to 0.005. (h = 2^{−log₂ x / k} is the same on every processor, and to a thousandth what it
+/// would be.)
 double logarithm(double x) {
-  constexpr std::uint64_t mantissa = (std::uint64_t{1} << 52U) - 1, sqrt_half = 0x3FE6A09E667F3BCDU;
-  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x), shifted = bits - sqrt_half;
-  const auto exponent = static_cast<double>(static_cast<std::int64_t>(shifted) >> 52);
-  const double m = std::bit_cast<double>((shifted & mantissa) + sqrt_half);  // in [√½, √2)
-  const double z = (m - 1) / (m + 1), z2 = z * z;
-  return exponent + 2 * std::numbers::log2e * z * (1 + z2 * (1. / 3 + z2 * (1. / 5 + z2 * (1. / 7))));
+  constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
+  constexpr std::uint64_t one = std::uint64_t{bias} << 52U;
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  const double f = std::bit_cast<double>((bits & mantissa_bits) | one) - 1;
+  return static_cast<double>(static_cast<int>(bits >> 52U) - bias) + f * ((1 + parabola) - parabola * f);
 }
 
-/// 2^x, to 2e-7, of an x for which it is a normal number.
+/// 2^exponent, a normal number.
+double exact_power(int exponent) {
+  const int inside = std::clamp(exponent, 1 - bias, bias);
+  return std::bit_cast<double>(static_cast<std::uint64_t>(inside + bias) << 52U);
+}
+
+/// 2^x, to 2e-4, of an x for which it is a normal number.
 double power_of_two(double x) {
-  constexpr double lowest = -1022, highest = 1023;
-  const double inside = std::clamp(x, lowest, highest), whole = std::nearbyint(inside);
+  const double inside = std::clamp(x, 1.0 - bias, 1.0 * bias);
+  const int whole = static_cast<int>(inside + (bias + 0.5)) - bias;  // the nearest integer
   const double u = std::numbers::ln2 * (inside - whole);
-  const double fraction = 1 + u * (1 + u * (1. / 2 + u * (1. / 6 + u * (1. / 24 + u * (1. / 120 + u / 720)))));
-  return std::ldexp(fraction, static_cast<int>(whole));
+  return ((1 + u) + u * u * (1. / 2 + u * (1. / 6))) * exact_power(whole);
 }
 
-/// The power of two nearest to h.
+/// The power of two nearest to h, in ratio.
 double unit_near(double h) {
   assert(h > 0);
-  int exponent = 0;
-  const double fraction = std::frexp(h, &exponent);  // in [½, 1)
-  const double unit = std::ldexp(1, fraction < std::numbers::sqrt2 / 2 ? exponent - 1 : exponent);
-  return std::clamp(unit, std::numeric_limits<double>::min(), 0x1p1022);
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(h * std::numbers::sqrt2);
+  return exact_power(static_cast<int>(bits >> 52U) - bias);
 }
 
-/// Σ c_k s^k and its derivative in s less c_0: of `Width` components beside each other, in registers.
+/// P(s) = Σ c_k s^k less c_0, and P′(s), of `Width` components beside each other, in registers. As a sum of an odd and
+/// an even polynomial, s A(s²) + s² B(s²), no number waits for more than half of the others.
 template <std::size_t Width>
 void evaluate_beside(const double* c, std::size_t n, std::size_t order, double s, double* rise, double* slope) {
+  const double u = s * s;
+  double a[Width] = {}, da[Width] = {}, b[Width] = {}, db[Width] = {};
   const double* row = c + order * n;
-  double p[Width], d[Width];
-  for (std::size_t i = 0; i < Width; ++i) p[i] = row[i], d[i] = 0;
-  for (std::size_t k = order; --k > 0;) {
+  const auto add = [&](double* p, double* d) {
+    for (std::size_t i = 0; i < Width; ++i) d[i] = d[i] * u + p[i];
+    for (std::size_t i = 0; i < Width; ++i) p[i] = p[i] * u + row[i];
     row -= n;
-    for (std::size_t i = 0; i < Width; ++i) d[i] = d[i] * s + p[i];
-    for (std::size_t i = 0; i < Width; ++i) p[i] = p[i] * s + row[i];
+  };
+  std::size_t k = order;
+  if (k % 2 == 1) add(a, da), --k;
+  for (; k > 0; k -= 2) add(b, db), add(a, da);
+  for (std::size_t i = 0; i < Width; ++i) {
+    rise[i] = s * a[i] + u * b[i];
+    slope[i] = a[i] + 2 * (u * da[i] + s * (b[i] + u * db[i]));
   }
-  for (std::size_t i = 0; i < Width; ++i) slope[i] = d[i] * s + p[i];
-  for (std::size_t i = 0; i < Width; ++i) rise[i] = p[i] * s;
 }
 
 /// The same of all n.
 void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, double s, double* rise, double* slope) {
   std::size_t i = 0;
-  for (; i + 8 <= n; i += 8) evaluate_beside<8>(c + i, n, order, s, rise + i, slope + i);
   for (; i + 4 <= n; i += 4) evaluate_beside<4>(c + i, n, order, s, rise + i, slope + i);
   for (; i + 2 <= n; i += 2) evaluate_beside<2>(c + i, n, order, s, rise + i, slope + i);
   if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
@@ -111,27 +128,29 @@ Taylor::Taylor(Callback& f, const Weights& weights, Series& series, bool project
       order_(static_cast<std::size_t>(series.order())),
       exponent_(1.0 / (series.order() + 1)),
       factor_(std::exp((std::log(weights.rtol()) - margin) / (series.order() - 1))),
-      rtol_(std::max(weights.rtol(), least_tested)),
       current_{.c = std::vector<double>((order_ + 1) * weights.size())},
       next_{.c = std::vector<double>((order_ + 1) * weights.size())},
+      remainder_(weights.size()),
       values_(5 * weights.size()) {
   assert(lowest_order <= series.order() && series.order() <= highest_order);
   double* next = values_.data();
-  for (double** v : {&candidate_, &end_slope_, &end_f_, &weight_, &slope_}) *v = std::exchange(next, next + n());
+  for (double** v : {&candidate_, &end_slope_, &end_f_, &inverse_weight_, &slope_})
+    *v = std::exchange(next, next + n());
 }
 
 Outcome Taylor::start(double t, const double* y, const Span& span) {
   t_ = t;
   std::copy(y, y + n(), y_.begin());
   accepted_ = failed_ = false;
+  remainder_.clear();
   undefined_ = {};
   if (f_(t, y, end_f_) == Status::stop) return Outcome::stop;
   if (!all_finite(end_f_, n())) {
     undefined_.component = first_undefined(end_f_);
     return Outcome::not_finite;
   }
-  weights_.fill(y, weight_);
-  h_ = initial_step(max_norm(n(), [this](std::size_t i) { return end_f_[i] / weight_[i]; }), t, span);
+  for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y[i]);
+  h_ = initial_step(norm(end_f_), t, span);
   if (expand(t, y, current_) == Status::stop) return Outcome::stop;
   if (!current_.finite) return Outcome::not_finite;
   h_ = initial_step(1 / reach(current_), t, span);
@@ -159,19 +178,26 @@ int Taylor::first_undefined(const double* v) const {
   return -1;
 }
 
+/// In the weights of the last attempt, at both its ends.
+double Taylor::norm(const double* v) const {
+  double largest = 0;
+  for (std::size_t i = 0; i < n(); ++i) largest = std::max(largest, std::abs(v[i]) * inverse_weight_[i]);
+  return largest;
+}
+
 /// The |h| for which the last two coefficients that do not vanish are small enough, in the weights: ‖c_k‖ |h|^k ≤
 /// (rtol e^{−0.7})^{k/(p−1)}. Infinite where all vanish.
 double Taylor::reach(const Expansion& expansion) const {
   double rate = -std::numeric_limits<double>::infinity();
   int seen = 0;
   for (std::size_t k = order_; k > 0 && seen < 2; --k) {
-    const double* c = row(expansion, k);
-    const double size = max_norm(n(), [this, c](std::size_t i) { return c[i] / weight_[i]; });
+    const double size = norm(row(expansion, k));
     if (size < std::numeric_limits<double>::min()) continue;
-    rate = std::max(rate, logarithm(size) / static_cast<double>(k));
+    rate = std::max(rate, logarithm(size) * reciprocals[k]);
     ++seen;
   }
-  return seen > 0 ? expansion.unit * factor_ * power_of_two(-rate) : std::numeric_limits<double>::infinity();
+  if (seen == 0) return std::numeric_limits<double>::infinity();
+  return std::max(expansion.unit * factor_ * power_of_two(-rate), std::numeric_limits<double>::min());
 }
 
 Step::Attempt Taylor::attempt(double h, double t1) {
@@ -184,19 +210,21 @@ Step::Attempt Taylor::attempt(double h, double t1) {
   length_ = t1 - t_;
   expanded_ = false;
   error_ = std::numeric_limits<double>::quiet_NaN();
-  evaluate_polynomial(current_.c.data(), n(), order_, length_ / current_.unit, candidate_, end_slope_);
-  for (std::size_t i = 0; i < n(); ++i) candidate_[i] += y_[i];
+  per_unit_ = 1 / current_.unit;
+  unit_of_error_ = h_ * exponent_ * std::min(1.0, weights_.rtol() / least_tested);
+  evaluate_polynomial(current_.c.data(), n(), order_, length_ * per_unit_, candidate_, end_slope_);
+  for (std::size_t i = 0; i < n(); ++i) candidate_[i] = remainder_.propose(i, y_[i], candidate_[i]);
   if (!all_finite(candidate_, n())) return {Outcome::not_finite, error_, candidate_};
   if (evaluate_at_candidate() == Status::stop) return {Outcome::stop, error_, candidate_};
-  error_ = max_norm(n(), [this](std::size_t i) { return error_of(i) / weights_.at(i, y_[i], candidate_[i]); });
-  if (weights_.rtol() < rtol_) error_ *= weights_.rtol() / rtol_;
+  for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y_[i], candidate_[i]);
+  error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
   return {Outcome::ok, error_, candidate_};
 }
 
-/// f(t₁, y*) in units of `end_unit_`: the next expansion has it, where the candidate will not be moved.
+/// f(t₁, y*), times 1 / `per_end_unit_`: the next expansion has it, where the candidate will not be moved.
 Status Taylor::evaluate_at_candidate() {
   if (projected_) {
-    end_unit_ = 1;
+    per_end_unit_ = 1;
     undefined_ = {};
     const Status status = f_(t1_, candidate_, end_f_);
     if (status == Status::ok) undefined_.component = first_undefined(end_f_);
@@ -204,19 +232,17 @@ Status Taylor::evaluate_at_candidate() {
   }
   expanded_ = true;
   const Status status = expand(t1_, candidate_, next_);
-  end_unit_ = next_.unit;
+  per_end_unit_ = 1 / next_.unit;
   std::copy_n(row(next_, 1), n(), end_f_);
   return status;
 }
 
 /// y − P = c_{p+1} h^{p+1} + … and h (y′ − P′) = (p + 1) c_{p+1} h^{p+1} + …, where f(t₁, y*) is y′ but for what is
-/// smaller by another factor h.
-double Taylor::error_of(std::size_t i) const {
-  return length_ * (end_f_[i] / end_unit_ - end_slope_[i] / current_.unit) * exponent_;
-}
+/// smaller by another factor h: the error is h / (p + 1) of this.
+double Taylor::defect(std::size_t i) const { return end_f_[i] * per_end_unit_ - end_slope_[i] * per_unit_; }
 
 bool Taylor::errors(double* out) const {
-  for (std::size_t i = 0; i < n(); ++i) out[i] = error_of(i);
+  for (std::size_t i = 0; i < n(); ++i) out[i] = length_ * exponent_ * defect(i);
   return true;
 }
 
@@ -241,7 +267,10 @@ Outcome Taylor::accept(const double* y1) {
     if (expand(t1_, y1, next_) == Status::stop) return Outcome::stop;
   }
   if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
-  weights_.fill(y_.data(), y1, weight_);
+  if (moved_onto_bounds_)
+    remainder_.clear();
+  else
+    remainder_.accept();
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
   if (next_.finite) h_ = std::min(reach(next_), failed_ ? h_ : largest_growth * h_);
@@ -254,7 +283,7 @@ void Taylor::state(Archive& archive) {
   Step::state(archive);
   if (archive.reading()) accepted_ = false;
   Expansion& expansion = at_point_reached();
-  archive(expansion.c, expansion.unit, expansion.finite, failed_);
+  archive(expansion.c, expansion.unit, expansion.finite, remainder_, failed_);
   archive.require(expansion.unit > 0);
 }
 
@@ -271,11 +300,7 @@ Status Taylor::extension(double* data) {
 }
 
 double Taylor::stability() const {
-  const auto size = [this](std::size_t k) {
-    const double* c = row(current_, k);
-    return max_norm(n(), [this, c](std::size_t i) { return c[i] / weight_[i]; });
-  };
-  const double before = size(order_ - 1), last = size(order_);
+  const double before = norm(row(current_, order_ - 1)), last = norm(row(current_, order_));
   const double s = std::abs(length_) / current_.unit;
   return before > 0 ? static_cast<double>(order_) * s * last / before / real_limit() : 0;
 }

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "compensated.hpp"
 #include "series.hpp"
 #include "step.hpp"
 
@@ -35,6 +36,7 @@ class Taylor final : public Step {
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return (order_ + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
+  [[nodiscard]] bool extends_by_powers() const override { return true; }
   [[nodiscard]] int degree() const override { return order(); }
   Status extension(double* data) override;
 
@@ -62,7 +64,8 @@ class Taylor final : public Step {
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
   [[nodiscard]] double reach(const Expansion& expansion) const;
-  [[nodiscard]] double error_of(std::size_t i) const;
+  [[nodiscard]] double norm(const double* v) const;
+  [[nodiscard]] double defect(std::size_t i) const;
   [[nodiscard]] int first_undefined(const double* v) const;
 
   /// What was not finite in the last attempt.
@@ -76,18 +79,19 @@ class Taylor final : public Step {
   std::size_t order_;
   double exponent_;  // 1 / (p + 1)
   double factor_;    // of h: (rtol e^{−0.7})^{1/(p−1)}
-  double rtol_;      // of the acceptance test
   Expansion current_, next_;
+  Remainder remainder_;
   std::vector<double> values_;
   double* candidate_ = nullptr;  // y*
   double* end_slope_ = nullptr;  // of the polynomial, in the unit of its expansion
-  double* end_f_ = nullptr;      // f(t₁, y*), in units of `end_unit_`
-  double* weight_ = nullptr;     // at both ends of the last step
+  double* end_f_ = nullptr;      // f(t₁, y*), times 1 / `per_end_unit_`
+  double* inverse_weight_ = nullptr;
   double* slope_ = nullptr;
   double t1_ = 0;
   double error_ = 0;
-  double length_ = 0;  // t₁ − t
-  double end_unit_ = 1;
+  double length_ = 0;                       // t₁ − t
+  double per_unit_ = 1, per_end_unit_ = 1;  // 1 / unit
+  double unit_of_error_ = 0;
   bool expanded_ = false;  // next_ is the expansion at the candidate
   bool failed_ = false;    // an attempt of this step failed
   bool accepted_ = false;

@@ -6,45 +6,19 @@
 #include <utility>
 
 #include "output/polynomial.hpp"
+#include "output/root.hpp"
 
 namespace invariode {
 namespace {
 
-constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
-constexpr double tie_ulps = 4;       // roots this close are one instant
-constexpr int few_intervals = 3;     // that shrink do not yet accumulate
+constexpr double location_ulps = 2;       // width of the final bracket, in ulp of t
+constexpr double tie_ulps = 4;            // roots this close are one instant
+constexpr int few_intervals = 3;          // that shrink do not yet accumulate
+constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
+constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
+constexpr double small_change = 0x1p-26;  // of y and t, to see what the event is made of
 
-int sign_of(double v) { return (v > 0) - (v < 0); }
 bool is_sign(int s) { return s >= -1 && s <= 1; }
-
-/// Shrinks [a, b], on which e changes sign, to `width` by Chandrupatla's method (Adv. Eng. Software 28 (1997) 145):
-/// inverse quadratic interpolation where the three latest points are in a shape that makes it converge, else bisection.
-/// e(t, value) returns false to give up. The end with the smaller |e| is the root.
-template <class E>
-bool find_root(E&& e, double a, double ea, double b, double eb, double width, double& root) {
-  double c = a, ec = ea;
-  double fraction = 0.5;
-  for (;;) {
-    const double x = a + fraction * (b - a);
-    double ex = 0;
-    if (!e(x, ex)) return false;
-    if (sign_of(ex) == sign_of(ea)) {
-      c = a, ec = ea;
-    } else {
-      c = b, ec = eb;
-      b = a, eb = ea;
-    }
-    a = x, ea = ex;
-    root = std::abs(ea) < std::abs(eb) ? a : b;
-    const double least = 0.5 * width / std::abs(b - a);
-    if (least > 0.5 || ea == 0 || eb == 0 || x == b || x == c) return true;
-    const double xi = (a - b) / (c - b), phi = (ea - eb) / (ec - eb);
-    fraction = 0.5;
-    if (phi * phi < xi && (1 - phi) * (1 - phi) < 1 - xi)
-      fraction = ea / (eb - ea) * ec / (eb - ec) + (c - a) / (b - a) * ea / (ec - ea) * eb / (ec - eb);
-    fraction = std::isnan(fraction) ? 0.5 : std::clamp(fraction, least, 1 - least);
-  }
-}
 
 }  // namespace
 
@@ -55,12 +29,14 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
       scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
+      touched_(functions_.size(), std::numeric_limits<double>::quiet_NaN()),
       actions_(functions_.size()),
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
   brackets_.reserve(intervals_);
+  roots_.reserve(intervals_);
   occurrences_.reserve(functions_.size() * intervals_);
 }
 
@@ -97,7 +73,7 @@ Outcome Events::go_on(double t, const double* y) {
 
 /// What is left of a count is archived: one of the start may have been taken off `terminal`.
 void Events::state(Archive& archive) {
-  archive(last_, sign_);
+  archive(last_, sign_, touched_);
   for (std::size_t e = 0; e < count(); ++e) {
     std::int64_t terminal = functions_[e].terminal, seen = times_seen_[e];
     archive(terminal, seen);
@@ -134,7 +110,7 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
   assert(t0 != t1 && intervals_ < scan_.times.size());
   occurrences_.clear();
   terminal_ = acts_ = false;
-  points_known_[0] = points_known_[1] = false;
+  points_known_[0] = points_known_[1] = powers_known_ = false;
   const auto parts = static_cast<double>(intervals_);
   for (std::size_t j = 0; j < intervals_; ++j) scan_.times[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
   scan_.times[intervals_] = t1;
@@ -147,21 +123,28 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
 
 /// The occurrences of one event.
 Outcome Events::find(std::size_t event) {
-  const bool closely = functions_[event].samples != 0;
-  Outcome outcome = closely ? scan_closely(event) : scan(event, false);
+  const bool turns = by_turning_points(event), closely = turns || functions_[event].samples != 0;
+  Outcome outcome = turns ? scan_turning_points(event) : closely ? scan_closely(event) : scan(event, false);
   if (outcome == Outcome::ok && !closely && !brackets_.empty() && step_.interpolant->projects())
     outcome = scan(event, true);  // decide on the values that will be returned
   if (outcome != Outcome::ok) return outcome;
   const Scan& scanned = closely ? close_scan_ : scan_;
   const std::vector<double>& values = scanned.values;
+  const int asked = sign_of(functions_[event].direction);
+  roots_.clear();
   for (const Bracket& bracket : brackets_) {
     const int direction = sign_of(values[bracket.b] == 0 ? -values[bracket.a] : values[bracket.b]);
-    if (functions_[event].direction != 0 && sign_of(functions_[event].direction) != direction) continue;
+    if (asked != 0 && asked != direction && !turns) continue;
     double root = scanned.times[bracket.b];
     outcome = locate(event, scanned, bracket, root);
     if (outcome != Outcome::ok) return outcome;
-    occurrences_.push_back({event, root, direction});
+    roots_.push_back({event, root, direction});
   }
+  if (turns) join_close_roots();
+  if (turns && functions_[event].touching && (outcome = find_touching(event)) != Outcome::ok) return outcome;
+  for (const Occurrence& root : roots_)
+    if (root.direction == 0 ? is_new_touching(root) : asked == 0 || asked == root.direction)
+      occurrences_.push_back(root);
   if (woken_ != 0 && functions_[event].action) note_waking(event, woken_);
   last_[event] = closely ? values.back() : values[intervals_];
   sign_[event] = sign_after_;
@@ -220,6 +203,113 @@ Outcome Events::scan_closely(std::size_t event) {
   times.push_back(t1);
   values.push_back(end);
   find_brackets(event, close_scan_);
+  return Outcome::ok;
+}
+
+/// Whether the step is a polynomial, along which the event is expanded.
+bool Events::by_turning_points(std::size_t event) const {
+  const std::optional<Series>& series = functions_[event].series;
+  return series && series->order() == step_.interpolant->order_of_powers();
+}
+
+/// The same where the event turns: between these points it is monotonic.
+Outcome Events::scan_turning_points(std::size_t event) {
+  const double t0 = step_.t0, t1 = step_.t1;
+  if (!std::exchange(powers_known_, true) && step_.interpolant->powers(powers_) == Status::stop) return Outcome::stop;
+  if (turning_points_.find(*functions_[event].series, t0, t1 - t0, powers_.data(), n_, thetas_) == Status::stop)
+    return Outcome::stop;
+  auto& [times, values] = close_scan_;
+  times.assign(1, t0);
+  values.assign(1, last_[event]);
+  for (const double theta : thetas_) {
+    const double t = t0 + theta * (t1 - t0);
+    if (t == times.back() || t == t1) continue;
+    times.push_back(t);
+    if (const Outcome outcome = evaluate_inside(event, t, values.emplace_back()); outcome != Outcome::ok)
+      return outcome;
+  }
+  times.push_back(t1);
+  if (const Outcome outcome = evaluate(event, t1, step_.y1, values.emplace_back()); outcome != Outcome::ok)
+    return outcome;
+  find_brackets(event, close_scan_);
+  if (values.back() == 0 && turning_points_.turns_at_end() && !brackets_.empty() &&
+      brackets_.back().b + 1 == times.size()) {
+    const std::size_t a = brackets_.back().a;  // it touches zero there
+    sign_after_ = a > 0 ? sign_of(values[a]) : sign_[event];
+    brackets_.pop_back();
+  }
+  return Outcome::ok;
+}
+
+/// Takes pairs of roots that are closer than the resolution for one zero without a change of sign.
+void Events::join_close_roots() {
+  const double close = resolution * std::abs(step_.t1 - step_.t0);
+  for (std::size_t k = 0; k + 1 < roots_.size();) {
+    Occurrence &first = roots_[k], &second = roots_[k + 1];
+    if (first.direction == 0 || second.direction == 0 || std::abs(second.t - first.t) > close) {
+      ++k;
+      continue;
+    }
+    first.t += 0.5 * (second.t - first.t);
+    first.direction = 0;
+    roots_.erase(roots_.begin() + static_cast<std::ptrdiff_t>(k) + 1);
+  }
+}
+
+/// Adds the places where the event turns within roundoff of zero, on the side on which it was and stays. (Of
+/// neighbours, between which it is monotonic, the one nearer to zero.)
+Outcome Events::find_touching(std::size_t event) {
+  const auto& [times, values] = close_scan_;
+  const std::size_t end = times.size() - 1;
+  const double small = resolution * turning_points_.size();
+  std::size_t latest = 0;  // of those found
+  int before = sign_[event];
+  for (std::size_t j = 1; j <= end; ++j) {
+    const int after = j < end ? sign_after(j) : before;
+    const bool stays = before != 0 && after == before && sign_of(values[j]) != -before;
+    bool touches = stays && std::abs(values[j]) <= small && (j < end || turning_points_.turns_at_end());
+    if (touches)
+      if (const Outcome outcome = within_roundoff(event, times[j], values[j], touches); outcome != Outcome::ok)
+        return outcome;
+    if (touches && latest > 0 && latest + 1 == j) {
+      if (std::abs(values[j]) < std::abs(values[latest])) roots_.back().t = times[j];
+      latest = j;
+    } else if (touches) {
+      roots_.push_back({event, times[j], 0});
+      latest = j;
+    }
+    if (values[j] != 0) before = sign_of(values[j]);
+  }
+  std::ranges::sort(roots_, {}, [this](const Occurrence& one) { return std::abs(one.t - step_.t0); });
+  return Outcome::ok;
+}
+
+/// The sign that the event takes on after point j of the close scan; 0: none until the end of the step.
+int Events::sign_after(std::size_t j) const {
+  int sign = 0;
+  for (std::size_t k = j + 1; k < close_scan_.values.size() && sign == 0; ++k) sign = sign_of(close_scan_.values[k]);
+  return sign;
+}
+
+/// Whether touching zeros are asked for, and this one is not that at the end of the step before.
+bool Events::is_new_touching(const Occurrence& root) {
+  const double before = std::exchange(touched_[root.event], root.t);
+  const bool same = std::abs(root.t - before) <= resolution * std::abs(step_.t1 - step_.t0);
+  return functions_[root.event].touching && !same;
+}
+
+/// Is |value|, that of the event at t, no more than what roundoff of y and t, and of its coefficients, makes of it?
+Outcome Events::within_roundoff(std::size_t event, double t, double value, bool& within) {
+  if (step_.interpolant->value(t, y_.data()) == Status::stop) return Outcome::stop;
+  double size = turning_points_.size(), moved = 0;
+  for (std::size_t i = 0; i <= n_; ++i) {
+    double& x = i < n_ ? y_[i] : t;
+    const double kept = std::exchange(x, x * (1 + small_change));
+    if (const Outcome outcome = evaluate(event, t, y_.data(), moved); outcome != Outcome::ok) return outcome;
+    x = kept;
+    size += std::abs(moved - value) / small_change;
+  }
+  within = std::abs(value) <= of_touching * size;
   return Outcome::ok;
 }
 

@@ -11,6 +11,7 @@
 #include "callback.hpp"
 #include "output/chebyshev.hpp"
 #include "output/interpolant.hpp"
+#include "output/turning_points.hpp"
 #include "series.hpp"
 
 namespace invariode {
@@ -27,14 +28,14 @@ struct EventFunction {
   int samples = 0;
   static constexpr int adaptive = -1;
   std::optional<Series> series;  ///< along a polynomial y, for methods whose steps are such
-  bool touching = false;         ///< zeros without a change of sign count too
+  bool touching = false;         ///< there, zeros without a change of sign count too
 };
 
 /// An event that happened.
 struct Occurrence {
   std::size_t event;
   double t;
-  int direction = 0;  ///< the sign that the event takes on
+  int direction = 0;  ///< the sign that the event takes on; 0: it has touched zero
 };
 
 /// Occurrences with an action that come closer and closer, up to the one after which the event stays on the side to
@@ -49,9 +50,9 @@ struct Accumulation {
 };
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
-/// interior ones as the degree, or 3, or those that an event requests) brackets a root; tangencies without a sign
-/// change are not events. An event that is exactly zero sleeps until it has left zero, so that a zero at the start is
-/// not reported, and one at a step's end only once.
+/// interior ones as the degree, or 3, or those that an event requests, or where it turns if that is known) brackets a
+/// root; tangencies without a sign change are not events unless an event asks for them. An event that is exactly zero
+/// sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end only once.
 class Events {
  public:
   Events(std::vector<EventFunction> functions, std::size_t n, int max_degree);
@@ -134,6 +135,13 @@ class Events {
   Outcome find(std::size_t event);
   Outcome scan(std::size_t event, bool projected);
   Outcome scan_closely(std::size_t event);
+  [[nodiscard]] bool by_turning_points(std::size_t event) const;
+  Outcome scan_turning_points(std::size_t event);
+  void join_close_roots();
+  Outcome find_touching(std::size_t event);
+  [[nodiscard]] int sign_after(std::size_t j) const;
+  Outcome within_roundoff(std::size_t event, double t, double value, bool& within);
+  bool is_new_touching(const Occurrence& root);
   Outcome evaluate_inside(std::size_t event, double t, double& value);
   void find_brackets(std::size_t event, const Scan& scan);
   Outcome locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root);
@@ -147,13 +155,18 @@ class Events {
   Scan scan_;        // at intervals + 1 times, the same for all events
   Scan close_scan_;  // of an event with samples of its own
   RootSeparator separator_;
+  TurningPoints turning_points_;
+  std::vector<double> powers_, thetas_;  // of the step, if it is a polynomial; where an event turns
+  bool powers_known_ = false;
   std::vector<double> points_[2];  // y at the interior times: corrected, projected
   bool points_known_[2] = {false, false};
-  std::vector<Bracket> brackets_;  // of one event in the step
+  std::vector<Bracket> brackets_;  // of one event in the step,
+  std::vector<Occurrence> roots_;  // and its zeros
   std::vector<double> last_;       // value of each event at the end of the last step
   std::vector<int> sign_;          // of each event where it was last not zero; 0: asleep
   int sign_after_ = 0;             // what it becomes with the step
   int woken_ = 0;                  // the first one that it takes on in the step, if it was asleep
+  std::vector<double> touched_;    // t at which each has touched zero; NaN: nowhere
   std::vector<Actions> actions_;
   std::optional<Accumulation> accumulation_;
   std::vector<std::int64_t> times_seen_;

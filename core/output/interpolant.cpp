@@ -153,6 +153,24 @@ Status StepInterpolant::value(double t, double* y) {
   return s.data ? interpolant_.value(s, t, y) : Status::stop;
 }
 
+/// With e₀ (1−θ)²(1+2θ) + e₁ θ²(3−2θ) = e₀ + 3 (e₁ − e₀) θ² + 2 (e₀ − e₁) θ³.
+Status StepInterpolant::powers(std::vector<double>& c) {
+  const Segment s = segment();
+  if (!s.data) return Status::stop;
+  const std::size_t n = interpolant_.n_, raw_size = s.size - interpolant_.overhead();
+  assert(order_of_powers() && *order_of_powers() >= 3);
+  c.assign(s.data, s.data + raw_size);
+  if (interpolant_.mode_ == Interpolation::raw) return Status::ok;
+  const double* e0 = s.data + raw_size;
+  const double* e1 = e0 + n;
+  for (std::size_t i = 0; i < n; ++i) {
+    c[i] += e0[i];
+    c[2 * n + i] += 3 * (e1[i] - e0[i]);
+    c[3 * n + i] += 2 * (e0[i] - e1[i]);
+  }
+  return Status::ok;
+}
+
 Status StepInterpolant::corrected(double t, double* y) {
   const Segment s = segment();
   if (!s.data) return Status::stop;

@@ -4,6 +4,7 @@
 // beyond the paper).
 
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include "manifold/bounds.hpp"
@@ -103,6 +104,12 @@ class StepInterpolant {
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);
+  /// The order up to which `powers` has coefficients. Nothing: the step is not known by powers of θ.
+  [[nodiscard]] std::optional<int> order_of_powers() const {
+    return step_.extends_by_powers() ? std::optional(step_.degree()) : std::nullopt;
+  }
+  /// Coefficients of θ^0 … of `corrected`, where it is within bounds, (order + 1, n).
+  Status powers(std::vector<double>& c);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
   /// How many invariants there are between steps.
   [[nodiscard]] std::size_t invariants() const { return invariants_ != nullptr ? invariants_->m() : 0; }
