@@ -200,12 +200,7 @@ class Expansion(NamedTuple):
 
 
 def make_expansion(
-    problem: Description,
-    system: System,
-    order: int,
-    parameters: Array,
-    events: Sequence[EventSpec],
-    varied: Variations | None,
+    problem: Description, system: System, order: int, events: Sequence[EventSpec], varied: Variations | None
 ) -> Expansion:
     """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
