@@ -135,7 +135,9 @@ def long_orbit(repetitions: int) -> str:
         solver = iv.Problem(fun, (0, tf), y0, **held).prepare("taylor", rtol=TIGHT, atol=TIGHT, keep="end")
         return lambda: solver(y0=y0).y[:, -1]
 
-    integrator = heyoka_integrator(Problem(p.name, p.title, (0.0, tf), list(y0), p.rhs, p.g, p.g_jac, p.names), float, TIGHT)
+    integrator = heyoka_integrator(
+        Problem(p.name, p.title, (0.0, tf), list(y0), p.rhs, p.g, p.g_jac, p.names), float, TIGHT
+    )
 
     def with_theirs() -> Array:
         integrator.time = 0.0
