@@ -55,9 +55,23 @@ def on_graph(problem: Description, method: Method) -> Description:
         What compiles graphs is not installed.
     """
     extra("llvmlite", f"method={method.name!r} needs", "compiled")
-    fun = _traceable(problem.fun, method)
     events = [_on_graph(event, problem) for event in problem.events] if problem.records_events else None
-    return problem.replace(fun=fun, events=events)
+    found = problem.replace(fun=_traceable(problem.fun, method), events=events)
+    _require_graph(found, method)
+    return found
+
+
+def _require_graph(problem: Description, method: Method) -> None:
+    """That f can be traced."""
+    n = reals(problem.y0)
+    needs = f"method={method.name!r} needs the expression graph of fun"
+    try:
+        found = derived(problem.slope.fun, n, n, count_of(Parameters.of(problem.args)))
+    except TypeError as error:
+        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
+        raise TypeError(f"{needs}: {why}. Change that, or {_INSTEAD}") from None
+    if found is None:
+        raise TypeError(f"{needs}, and it was compiled by {problem.fun.how}: {_INSTEAD}")
 
 
 def _traceable(fun: Any, method: Method) -> Any:
@@ -117,27 +131,11 @@ class System(NamedTuple):
     own: bool
 
 
-def system_of(problem: Description, parameters: Array, method: Method) -> System:
-    """The graph of f.
-
-    Raises
-    ------
-    TypeError
-        It has none.
-    """
+def system_of(problem: Description, parameters: Array) -> System:
+    """The graph of f, which is known to have one."""
     n = reals(problem.y0)
-    traced = problem.fun
-    try:
-        found = derived(problem.slope.fun, n, n, count_of(parameters))
-    except TypeError as error:
-        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
-        raise TypeError(
-            f"method={method.name!r} needs the expression graph of fun: {why}; change that, or {_INSTEAD}"
-        ) from None
-    if found is None:
-        raise TypeError(
-            f"method={method.name!r} needs the expression graph of fun, which was compiled by {traced.how}; {_INSTEAD}"
-        )
+    found = derived(problem.slope.fun, n, n, count_of(parameters))
+    assert found is not None
     outputs = _with_inputs(found.outputs, problem.inputs)
     t0, tf = problem.t_span
     where = kinks(outputs, t0, tf)
@@ -200,12 +198,7 @@ class Expansion(NamedTuple):
 
 
 def make_expansion(
-    problem: Description,
-    system: System,
-    order: int,
-    parameters: Array,
-    events: Sequence[EventSpec],
-    varied: Variations | None,
+    problem: Description, system: System, order: int, events: Sequence[EventSpec], varied: Variations | None
 ) -> Expansion:
     """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0

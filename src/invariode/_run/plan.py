@@ -280,7 +280,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
     if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
         parameters = Parameters.of(problem.args)
-    system = _system(problem, parameters, chosen) if by_series else None
+    system = _system(problem, parameters) if by_series else None
     if system is not None:
         breakpoints = ordered([*breakpoints, *(Breakpoint(t, None) for t in system.times)], *problem.t_span)
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
@@ -515,11 +515,11 @@ def _variations(
     return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)
 
 
-def _system(problem: Description, parameters: Array, method: Method) -> System:
+def _system(problem: Description, parameters: Array) -> System:
     """f as a graph, which is imported when it is used."""
     from .expansion import system_of
 
-    return system_of(problem, parameters, method)
+    return system_of(problem, parameters)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -81,8 +81,8 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
     return made
 
 
-def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node]) -> MachineCode:
-    """What a writer writes into a module, compiled."""
+def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
+    """What a writer writes into a module, compiled at a level of optimisation."""
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)
@@ -90,7 +90,7 @@ def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node
     if lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
         text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * lanes}"')
     made = llvm.parse_assembly(text)
-    _optimise(made, machine, loop_vectorization=loops and lanes == 1)
+    _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
     llvm.add_symbol(SOLVE, _core.solve_address())
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()
@@ -105,8 +105,8 @@ def _machine() -> Any:
     return target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=3, jit=True)
 
 
-def _optimise(module: Any, target: Any, loop_vectorization: bool) -> None:
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
+def _optimise(module: Any, target: Any, level: int, loop_vectorization: bool) -> None:
+    options = llvm.create_pipeline_tuning_options(speed_level=level)
     options.loop_vectorization, options.slp_vectorization = loop_vectorization, False
     options.loop_unrolling = options.loop_interleaving = False
     passes = llvm.create_pass_builder(target, options)

@@ -44,7 +44,7 @@ class Operations:
     def __init__(self, build: Any, own: bool, lanes: int = 1, beside: Operations | None = None) -> None:
         self.build, self.module, self.lanes, self._is_own = build, build.module, lanes, own
         self.kind = DOUBLE if lanes == 1 else ir.VectorType(DOUBLE, lanes)
-        self._own = Definitions(build.module) if beside is None else beside._own
+        self._own: Definitions = Definitions(build.module) if beside is None else beside._own
         self._tables: dict[tuple[int, ...], Any] = {} if beside is None else beside._tables
 
     def of_width(self, lanes: int) -> Operations:

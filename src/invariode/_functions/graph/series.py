@@ -25,6 +25,11 @@ from .operations import DOUBLE, INDEX, POINTER
 from .recurrences import UNWEIGHTED, Program, Sum, linear, minus, plus, program
 
 
+#: Of optimisation: higher ones take up to twice as long, and the code is no faster (Kepler's orbit and the outer solar
+#: system at orders 12 and 17).
+_LEVEL = 1
+
+
 class SeriesForm(NamedTuple):
     """What the code takes and gives.
 
@@ -55,10 +60,10 @@ def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
     def make() -> MachineCode:
         found = program(outputs)
         if is_small(found, form.order):
-            return compiled(form.lanes, lambda module: Unrolled(module, form, found), outputs)
+            return compiled(form.lanes, lambda module: Unrolled(module, form, found), outputs, _LEVEL)
         from .series_loops import Looped
 
-        return compiled(form.lanes, lambda module: Looped(module, form, found), outputs)
+        return compiled(form.lanes, lambda module: Looped(module, form, found), outputs, _LEVEL)
 
     return once((form, as_rows(outputs)), make)
 
