@@ -21,7 +21,7 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
-from .._functions.compiled import is_native
+from .._functions.compiled import is_native, is_plain_function
 from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .bounds import Bounds, to_bounds
@@ -52,6 +52,7 @@ class Description:
     bounds: Bounds | None
     sensitivities: Sensitivities | None
     records_events: bool
+    is_plain: bool  # y' = f(t, y, *args) with a Python function, and nothing else
     _title: str | None
     _labels: list[str] | None
     _as_given: dict[str, Any]
@@ -80,7 +81,6 @@ class Description:
         called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
         span, start = interval(t_span), state(y0)
         start.flags.writeable = False
-        listed = _checked_events(events)
         is_complex = start.dtype.kind == "c"
         if is_complex and isinstance(called, TracedFunction):
             called = called.of_complex()
@@ -88,13 +88,22 @@ class Description:
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         named = None if labels is None else distinct_labels(labels, len(start))
+        given = {
+            "jac": jac,
+            "jac_sparsity": jac_sparsity,
+            "lband": lband,
+            "uband": uband,
+            "mass": mass,
+            "nonnegative": nonnegative,
+            "bounds": bounds,
+        }
         self.__dict__.update(
             fun=called,
             t_span=span,
             y0=start,
             args=extra_arguments(args),
             invariants=to_invariants(invariants),
-            events=listed,
+            events=_checked_events(events),
             matrices=matrices,
             inputs=to_inputs(inputs, span),
             name=call_name(called, "problem") if name is None else name,
@@ -103,15 +112,8 @@ class Description:
             records_events=events is not None,
             _title=name,
             _labels=named,
-            _as_given={
-                "jac": jac,
-                "jac_sparsity": jac_sparsity,
-                "lband": lband,
-                "uband": uband,
-                "mass": mass,
-                "nonnegative": nonnegative,
-                "bounds": bounds,
-            },
+            _as_given=given,
+            is_plain=_is_plain(called, invariants, events, sensitivities, inputs, *given.values()),
         )
         if self.sensitivities is not None and self.args:
             self.parameters()
@@ -199,6 +201,10 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _is_plain(fun: Any, *others: Any) -> bool:
+    return is_plain_function(fun) and not [one for one in others if one is not None]
 
 
 def _checked_events(events: EventsLike) -> list[Any]:
