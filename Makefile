@@ -22,7 +22,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest test-kernels native native-clang native-aarch64 sanitize fuzz fuzz-sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-threads test-bridges test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
@@ -36,6 +36,9 @@ test: $(VENV)/.installed-test native  ## every test: the core's own, then Python
 
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
 	$(LOWEST)/bin/python $(PYTEST) -W ignore::DeprecationWarning
+
+test-bridges: $(VENV)/.installed-test-jax-torch  ## the tests of what is for JAX and PyTorch, skipped where these are missing
+	$(BIN)/python -m pytest -q tests/test_jax.py tests/test_torch.py
 
 # Of OpenBLAS, that this processor can run: tests that find their way from one rounding error to the next.
 KERNEL_TESTS := tests/test_kernels.py tests/test_stiff.py -k "chosen or null_space or put_back or ends_of_the_test_set"
@@ -152,6 +155,14 @@ dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built fr
 	$(PIP) install build twine
 	$(BIN)/python -m build
 	$(BIN)/python -m twine check --strict dist/*
+
+metadata: $(VENV)/bin/python  ## the workflows, the metadata and the files for publishing
+	$(PIP) install check-jsonschema "sp-repo-review[cli]" zizmor
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/zizmor --offline .github
+	$(BIN)/sp-repo-review .
 
 docs: $(VENV)/.installed-docs  ## the documentation, in build/docs: every cell and example executed, warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs

@@ -82,8 +82,8 @@ class PythonFunction final : public Callable {
 
 bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape) const {
   constexpr int flags = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
-  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == static_cast<int>(shape.size()) &&
-         std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
+  return a != nullptr && is_unique(reinterpret_cast<PyObject*>(a)) &&
+         PyArray_NDIM(a) == static_cast<int>(shape.size()) && std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
          (PyArray_FLAGS(a) & ~NPY_ARRAY_F_CONTIGUOUS) == flags &&
          PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
 }
@@ -224,6 +224,7 @@ bool PythonFunction::read_sequence(PyObject* result, double* out) const {
   const npy_intp stride = returns_.complex ? 2 : 1;
   const bool list = PyList_CheckExact(result);
   if (!list && !PyTuple_CheckExact(result)) return size == 1 && number(result, out);
+  const ListLock lock(result);
   if ((list ? PyList_GET_SIZE(result) : PyTuple_GET_SIZE(result)) != size) return false;
   for (npy_intp i = 0; i < size; ++i)
     if (!number(list ? PyList_GET_ITEM(result, i) : PyTuple_GET_ITEM(result, i), out + i * stride)) return false;
@@ -396,6 +397,48 @@ class NativeFunction final : public Callable {
   const double* p_;  // what the code gets: the parameters, or those behind the inputs; null: there are none
 };
 
+/// (v, f(t, q)) of f of y'' = f(t, y).
+class FirstOrderForm final : public Callable {
+ public:
+  /// Of a state of so many doubles. `acceleration` belongs to the same owner.
+  FirstOrderForm(const Callback& acceleration, std::size_t size) : acceleration_(acceleration), half_(size / 2) {}
+
+  [[nodiscard]] Callback callback() { return {&entry, this}; }
+  int visit(visitproc, void*) const override { return 0; }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) {
+    auto& me = *static_cast<FirstOrderForm*>(self);
+    std::copy_n(y + me.half_, me.half_, out);
+    return me.acceleration_(t, y, out + me.half_);
+  }
+
+  Callback acceleration_;
+  std::size_t half_;
+};
+
+/// Machine code for Taylor coefficients, with the parameters that it gets.
+class NativeSeries final : public Callable {
+ public:
+  NativeSeries(const SeriesSpec& spec, std::span<const double> parameters)
+      : spec_(spec), p_(parameters.empty() ? nullptr : parameters.data()) {}
+
+  [[nodiscard]] Series series() { return {&entry, this, spec_.order}; }
+  int visit(visitproc visit, void* arg) const override { return spec_.visit(visit, arg); }
+
+ private:
+  using Code = void(double t, double unit, const double* in, double* out, const double* p);
+
+  static Status entry(void* self, double t, double unit, const double* in, double* out) noexcept {
+    auto& me = *static_cast<NativeSeries*>(self);
+    in_python([&] { reinterpret_cast<Code*>(me.spec_.address)(t, unit, in, out, me.p_); });  // by ctypes
+    return Status::ok;
+  }
+
+  SeriesSpec spec_;
+  const double* p_;
+};
+
 void require(bool right, const char* what) {
   if (!right) throw std::invalid_argument(what);
 }
@@ -555,6 +598,16 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
     owned_.push_back(std::move(owner));
     return callback;
   }
+  if (nb::isinstance<SecondOrderSpec>(f)) {
+    Takes positions = takes;
+    Returns accelerations = returns;
+    positions.n /= 2, accelerations.rows /= 2;
+    const Callback acceleration = add(nb::cast<const SecondOrderSpec&>(f).fun, args, name, accelerations, positions);
+    auto owner = std::make_unique<FirstOrderForm>(acceleration, space_.size);
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
   if (nb::isinstance<QuadraticSpec>(f)) {
     auto owner = std::make_unique<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f));
     const Callback callback = owner->callback();
@@ -659,6 +712,13 @@ Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k) {
              Takes{.n = n, .rows = 1 + rows, .second = n, .complex = space_.complex});
 }
 
+Series Functions::series(const SeriesSpec& spec) {
+  auto owner = std::make_unique<NativeSeries>(spec, parameters_);
+  const Series series = owner->series();
+  owned_.push_back(std::move(owner));
+  return series;
+}
+
 Preconditioner Functions::preconditioner(nb::handle f) {
   native_ = false;
   auto owner = std::make_unique<PythonPreconditioner>(f, space_);
@@ -705,6 +765,24 @@ void define_callables(nb::module_& module) {
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
           nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
       .def_prop_ro("address", [](const Native& self) { return self.address; });
+  nb::class_<SecondOrderSpec>(module, "SecondOrder", nb::type_slots(slots<SecondOrderSpec>),
+                              "f of (t, q) with y'' = f(t, y), as y' of (q, v).")
+      .def(
+          "__init__", [](SecondOrderSpec* self, nb::object fun) { new (self) SecondOrderSpec{std::move(fun)}; },
+          nb::arg("fun"))
+      .def_prop_ro("fun", [](const SecondOrderSpec& self) { return self.fun; });
+  nb::class_<SeriesSpec>(module, "Series", nb::type_slots(slots<SeriesSpec>),
+                         "Machine code for Taylor coefficients, and what keeps it alive.")
+      .def(
+          "__init__",
+          [](SeriesSpec* self, std::uintptr_t address, int order, nb::object owner) {
+            new (self) SeriesSpec{address, order, std::move(owner)};
+          },
+          nb::kw_only(), nb::arg("address"), nb::arg("order"), nb::arg("owner").none(),
+          "void (double t, double unit, const double* in, double* out, const double* p) writes the coefficients in s "
+          "at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m "
+          "values from those of y, (order + 1, m).")
+      .def_ro("order", &SeriesSpec::order);
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

@@ -15,6 +15,7 @@
 #include "functions/piecewise_polynomial.hpp"
 #include "linear/matrix.hpp"
 #include "linear/preconditioner.hpp"
+#include "series.hpp"
 
 namespace nb = nanobind;
 
@@ -54,6 +55,22 @@ struct Native {
   bool event;
   nb::object owner;
   std::vector<PiecewisePolynomial> inputs;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
+};
+
+/// The right-hand side of y'' = f(t, y), a Python function or a `Native`, of states y = (q, v).
+struct SecondOrderSpec {
+  nb::object fun;  ///< of (t, q)
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+};
+
+/// Machine code for Taylor coefficients, what keeps it alive, and the order up to which it goes.
+struct SeriesSpec {
+  std::uintptr_t address;
+  int order;
+  nb::object owner;
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
@@ -128,6 +145,8 @@ class Functions {
   Callback jump(nb::handle f, const std::string& name, std::size_t k);
   /// f(t, y, v) -> state
   Callback product(nb::handle f, const std::string& name);
+  /// Taylor coefficients, by machine code
+  Series series(const SeriesSpec& spec);
   /// f(t, y, c), without args, -> a function that solves
   Preconditioner preconditioner(nb::handle f);
 

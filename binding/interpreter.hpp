@@ -1,6 +1,12 @@
 #pragma once
-// Into the interpreter and out of it: which thread holds it, and what becomes of one that asks for it when it has
-// ended.
+// Into the interpreter and out of it: which thread holds it, what becomes of one that asks for it when it has ended,
+// and what threads may share.
+//
+// There is no global state: the registries are constants, and every solve makes a solver of its own, which one thread
+// uses at a time. So the binding needs no lock of its own where the interpreter has none (free-threaded CPython, where
+// "to hold it" only means that this thread is known to it), with three exceptions, each beside its code: an array is
+// used again only if it is certain that no other thread can see it (`is_unique`), the list that a function returned is
+// locked while it is read (`ListLock`), and a Stepper is locked during each of its calls.
 
 #include <nanobind/nanobind.h>
 
@@ -17,6 +23,36 @@
 namespace nb = nanobind;
 
 namespace invariode::binding {
+
+/// Whether the caller's reference to an object is the only one, so that no other thread can take another.
+inline bool is_unique(PyObject* one) {
+#if PY_VERSION_HEX >= 0x030E0000
+  return PyUnstable_Object_IsUniquelyReferenced(one) != 0;
+#elif defined(Py_GIL_DISABLED)
+  // Its two counts cannot be read at once: it has to be this thread's own.
+  return _Py_IsOwnedByCurrentThread(one) != 0 && Py_REFCNT(one) == 1;
+#else
+  return Py_REFCNT(one) == 1;
+#endif
+}
+
+/// Keeps other threads from changing a list while this one reads its items.
+class ListLock {
+ public:
+#ifdef Py_GIL_DISABLED
+  explicit ListLock(PyObject* list) { PyCriticalSection_Begin(&section_, list); }
+  ~ListLock() { PyCriticalSection_End(&section_); }
+#else
+  explicit ListLock(PyObject*) {}
+#endif
+  ListLock(const ListLock&) = delete;
+  ListLock& operator=(const ListLock&) = delete;
+
+#ifdef Py_GIL_DISABLED
+ private:
+  PyCriticalSection section_;
+#endif
+};
 
 /// What act() gives, which may run Python code or ask for the interpreter.
 ///

@@ -88,6 +88,8 @@ EventFunction make_event(const EventSpec& spec, Functions& functions) {
   if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of event " + spec.name);
   event.rehold = spec.rehold;
   event.samples = spec.samples;
+  if (spec.series) event.series = functions.series(*spec.series);
+  event.touching = spec.touching;
   return event;
 }
 
@@ -205,6 +207,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.n = spec.n;
   problem_.complex = spec.complex;
   if (!spec.fun.is_none()) problem_.f = functions_.exchangeable(spec.fun, "fun(t, y)");
+  if (spec.series) problem_.series = functions_.series(*spec.series);
   if (nb::isinstance<MotionPart>(spec.fun))
     problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
   if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
@@ -221,6 +224,11 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python sees
 
+int EventSpec::visit(visitproc visit, void* arg) const {
+  const int stop = visit_all(visit, arg, {fun, action});
+  return stop == 0 && series ? series->visit(visit, arg) : stop;
+}
+
 int VariationsSpec::visit(visitproc visit, void* arg) const {
   Py_VISIT(slope.ptr());
   for (const std::vector<nb::object>* each : {&invariants, &jumps, &breakpoints})
@@ -232,6 +240,7 @@ int ProblemSpec::visit(visitproc visit, void* arg) const {
   int stop = visit_all(visit, arg, {fun, args, callback});
   if (stop == 0 && linear) stop = linear->visit(visit, arg);
   if (stop == 0 && variations) stop = variations->visit(visit, arg);
+  if (stop == 0 && series) stop = series->visit(visit, arg);
   const auto visit_each = [&](const auto& specs) {
     for (const auto& one : specs)
       if (stop == 0) stop = one.visit(visit, arg);
@@ -265,12 +274,14 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](EventSpec* self, nb::object fun, std::int64_t terminal, int direction, std::string name, nb::object action,
-             bool rehold, int samples) {
-            new (self)
-                EventSpec{std::move(fun), terminal, direction, std::move(name), std::move(action), rehold, samples};
+             bool rehold, int samples, std::optional<SeriesSpec> series, bool touching) {
+            new (self) EventSpec{std::move(fun), terminal, direction,         std::move(name), std::move(action),
+                                 rehold,         samples,  std::move(series), touching};
           },
           nb::arg("fun"), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
-          nb::arg("rehold"), nb::arg("samples") = 0, "samples: points inside a step; 0: the usual ones, -1: adaptive.");
+          nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
+          "samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods "
+          "whose steps are such. touching: zeros without a change of sign are reported too.");
 }
 
 void define_linear(nb::module_& module) {
@@ -343,7 +354,7 @@ void define_description(nb::module_& module) {
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
              std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
              const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper,
-             std::optional<VariationsSpec> variations) {
+             std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -357,13 +368,14 @@ void define_description(nb::module_& module) {
                                    value ? to_vector(*value) : std::vector<double>{},
                                    lower ? to_vector(*lower) : std::vector<double>{},
                                    upper ? to_vector(*upper) : std::vector<double>{},
-                                   std::move(variations)};
+                                   std::move(variations),
+                                   std::move(series)};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
           nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
           nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
-          nb::arg("variations") = nb::none());
+          nb::arg("variations") = nb::none(), nb::arg("series") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

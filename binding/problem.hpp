@@ -44,8 +44,10 @@ struct EventSpec {
   nb::object action;
   bool rehold;
   int samples;
+  std::optional<SeriesSpec> series;  // along polynomials
+  bool touching = false;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, action}); }
+  int visit(visitproc visit, void* arg) const;
 };
 
 /// A breakpoint: its time, and its action or None.
@@ -101,6 +103,7 @@ struct ProblemSpec {
   std::vector<double> value;
   std::vector<double> lower, upper;  // bounds of y; empty: none
   std::optional<VariationsSpec> variations;
+  std::optional<SeriesSpec> series;  // of the solution
 
   int visit(visitproc visit, void* arg) const;
 };

@@ -536,6 +536,7 @@ void define_report_of_run(RunClass& run) {
   property(run, "h", [](const RunResult& r) { return r.report.h; });
   property(run, "cause", [](const RunResult& r) { return name_of(r.report.cause); });
   property(run, "component", [](const RunResult& r) { return r.report.component; });
+  property(run, "coefficient", [](const RunResult& r) { return r.report.coefficient; });
   property(run, "pure_relative", [](const RunResult& r) { return r.report.pure_relative; });
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
   property(run, "unsolved", [](const RunResult& r) { return name_of(r.report.linear.unsolved); });
@@ -713,7 +714,8 @@ void define_solver(nb::module_& module) {
 }
 
 void define_stepper(nb::module_& module) {
-  nb::class_<Stepper>(module, "Stepper", nb::type_slots(slots<Stepper>), "A run that is advanced step by step.")
+  nb::class_<Stepper>(module, "Stepper", nb::type_slots(slots<Stepper>),
+                      "A run that is advanced step by step. Threads take turns.")
       .def(
           "__init__",
           [](Stepper* self, nb::object solver, const ConstVector& y0) {
@@ -721,40 +723,50 @@ void define_stepper(nb::module_& module) {
             new (self) Stepper(std::move(solver), y0);
           },
           nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
-      .def("step", &Stepper::step, "Goes on by one accepted step, if it can: see `state`.")
-      .def("interpolant", &Stepper::interpolant, "The continuous solution over the last step.")
-      .def("result", &Stepper::result, "What the run has done so far, and why it ended, if it has.")
-      .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
-      .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
+      .def("step", &Stepper::step, nb::lock_self(), "Goes on by one accepted step, if it can: see `state`.")
+      .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
+      .def("result", &Stepper::result, nb::lock_self(), "What the run has done so far, and why it ended, if it has.")
+      .def_prop_ro(
+          "state", [](Stepper& s) { return name_of(s.integration().state()); }, nb::lock_self())
+      .def_prop_ro(
+          "t", [](Stepper& s) { return s.integration().t(); }, nb::lock_self())
       // The array has its own memory; a copy would be made by Python code, in which the thread may end
       // (interpreter.hpp).
-      .def_prop_ro("y", &Stepper::y, nb::rv_policy::reference)
+      .def_prop_ro("y", &Stepper::y, nb::lock_self(), nb::rv_policy::reference)
       .def_prop_ro(
-          "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
-      .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
-      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().manifold().harm().component; })
-      .def_prop_ro("harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; })
+          "h", [](Stepper& s) { return s.integration().step().h(); }, nb::lock_self(),
+          "|h| that the next step will try.")
+      .def_prop_ro(
+          "order", [](Stepper& s) { return s.integration().step().order(); }, nb::lock_self())
+      .def_prop_ro(
+          "harmed", [](Stepper& s) { return s.integration().manifold().harm().component; }, nb::lock_self())
+      .def_prop_ro(
+          "harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; }, nb::lock_self())
       .def_prop_ro(
           "stiff_since",
           [](Stepper& s) {
             const Stiffness stiffness = s.integration().stiffness();
             return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
           },
-          "From which t on stability limits the steps; None: it does not.")
+          nb::lock_self(), "From which t on stability limits the steps; None: it does not.")
       .def_prop_ro(
-          "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
+          "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); }, nb::lock_self(),
           "Where f jumps, as far as it was seen.")
       .def_prop_ro(
-          "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); },
+          "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); }, nb::lock_self(),
           "From which t on the solution sticks where f jumps.")
-      .def_prop_ro("nfev", &Stepper::evaluations)
-      .def_prop_ro("nfev_check",
-                   [](Stepper& s) {
-                     const Integration& loop = s.integration();
-                     return loop.discontinuities().evaluations() + linear_work(loop.step()).checks;
-                   })
-      .def_prop_ro("njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; })
-      .def_prop_ro("nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; });
+      .def_prop_ro("nfev", &Stepper::evaluations, nb::lock_self())
+      .def_prop_ro(
+          "nfev_check",
+          [](Stepper& s) {
+            const Integration& loop = s.integration();
+            return loop.discontinuities().evaluations() + linear_work(loop.step()).checks;
+          },
+          nb::lock_self())
+      .def_prop_ro(
+          "njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; }, nb::lock_self())
+      .def_prop_ro(
+          "nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; }, nb::lock_self());
 }
 
 }  // namespace

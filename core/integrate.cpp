@@ -108,6 +108,7 @@ bool Integration::start_memory(double t, const double* y) {
     case Outcome::not_finite: break;
   }
   report_.component = step_->undefined_component();
+  report_.coefficient = step_->undefined_coefficient();
   report_.linear = linear_work(*step_);
   return end(State::start_undefined);
 }
@@ -269,7 +270,10 @@ bool Integration::explain_failure(Cause cause) {
   report_.h = aim_.h();
   report_.cause = cause;
   report_.linear = linear_work(*step_);
-  if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
+  if (cause == Cause::not_finite || cause == Cause::newton) {
+    report_.component = step_->undefined_component();
+    report_.coefficient = step_->undefined_coefficient();
+  }
   if (cause == Cause::projection && manifold_.undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = manifold_.undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = manifold_.outside_component();

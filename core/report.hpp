@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "linear/work.hpp"
@@ -40,9 +41,10 @@ struct Report {
   double t = 0;
   double h = 0;
   Cause cause = Cause::error;
-  int component = -1;          ///< of y, that is not finite, or that pure relative control cannot resolve
-  bool pure_relative = false;  ///< y_i = 0 and atol_i = 0 made the error test fail
-  LinearWork linear;           ///< of an implicit method, in the attempt that failed
+  int component = -1;              ///< of y, that is not finite, or that pure relative control cannot resolve
+  std::optional<int> coefficient;  ///< f is finite, but not this Taylor coefficient of the component
+  bool pure_relative = false;      ///< y_i = 0 and atol_i = 0 made the error test fail
+  LinearWork linear;               ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
   Finding finding;
   Limit limit = Limit::steps;

@@ -2,6 +2,7 @@
 // What a method reports on its steps, for the tests of the loop and the record of the run.
 
 #include <cstddef>
+#include <optional>
 
 namespace invariode {
 
@@ -15,6 +16,10 @@ class StepReport {
   [[nodiscard]] virtual const double* slope() const = 0;
   /// The first component of f that was not finite in the last attempt (or at the start), or -1.
   [[nodiscard]] virtual int undefined_component() const = 0;
+
+  /// Of a method that expands the solution: the first Taylor coefficient of that component that is not finite, where f
+  /// is.
+  [[nodiscard]] virtual std::optional<int> undefined_coefficient() const { return {}; }
 
   /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
   virtual bool errors(double* /*out*/) const { return false; }

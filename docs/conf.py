@@ -1,8 +1,9 @@
 """The documentation: `make docs`. Every cell and every example is executed, and warnings are errors."""
 
+import os
 import re
 import sys
-from importlib.metadata import version as version_of
+from importlib.metadata import metadata
 from pathlib import Path
 
 import invariode
@@ -11,7 +12,12 @@ sys.path.insert(0, str(Path(__file__).parent))  # for our own extensions
 
 project = "invariode"
 author = copyright = "The invariode developers"
-version = release = version_of("invariode")
+about = metadata("invariode")
+version = release = about["Version"]
+#: The repository: as the package names it, or else the one whose workflow builds these pages.
+urls = dict(line.split(", ", 1) for line in about.get_all("Project-URL", []))
+at_work = [os.environ[name] for name in ("GITHUB_SERVER_URL", "GITHUB_REPOSITORY") if name in os.environ]
+repository = urls.get("Repository", "/".join(at_work))
 
 extensions = [
     "myst_nb",
@@ -23,6 +29,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "mathml",
     "formulas",
+    "tables",
 ]
 html_math_renderer = "mathml"
 exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
@@ -35,8 +42,9 @@ nitpick_ignore_regex = [
     ("py:obj", r"scipy\..*"),  # a build needs no network
 ]
 
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "substitution"]
 myst_heading_anchors = 3
+myst_substitutions = {"release": release}
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
@@ -74,6 +82,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "invariode"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
+html_favicon = "_static/favicon.svg"
 html_show_sourcelink = False
 html_theme_options = {
     "logo": {"text": "invariode"},
@@ -84,7 +93,16 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "show_toc_level": 2,
-    "header_links_before_dropdown": 6,
+    "header_links_before_dropdown": 8,
+    "navbar_end": ["version", "theme-switcher", "navbar-icon-links"],
+    "icon_links": [
+        {"name": name, "url": url, "icon": icon}
+        for name, url, icon in (
+            ("Repository", repository, "fa-brands fa-github"),
+            ("Issues", f"{repository}/issues", "fa-solid fa-circle-exclamation"),
+        )
+        if repository
+    ],
 }
 html_sidebars = {"index": [], "tutorial": [], "benchmarks": [], "benchmarks/*": [], "gallery/*": []}  # room for tables
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import re
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.animation import writers
+from matplotlib.animation import AbstractMovieWriter, writers
 from PIL import Image
 
 import invariode as iv
@@ -148,6 +149,40 @@ def test_a_gif_has_all_frames_and_they_differ(films, tmp_path):
             picture.seek(frame)
             seen.add(picture.convert("RGB").tobytes())
         assert len(seen) == 5
+
+
+class Frames(AbstractMovieWriter):
+    """Keeps the pixels of each frame."""
+
+    def setup(self, fig, outfile, dpi=None):
+        super().setup(fig, outfile, dpi)
+        self.pixels = []
+
+    def grab_frame(self, **options):
+        self.pixels.append(pixels(self.fig, self.dpi))
+
+    def finish(self):
+        pass
+
+
+def pixels(figure, dpi):
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="rgba", dpi=dpi)
+    return drawn.getvalue()
+
+
+@pytest.mark.parametrize("dpi", [50, None])
+@pytest.mark.parametrize("points", [hand, lambda t, y: [[0, 0, 0], [*y, t]]], ids=["plane", "space"])
+def test_saved_frames_are_those_of_the_whole_figure(films, points, dpi, tmp_path):
+    """The standing parts, which are drawn once, are where they are in each frame, and are back afterwards."""
+    film = films(turning(), points, links=[(0, 1)], trace=[1])
+    film.figure.axes[0].annotate("here", (0, 0))
+    writer = Frames()
+    film.save(tmp_path / "a", writer=writer, dpi=dpi)
+    assert len(writer.pixels) == len(film.times)
+    for frame, saved in enumerate(writer.pixels):
+        film.show(frame)
+        assert saved == pixels(film.figure, writer.dpi)
 
 
 def test_a_page_has_its_frames_and_controls_and_needs_no_network(films, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import doctest
 import importlib
@@ -71,6 +72,41 @@ def test_pages_install_alike(page):
 def test_links_to_files_lead_somewhere(page):
     for target in re.findall(LINK, page.read_text(encoding="utf-8")):
         assert (page.parent / target.partition("#")[0]).exists(), target
+
+
+def spoken() -> list[str]:
+    """Every text in the package and the binding, with ... for what is filled in."""
+    texts = []
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                texts.append("".join(part.value if isinstance(part, ast.Constant) else "..." for part in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(node.value)
+    for path in (ROOT / "binding").glob("*.cpp"):
+        code = re.sub(r'"\s*\n\s*"', "", path.read_text(encoding="utf-8"))
+        texts += [re.sub(r"%\w", "...", text) for text in re.findall(r'"([^"\n]*)"', code)]
+    return texts
+
+
+def test_messages_are_found_by_their_text():
+    """The headings of 'Troubleshooting' quote what the package says."""
+    page = (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^### `+ ?(.*?) ?`+$", page, re.MULTILINE)
+    texts = spoken()
+    assert len(headings) > 30
+    for heading in headings:
+        assert any(heading in text for text in texts), heading
+
+
+def test_every_option_and_method_has_its_place(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    tables = importlib.import_module("tables")
+    options, methods = "\n".join(tables.options()), "\n".join(tables.methods())
+    for name in tables.TABLE:
+        assert re.search(rf"^### .*`{name}`", options, re.MULTILINE), name
+    for name in invariode.METHODS:
+        assert f"### {name}\n" in methods
 
 
 def test_every_formula_can_be_shown_without_a_network(monkeypatch):

@@ -201,6 +201,8 @@ def test_wrong_attributes():
             run("ode45", iv.Event(at(1.0), terminal=terminal))
     with pytest.raises(TypeError, match="direction of"):
         run("ode45", iv.Event(at(1.0), direction="up"))
+    with pytest.raises(TypeError, match="name of an event must be a string that is not empty"):
+        iv.Event(at(1.0), name="")
     with pytest.raises(TypeError, match="an event must be a function"):
         run("ode45", [3])
     with pytest.raises(TypeError, match="events must be a function"):

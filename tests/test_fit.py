@@ -124,6 +124,16 @@ class TestKnownParameters:
         with pytest.raises(TypeError, match="needs data, or event_times"):
             iv.Experiment(problem, event_times={})
 
+    def test_events_are_told_apart_by_their_names(self):
+        """Functions without names of their own: 2 exp(−k t) is 1 at ln 2 / k and ½ at ln 4 / k."""
+        events = [iv.Event(lambda t, y, k, level=level: y[0] - level, name=f"at {level}") for level in (1, 0.5)]
+        problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 9), [2.0], args=(0.5,), events=events)
+        fit = iv.fit(problem, None, None, {"k": (0.1, 2)}, event_times={"at 0.5": [2.0]}, event_sigma=0.1, **TIGHT)
+        assert fit.parameters["k"] == pytest.approx(np.log(2), rel=1e-6)
+        same = problem.replace(events=[iv.Event(event.fun, name="level") for event in events])
+        with pytest.raises(ValueError, match=r"several events have this name: give Event\(name=\)"):
+            iv.Experiment(same, event_times={"level": [2.0]})
+
     def test_a_quantity_without_data(self):
         """Data of x alone are the same with a row of NaN for y, in the fit and in its picture."""
         pytest.importorskip("matplotlib")
@@ -145,6 +155,45 @@ class TestKnownParameters:
         fit = iv.fit(problem, t, data, {"w": (0.5, 8)}, observe="x", starts=8)
         assert fit.parameters["w"] == pytest.approx(5, rel=1e-4)
         assert len(fit.starts) == 8
+        shared = iv.fit(problem, t, data, {"w": (0.5, 8)}, observe="x", starts=8, workers=2)
+        assert shared.starts == fit.starts
+        assert (shared.parameters, shared.runs) == (fit.parameters, fit.runs)
+
+    def test_events_end_a_run_that_has_no_other_end(self):
+        """The times at which a ball lands; without an end, its impacts would accumulate."""
+
+        def ground(t, y, g):
+            return y[0]
+
+        def top(t, y, g):
+            return y[1]
+
+        bounce = iv.Event(ground, direction=-1, action=lambda t, y, g: [0.0, -0.8 * y[1]])
+        problem = iv.Problem(
+            lambda t, y, g: [y[1], -g], (0, np.inf), [2.0, 0.0], args=(9.81,), events=bounce, labels=["height", "v"]
+        )
+        first = np.sqrt(4 / 9.81)
+        times = first * np.array([1, 2.6, 1 + 1.6 * 1.8])
+        start = problem.replace(args=(9.0,))
+        fit = iv.fit(start, None, None, {"g": (5, 15)}, event_times={"ground": times}, event_sigma=0.01, **TIGHT)
+        assert fit.parameters["g"] == pytest.approx(9.81, rel=1e-6)
+        assert fit.solution.t_end == pytest.approx(times[-1], rel=1e-6)
+        several = start.replace(events=[iv.Event(ground, terminal=True, direction=-1), top])
+        data = {"ground": [first], "top": [np.nan]}
+        with pytest.raises(ValueError, match="event_times of top"):
+            iv.fit(several, None, None, {"g": (5, 15)}, event_times=data, event_sigma=0.01)
+
+    def test_a_model_that_ends_is_drawn_to_its_end(self):
+        """Behind a terminal event predictions are NaN, and pictures empty."""
+        pytest.importorskip("matplotlib")
+        empty = iv.Event(lambda t, y, k, c: y[0] - 0.5, terminal=True)
+        problem = decaying().replace(events=empty)
+        t = np.linspace(0.1, 1.5, 9)
+        fit = iv.fit(problem, t, noisy(problem, t, 0.001), {"k": (0.1, 5)}, **TIGHT)
+        band = fit.predict([0.5, 3.0, 4.0, 1.0])
+        assert np.isnan(band.y[0]).tolist() == np.isnan(band.upper[0]).tolist() == [False, True, True, False]
+        drawn = fit.plot().lines[0].get_xydata()
+        assert drawn[np.isfinite(drawn[:, 1]), 0].max() == pytest.approx(fit.solution.t_end, abs=5 / 300)
 
 
 class TestSteadyStates:
@@ -344,11 +393,94 @@ class TestLinearTheory:
         rows = np.vstack([X / width, [0, 1 / 0.02]])
         np.testing.assert_allclose(fit.covariance[:2, :2], np.linalg.inv(rows.T @ rows), rtol=1e-4)
 
-    @pytest.mark.parametrize("options", [{}, {"sigma": 1.0, "absolute_sigma": False}])
-    def test_a_prior_needs_the_sigma_of_the_data(self, options):
+    @pytest.mark.parametrize("options", [{}, {"sigma": 0.5, "absolute_sigma": False}])
+    def test_a_prior_beside_an_unknown_sigma(self, options):
+        """It is a noise level, whose name need not be given."""
         prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02))}
-        with pytest.raises(ValueError, match=r'prior of slope needs the standard deviation .* sigma="s"'):
-            iv.fit(straight(), T, LINE_DATA, prior, **options)
+        fit = iv.fit(straight(), T, LINE_DATA, prior, **options)
+        named = iv.fit(straight(), T, LINE_DATA, {**prior, "s": iv.Parameter()}, sigma="s")
+        unit = options.get("sigma", 1.0)
+        assert fit.names == ("y0[y]", "slope", "sigma")
+        expected = [*named.parameters.values()]
+        np.testing.assert_allclose([*fit.parameters.values()], [*expected[:2], expected[2] / unit], rtol=1e-5)
+        np.testing.assert_allclose(fit.covariance[:2, :2], named.covariance[:2, :2], rtol=1e-4)
+        assert fit.sigma == pytest.approx(expected[2] / unit * np.sqrt(len(T) / (len(T) - 2)), rel=1e-5)
+
+    def test_a_log_normal_prior_has_the_same_mode_in_any_scale(self):
+        """That of ln p. A pair means it with scale="log", a name in any scale, and so does its residual."""
+        priors = [
+            iv.Parameter(1.0, scale="log", prior=(0.6, 0.05)),
+            iv.Parameter(1.0, scale="log", prior=("lognormal", 0.6, 0.05)),
+            iv.Parameter(1.0, prior=("lognormal", 0.6, 0.05)),
+            iv.Parameter(1.0, prior=lambda p: np.log(p / 0.6) / 0.05),
+        ]
+        fits = [iv.fit(straight(), T, LINE_DATA, {**LINE, "slope": one}, sigma=0.1) for one in priors]
+        slope = fits[0].parameters["slope"]
+
+        def cost(slope):
+            best = np.mean(LINE_DATA[0] - slope * T)
+            return np.sum((best + slope * T - LINE_DATA[0]) ** 2) / 0.01 + (np.log(slope / 0.6) / 0.05) ** 2
+
+        assert cost(slope) <= min(cost(slope * (1 + 1e-5)), cost(slope * (1 - 1e-5)))
+        for fit in fits[1:]:
+            assert fit.parameters == pytest.approx(fits[0].parameters, rel=1e-6)
+            np.testing.assert_allclose(fit.covariance, fits[0].covariance, rtol=1e-4)
+
+    def test_wrong_priors_are_named(self):
+        for prior, error, message in (
+            (("gamma", 1.0, 0.1), ValueError, "the kind of a prior must be"),
+            (("lognormal", -1.0, 0.1), ValueError, "must be about a positive value"),
+            (0.6, TypeError, "prior of a Parameter must be"),
+        ):
+            with pytest.raises(error, match=message):
+                iv.Parameter(prior=prior)
+        for prior, message in ((("lognormal", 0.6, 0.1), "slope starts at -1"), (abs, "must take complex numbers")):
+            with pytest.raises(ValueError, match=message):
+                iv.fit(straight(), T, LINE_DATA, {"slope": iv.Parameter(-1.0, prior=prior)}, sigma=0.1)
+
+    def test_a_normal_prior_of_a_parameter_in_logarithms(self):
+        plain = iv.Parameter(1.0, prior=(0.6, 0.02))
+        logs = iv.Parameter(1.0, scale="log", prior=("normal", 0.6, 0.02))
+        one, other = (iv.fit(straight(), T, LINE_DATA, {**LINE, "slope": p}, sigma=0.1) for p in (plain, logs))
+        assert one.parameters == pytest.approx(other.parameters, rel=1e-6)
+
+    @pytest.mark.parametrize("prior", [("lognormal", 0.6, 0.05), ("normal", 0.6, 0.05), lambda p: (p**2 - 0.3) / 0.1])
+    def test_the_gradient_of_a_prior(self, prior):
+        """Against differences, whose error is about 1e-8."""
+        target = iv.objective(straight(), T, LINE_DATA, {**LINE, "slope": iv.Parameter(0.7, prior=prior)}, sigma=0.1)
+        x = np.array([1.1, 0.55])
+        differences = [(target(x + h) - target(x - h)) / 2e-5 for h in 1e-5 * np.eye(2)]
+        np.testing.assert_allclose(target.gradient(x), differences, rtol=1e-6)
+
+    def test_profiles_with_a_prior(self):
+        """Of a linear model with a known sigma they are the intervals; beside a noise level, the likelihood ratio of
+        the data counts per degree of freedom, and the prior as it is."""
+        prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02))}
+        fit = iv.fit(straight(), T, LINE_DATA, prior, sigma=0.1)
+        profile = fit.profile("slope")
+        assert (profile.lower, profile.upper) == pytest.approx(fit.confidence()["slope"], rel=1e-3)
+        fit = iv.fit(straight(), T, LINE_DATA, prior)
+        profile = fit.profile("slope")
+        ends, best = np.array([profile.lower, profile.upper]), fit.parameters["slope"]
+
+        def squares(slope):
+            rest = LINE_DATA[0] - slope * T
+            return np.sum((rest - rest.mean()) ** 2)
+
+        degrees = len(T) - 2
+        data = [degrees * np.log(squares(end) / squares(best)) for end in ends]
+        expected = data + ((ends - 0.6) / 0.02) ** 2 - ((best - 0.6) / 0.02) ** 2
+        np.testing.assert_allclose(np.sqrt(expected), stats.t.ppf(0.975, degrees), rtol=3e-3)
+
+    def test_a_noise_level_at_its_bound(self):
+        """It is named, and the others have the errors that they have with sigma known to be there."""
+        with pytest.warns(UserWarning, match=r"s is at its upper bound, 0\.05"):
+            fit = iv.fit(straight(), T, LINE_DATA, {**LINE, "s": iv.Parameter(bounds=(1e-3, 0.05))}, sigma="s")
+        assert fit.at_bound == [("s", "upper", 0.05)]
+        known = iv.fit(straight(), T, LINE_DATA, LINE, sigma=0.05)
+        np.testing.assert_allclose(fit.covariance[:2, :2], known.covariance, rtol=1e-6)
+        with pytest.warns(UserWarning, match=r"s is at its lower bound, 1"):
+            iv.fit(straight(), T, LINE_DATA, {**LINE, "s": iv.Parameter(bounds=(1.0, 10.0))}, sigma="s")
 
     def test_noise_levels_are_those_of_the_residuals(self):
         """Their maximum likelihood: σ² = Σ r² / N of each group; and twice N is their information of ln σ."""
@@ -385,6 +517,8 @@ class TestLinearTheory:
         )
         np.testing.assert_allclose([*fit.parameters.values()], best, rtol=1e-4)
         assert fit.log_likelihood is None
+        assert np.isnan(fit.reduced_chi_squared)
+        assert "χ²/ν" not in repr(fit)
 
     def test_coverage_of_intervals(self):
         """Of 60 fits with fixed seeds 95 % contain the truth, up to three standard deviations of that count."""
@@ -520,7 +654,7 @@ class TestWhatGoesWrong:
             fit.profile("slope")
 
     def test_a_noise_level_without_degrees_of_freedom(self):
-        wanted = {**LINE, "s": iv.Parameter(0.1, bounds=(0.05, 1))}
+        wanted = {**LINE, "s": iv.Parameter(0.1)}
         with pytest.warns(UserWarning, match="2 data for 2 parameters leave none to estimate sigma"):
             fit = iv.fit(straight(), [1, 3], [1.5, 2.6], wanted, sigma="s")
         assert np.isinf(fit.standard_errors["slope"])
@@ -572,7 +706,8 @@ class TestWhatGoesWrong:
             ((T, LINE_DATA, LINE), {"loss": "huber"}, "needs a known sigma"),
             ((T, LINE_DATA, LINE), {"loss": "square"}, "loss must be one of"),
             ((T, LINE_DATA, LINE), {"event_times": {"hit": [1.0]}}, "event_times names 'hit'.*no events"),
-            ((T, LINE_DATA, LINE), {"t_eval": T}, "t_eval is no option of fit"),
+            ((T, LINE_DATA, LINE), {"t_eval": T}, "t_eval is not an option of fit: fit sets"),
+            ((T, LINE_DATA, LINE), {"events": []}, "events is not an option of fit: give events to the Problem"),
             ((T, LINE_DATA, LINE), {"starts": 3}, r"starts=3 needs two bounds of y0\[y\]"),
             ((T, LINE_DATA, {"slope": iv.Parameter(start=2, bounds=(2.0, 3.0))}), {"rtoll": 1}, "rtoll"),
             (([1.0], [[1.0]], {"slope": (0, 1)}), {"observe": lambda t, y, s, *, gain: gain * y[0]}, "needs gain"),

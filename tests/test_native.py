@@ -165,6 +165,15 @@ def test_gradients_of_a_compiled_invariant_are_exact():
         iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
 
 
+@pytest.mark.parametrize("by", ["trace", "numba"])
+def test_a_compiled_invariant_says_how_many_values_it_has(by):
+    held = iv.compile(integrals, by=by)
+    named = iv.Invariants(held, names=["energy", "momentum"])
+    alone, expected = (iv.ode45(kepler, (0, 20), ORBIT, invariants=one) for one in (held, named))
+    np.testing.assert_array_equal(alone.y, expected.y)
+    assert len(alone.drift().names) == 2
+
+
 def test_a_compiled_invariant_that_is_not_analytic_has_differences():
     held = iv.Invariants(iv.compile(lambda t, y: abs(y[0] * y[3] - y[1] * y[2]), by="numba"), names=["momentum"])
     sol = iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
@@ -410,7 +419,7 @@ def test_signatures_are_checked_where_they_are_told():
     with pytest.raises(ValueError, match="null pointer"):
         iv.solve_ivp(CALLBACK(0), (0, 1), [1.0])
     with pytest.raises(ValueError, match="give its value or its names"):
-        iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=iv.compile(integrals))
+        iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=kepler_code)
 
 
 SLOW = iv.compile(lambda t, y: (y[1], -y[0]))

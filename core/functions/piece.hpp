@@ -11,6 +11,7 @@
 #include "callback.hpp"
 #include "linear/matrix.hpp"
 #include "linear/preconditioner.hpp"
+#include "series.hpp"
 
 namespace invariode {
 
@@ -35,6 +36,9 @@ class Piece {
     high_ = forward > 0 ? last : first;
   }
 
+  Series within(const Series& series) {
+    return {&Piece::series_entry, &series_.emplace_back(*this, series), series.order()};
+  }
   Callback within(const Callback& function) {
     if (!function) return {};
     return {&Piece::callback_entry, &functions_.emplace_back(*this, function)};
@@ -62,6 +66,10 @@ class Piece {
     auto& [piece, function] = *static_cast<PieceFunction<Callback>*>(self);
     return function(piece.inside(t), y, out);
   }
+  static Status series_entry(void* self, double t, double unit, const double* in, double* out) {
+    auto& [piece, series] = *static_cast<PieceFunction<Series>*>(self);
+    return series(piece.inside(t), unit, in, out);
+  }
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) {
     auto& [piece, function] = *static_cast<PieceFunction<MatrixFunction>*>(self);
     return function(piece.inside(t), y, out);
@@ -77,6 +85,7 @@ class Piece {
 
   double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
   std::deque<PieceFunction<Callback>> functions_;  // which stay where they are when there are more of them
+  std::deque<PieceFunction<Series>> series_;
   std::deque<PieceFunction<MatrixFunction>> matrices_;
   std::deque<PieceFunction<Preconditioner>> preconditioners_;
 };

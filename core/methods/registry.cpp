@@ -5,9 +5,11 @@
 
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
+#include "methods/nystrom.hpp"
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
 #include "methods/switching.hpp"
+#include "methods/taylor.hpp"
 #include "methods/trapezoidal.hpp"
 #include "methods/trbdf2.hpp"
 
@@ -16,18 +18,24 @@ namespace {
 
 template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                const LinearAlgebra&) {
+                                const LinearAlgebra&, Series*) {
   using namespace runge_kutta;
   return (weights.size() <= small_system ? steps_of_small_systems : steps_of_any_system)[I](f, weights, given.fsal);
 }
 
+template <std::size_t I>
+std::unique_ptr<Step> make_nystrom(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
+                                   const LinearAlgebra&, Series*) {
+  return nystrom::steps[I](f, weights, given.fsal, given.state > 0 ? given.state : weights.size());
+}
+
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra&) {
+                                 const LinearAlgebra&, Series*) {
   return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order);
 }
 
 std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                               const LinearAlgebra& linear) {
+                               const LinearAlgebra& linear, Series*) {
   const Ndf::Options options{.max_order = given.max_order > 0 ? given.max_order : method.order,
                              .bdf = given.bdf,
                              .renew_on_error = given.projected};
@@ -35,14 +43,14 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 }
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra& linear) {
+                                 const LinearAlgebra& linear, Series*) {
   const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
   return std::make_unique<Radau>(f, weights, linear, given.max_order > 0 ? given.max_order : own);
 }
 
 template <class Implicit>
 std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
-                                    const LinearAlgebra& linear) {
+                                    const LinearAlgebra& linear, Series*) {
   return std::make_unique<Implicit>(f, weights, linear);
 }
 
@@ -61,12 +69,12 @@ double calls_per_jacobian(const Jacobian& jacobian) {
 
 /// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
 std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                     const LinearAlgebra& linear) {
+                                     const LinearAlgebra& linear, Series* series) {
   const auto [explicit_one, implicit_one] = members(given);
   MethodOptions own = given;
   own.max_order = 0;  // each goes up to its own
   Switching::Members two;
-  if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear);
+  if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear, series);
   if (linear.jacobian != nullptr) {
     two.implicit_one = implicit_one.step(f, weights, own, linear);
     two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
@@ -75,6 +83,11 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
     two.state_f = linear.state != nullptr ? linear.state->f : nullptr;
   }
   return std::make_unique<Switching>(f, weights, std::move(two));
+}
+
+std::unique_ptr<Step> make_taylor(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
+                                  const LinearAlgebra&, Series* series) {
+  return std::make_unique<Taylor>(f, weights, *series, given.projected);
 }
 
 /// The row of the pair T, number I of the pairs.
@@ -94,6 +107,25 @@ constexpr Method row() {
                 .refine = T.refine,
                 .make = make_pair<I>};
   if (T.last_in_error()) method.options[0] = "fsal";  // else f(t₁, y₁) is evaluated in any case
+  return method;
+}
+
+/// The same of the pair T for second-order systems.
+template <const auto& T, std::size_t I>
+constexpr Method nystrom_row() {
+  Method method{.name = T.name,
+                .summary = T.summary,
+                .family = "Runge-Kutta-Nystrom pair, for y'' = f(t, y)",
+                .source = T.source,
+                .min_order = T.order,
+                .order = T.order,
+                .extension_order = T.extension_order,
+                .stages = static_cast<int>(T.stages) - 1,
+                .extra = static_cast<int>(T.all_stages - T.stages),
+                .iterations = T.iterations,
+                .equations = Equations::second_order,
+                .make = make_nystrom<I>};
+  if (T.last_in_error()) method.options[0] = "fsal";
   return method;
 }
 
@@ -164,6 +196,17 @@ constexpr Method others[] = {
      .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_radau},
+    {.name = "taylor",
+     .summary = "Taylor series of any order, for tight tolerances and f that is an expression graph",
+     .family = "Taylor series",
+     .source = "A. Jorba, M. Zou, A software package for the numerical integration of ODEs by means of high-order "
+               "Taylor methods, Exp. Math. 14 (2005) 99-117",
+     .min_order = Taylor::lowest_order,
+     .order = Taylor::highest_order,
+     .extension_order = Taylor::highest_order,
+     .options = {"max_order"},
+     .equations = Equations::graph,
+     .make = make_taylor},
     {.name = "auto",
      .summary = "ode113 and ode15s taking turns, for problems that may or may not be stiff",
      .family = "explicit and implicit methods that take turns",
@@ -178,13 +221,15 @@ constexpr Method others[] = {
      .make = make_switching},
 };
 
-template <const auto&... T>
-constexpr auto all(runge_kutta::Tableaux<T...>) {
-  return [&]<std::size_t... I, std::size_t... J>(std::index_sequence<I...>, std::index_sequence<J...>) {
-    return std::array{row<T, I>()..., others[J]...};
-  }(std::index_sequence_for<decltype(T)...>{}, std::make_index_sequence<std::size(others)>{});
+template <const auto&... T, const auto&... N>
+constexpr auto all(runge_kutta::Tableaux<T...>, runge_kutta::Tableaux<N...>) {
+  return [&]<std::size_t... I, std::size_t... J, std::size_t... K>(std::index_sequence<I...>, std::index_sequence<J...>,
+                                                                   std::index_sequence<K...>) {
+    return std::array{row<T, I>()..., others[J]..., nystrom_row<N, K>()...};
+  }(std::index_sequence_for<decltype(T)...>{}, std::make_index_sequence<std::size(others)>{},
+         std::index_sequence_for<decltype(N)...>{});
 }
-constexpr auto table = all(runge_kutta::Pairs());
+constexpr auto table = all(runge_kutta::Pairs(), nystrom::Pairs());
 
 /// The row of that name, which is there.
 const Method& row_of(std::string_view name) { return *std::ranges::find(table, name, &Method::name); }

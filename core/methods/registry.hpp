@@ -9,6 +9,7 @@
 
 #include "linear/mass.hpp"
 #include "methods/runge_kutta.hpp"
+#include "series.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -23,6 +24,7 @@ struct MethodOptions {
   int max_order = 0;                        ///< highest order of the formulas; 0: the method's own
   bool bdf = false;                         ///< backward differentiation formulas instead of NDFs
   bool projected = false;                   ///< the steps are projected, which Newton's iteration does not see
+  std::size_t state = 0;                    ///< doubles of a state, of which sensitivities are several; 0: there is one
   const Method* prefer_explicit = nullptr;  ///< of those that take turns; null: see `members`
   const Method* prefer_implicit = nullptr;
 };
@@ -33,7 +35,8 @@ enum class MassMatrices { none, constant_regular, any };
 /// What a method takes for f: any function of (t, y); one whose expression graph is known; f of y'' = f(t, y).
 enum class Equations { any, graph, second_order };
 
-/// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
+/// A method as data: what it is called, what it can do, where it comes from, how a step of it is made. (`series`: for
+/// those that take graphs; null for the others.)
 struct Method {
   static constexpr std::size_t most_options = 12;
 
@@ -54,11 +57,11 @@ struct Method {
   MassMatrices mass = MassMatrices::none;
   Equations equations = Equations::any;
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
-                                const LinearAlgebra& linear);
+                                const LinearAlgebra& linear, Series* series);
 
   [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& given = {},
-                                           const LinearAlgebra& linear = {}) const {
-    return make(*this, f, weights, given, linear);
+                                           const LinearAlgebra& linear = {}, Series* series = nullptr) const {
+    return make(*this, f, weights, given, linear, series);
   }
   [[nodiscard]] bool takes(std::string_view option) const;
   [[nodiscard]] bool implicit() const { return takes("jac"); }

@@ -11,6 +11,7 @@
 #include "callback.hpp"
 #include "output/chebyshev.hpp"
 #include "output/interpolant.hpp"
+#include "series.hpp"
 
 namespace invariode {
 
@@ -25,6 +26,8 @@ struct EventFunction {
   /// separate its roots.
   int samples = 0;
   static constexpr int adaptive = -1;
+  std::optional<Series> series;  ///< along a polynomial y, for methods whose steps are such
+  bool touching = false;         ///< zeros without a change of sign count too
 };
 
 /// An event that happened.

@@ -36,6 +36,15 @@ void require_variations(const Problem& problem) {
           "sensitivities need exact solutions of linear systems: use linear_solver='direct'");
 }
 
+void require_series(const Method& method, const Problem& problem) {
+  const std::string name = method.name;
+  require(problem.series.has_value(), name + " needs the Taylor coefficients of the solution");
+  const int order = problem.series->order();
+  require(method.min_order <= order && order <= method.order, name + " has orders " + std::to_string(method.min_order) +
+                                                                  " to " + std::to_string(method.order) + ", not " +
+                                                                  std::to_string(order));
+}
+
 bool takes_mass(const Method& method, const Problem& problem) {
   if (method.mass != MassMatrices::constant_regular || !problem.linear || !problem.linear->mass) return true;
   return problem.linear->mass->constant() && !problem.linear->mass->singular();
@@ -84,6 +93,8 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   }
   require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
+  const Method& explicit_one = method_.switches() ? members(options_).explicit_one : method_;
+  if (explicit_one.equations == Equations::graph) require_series(explicit_one, problem_);
   require(takes_mass(method_, problem_),
           std::string(method_.name) + " takes a constant and regular mass matrix only; use ode15s or radau");
   require(!problem_.linear ||
@@ -92,6 +103,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   const Method& implicit_one = method_.switches() ? members(options_).implicit_one : method_;
   require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
           std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
+  require(method_.equations != Equations::second_order || (problem_.n % 2 == 0 && !problem_.bounds),
+          std::string(method_.name) + " takes a state of positions and velocities, without bounds");
+  options_.state = problem_.n;
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
   if (problem_.linear) jacobian_.emplace(make_jacobian(problem_, weights_));
 }

@@ -32,6 +32,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
 Run::Run(const Solver& solver) : solver_(solver) {
   wrap_functions();
   f_ = problem().f;
+  series_ = problem().series;
   copy_linear_terms();
   keep_within_bounds();
   derive_slope();
@@ -41,7 +42,8 @@ Run::Run(const Solver& solver) : solver_(solver) {
 }
 
 /// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
-/// signs go on through breakpoints. Within bounds f and its derivatives are called there only.
+/// signs go on through breakpoints. Within bounds f and its derivatives are called there only; series are expanded at
+/// accepted points, which are within.
 void Run::wrap_functions() {
   const Problem& all = solver_.problem();
   if (!all.breakpoints.empty()) wrap_in_pieces(wrapped_.emplace(all));
@@ -50,6 +52,7 @@ void Run::wrap_functions() {
 
 void Run::wrap_in_pieces(Problem& problem) {
   problem.f = piece_.within(problem.f);
+  if (problem.series) problem.series = piece_.within(*problem.series);
   for (InvariantBlock& block : problem.invariants) {
     block.g = piece_.within(block.g);
     block.jacobian = piece_.within(block.jacobian);
@@ -188,8 +191,8 @@ void Run::add_sensitivities() {
 
 void Run::start_loop() {
   Callback& integrated = augmented_slope_ ? augmented_f_ : *method_f_;
-  std::unique_ptr<Step> step =
-      solver_.method().step(integrated, solver_.augmented_weights(), solver_.options(), linear_algebra());
+  std::unique_ptr<Step> step = solver_.method().step(integrated, solver_.augmented_weights(), solver_.options(),
+                                                     linear_algebra(), series_ ? &*series_ : nullptr);
   const Problem& all = solver_.problem();
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
@@ -330,6 +333,7 @@ void Run::state(Archive& archive) {
   f_.state(archive);
   bounded_f_.state(archive);
   augmented_f_.state(archive);
+  if (series_) series_->state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);
   if (slope_) slope_->state(archive);
   if (algebraic_) algebraic_->state(archive);

@@ -85,8 +85,10 @@ class Run {
   [[nodiscard]] const Integration& integration() const { return *integration_; }
   /// The user's invariants; null without any.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
-  /// Evaluations of f by the method.
-  [[nodiscard]] std::int64_t evaluations() const { return method_f_->calls() + augmented_f_.calls(); }
+  /// Evaluations of f by the method; an expansion is one.
+  [[nodiscard]] std::int64_t evaluations() const {
+    return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->calls() : 0);
+  }
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
   RunResult take_result();
@@ -135,6 +137,7 @@ class Run {
   std::optional<Problem> wrapped_;
   Callback users_f_;  // within bounds: f before it is confined to them
   Callback f_;
+  std::optional<Series> series_;
 
   // Of its own, since evaluating them changes them.
   std::optional<Jacobian> jacobian_;

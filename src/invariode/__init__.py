@@ -1,4 +1,4 @@
-"""ODE solvers that keep what the equations keep.
+"""ODE solvers that conserve what your equations conserve.
 
 The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto invariants, after L. F. Shampine,
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
@@ -16,6 +16,7 @@ from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
 from ._functions.compiled import CompiledFunction
+from ._functions.second_order import SecondOrder
 from ._laws.imposing import ImposeResult, impose
 from ._problem.dissipation import Dissipated
 from ._problem.events import Event
@@ -85,6 +86,7 @@ __all__ = [
     "Problem",
     "Profile",
     "RotationMatrix",
+    "SecondOrder",
     "Sensitivities",
     "SensitivityReport",
     "Solution",
@@ -147,7 +149,7 @@ else:
         if name == "__version__":
             return _version()
         if name not in _LATER:
-            raise AttributeError(_absent(__name__, name, __all__, ("problems", "scipy", "symbolic")))
+            raise AttributeError(_absent(__name__, name, __all__, ("jax", "problems", "scipy", "symbolic", "torch")))
         globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
         return found
 

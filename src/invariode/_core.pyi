@@ -31,6 +31,25 @@ class Native:
     @property
     def address(self) -> int: ...
 
+class SecondOrder:
+    """f of (t, q) with y'' = f(t, y), as y' of (q, v)."""
+
+    def __init__(self, fun: object) -> None: ...
+
+    @property
+    def fun(self) -> object: ...
+
+class Series:
+    """Machine code for Taylor coefficients, and what keeps it alive."""
+
+    def __init__(self, *, address: int, order: int, owner: object | None) -> None:
+        """
+        void (double t, double unit, const double* in, double* out, const double* p) writes the coefficients in s at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m values from those of y, (order + 1, m).
+        """
+
+    @property
+    def order(self) -> int: ...
+
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 
@@ -52,8 +71,10 @@ class Breakpoint:
 class Event:
     """An event, for the core."""
 
-    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0) -> None:
-        """samples: points inside a step; 0: the usual ones, -1: adaptive."""
+    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0, series: Series | None = None, touching: bool = False) -> None:
+        """
+        samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods whose steps are such. touching: zeros without a change of sign are reported too.
+        """
 
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
@@ -97,7 +118,7 @@ class Variations:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -315,6 +336,9 @@ class Run:
 
     @property
     def component(self) -> int: ...
+
+    @property
+    def coefficient(self) -> int | None: ...
 
     @property
     def pure_relative(self) -> bool: ...
@@ -537,7 +561,7 @@ class Solver:
         """
 
 class Stepper:
-    """A run that is advanced step by step."""
+    """A run that is advanced step by step. Threads take turns."""
 
     def __init__(self, solver: object, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """Starts at (t0, y0)."""
@@ -597,7 +621,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 6
+MEMORY_VERSION: int = 7
 
 STATES: list = ...
 

@@ -66,7 +66,7 @@ const Problem problems[] = {without_invariants(kepler(0.5)), lotka_volterra(), m
 
 template <class Look>
 void for_runs(Look look) {
-  for (const Method& method : methods())
+  for (const Method& method : methods_of_second_order())
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate})
       for (const bool user_jacobian : {true, false})
         for (const Problem& problem : problems) {

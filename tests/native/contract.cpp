@@ -63,7 +63,7 @@ constexpr double h = 0.1;
 }  // namespace
 
 TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
-  for (const Method& method : methods())
+  for (const Method& method : methods_of_second_order())
     for (const Cause cause : {Cause::error, Cause::projection, Cause::not_finite}) {
       const check::Case label(method.name, ", cause ", static_cast<int>(cause));
       Bench bench(method);
@@ -80,7 +80,7 @@ TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
 }
 
 TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
-  for (const Method& method : methods())
+  for (const Method& method : methods_of_second_order())
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
       const check::Case label(method.name);
       Bench bench(method, fsal);
@@ -237,7 +237,7 @@ TEST(f_is_never_asked_at_a_point_that_is_not_finite) {
       scalar("y' = exp(y)", 1, 2, [](double, const double* y, double* out) { out[0] = std::exp(y[0]); });
   const Problem root =
       scalar("y' = -1 / sqrt(y)", 1, 2, [](double, const double* y, double* out) { out[0] = -1 / std::sqrt(y[0]); });
-  for (const Method& method : methods()) {
+  for (const Method& method : methods_of_second_order()) {
     run(method, square, 2);
     run(method, square, 1e200);
     run(method, exponential, 2);
@@ -292,7 +292,7 @@ struct Stoppable {
 }  // namespace
 
 TEST(a_user_function_that_stops_ends_the_run_at_once_whichever_call_it_is) {
-  for (const Method& method : methods())
+  for (const Method& method : methods_of_second_order())
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate})
       for (const bool user_jacobian : {true, false}) {
         Stoppable functions;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "methods.hpp"
 #include "run_problems.hpp"
 
 using namespace invariode;
@@ -94,7 +95,7 @@ void check_row(const EnsembleResult& all, std::size_t i, const Method& method, c
 
 TEST(a_trajectory_is_the_single_run_to_the_bit_on_any_number_of_threads) {
   const Rows rows;
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const std::size_t workers : {1, 2, 5, 8}) {
       const check::Case label(method.name, ", ", workers, " workers");
       Solvers solvers(method, workers, at_times(), 0);
@@ -112,7 +113,7 @@ TEST(a_trajectory_is_the_single_run_to_the_bit_on_any_number_of_threads) {
 
 TEST(failures_are_told_and_the_others_are_not_touched) {
   const Rows rows;
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Solvers solvers(method, 3, at_times(), 0);
     const auto all = integrate_all(solvers.all(), rows.ensemble(), go_on);

@@ -40,7 +40,7 @@ Options watching(const Watch& watch, Settings settings = {}, double rtol = 1e-3)
 }  // namespace
 
 TEST(a_root_at_a_step_end_is_found_once_and_exactly) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double size : {1.0, -1.0}) {
       const check::Case label(method.name, ", direction ", size);
       Watch watch;
@@ -55,7 +55,7 @@ TEST(a_root_at_a_step_end_is_found_once_and_exactly) {
 }
 
 TEST(a_root_at_the_very_end_is_found) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Watch watch;
     watch.at(10, 1);
     Run run(method, clock(10), watching(watch));
@@ -66,7 +66,7 @@ TEST(a_root_at_the_very_end_is_found) {
 }
 
 TEST(the_roots_of_a_step_are_found_in_order) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Watch watch;
     watch.at(0.7).at(0.2).at(0.45);
@@ -86,7 +86,7 @@ TEST(the_roots_of_a_step_are_found_in_order) {
 }
 
 TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double tf : {10.0, -10.0}) {
       const check::Case label(method.name, ", tf ", tf);
       Watch watch;
@@ -102,7 +102,7 @@ TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
 }
 
 TEST(a_tangency_without_a_sign_change_is_no_event) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Watch watch;
     for (const double root : {2.5, 3.1, 4.75})  // where the scan finds an exact zero, and where not
       watch.add([root](double t, const double*, double* e) { e[0] = (t - root) * (t - root); });
@@ -113,7 +113,7 @@ TEST(a_tangency_without_a_sign_change_is_no_event) {
 }
 
 TEST(the_direction_is_that_of_the_integration) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double forward : {1.0, -1.0}) {
       const check::Case label(method.name, ", direction ", forward);
       // cos t falls through its first zero after the start, whichever way.
@@ -131,7 +131,7 @@ TEST(the_direction_is_that_of_the_integration) {
 }
 
 TEST(a_terminal_event_ends_the_run_at_its_count) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (std::int64_t count = 1; count <= 3; ++count) {
       const check::Case label(method.name, ", count ", count);
       Watch watch;
@@ -150,7 +150,7 @@ TEST(a_terminal_event_ends_the_run_at_its_count) {
 }
 
 TEST(ties_with_the_terminal_event_are_reported_and_later_events_are_dropped) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double forward : {1.0, -1.0})
       for (const bool terminal_first : {true, false}) {
         const check::Case label(method.name, ", direction ", forward, ", terminal first ", terminal_first);
@@ -175,7 +175,7 @@ TEST(ties_with_the_terminal_event_are_reported_and_later_events_are_dropped) {
 }
 
 TEST(ties_are_ties_at_time_zero_too) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Watch watch;
     for (const double rate : {1.0, 2.0, 3.0})
@@ -189,7 +189,7 @@ TEST(ties_are_ties_at_time_zero_too) {
 }
 
 TEST(an_event_that_is_nan_ends_the_run_and_is_named) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double from : {0.0, 0.5, 3.3}) {
       const check::Case label(method.name, ", NaN from ", from);
       Watch watch;
@@ -219,7 +219,7 @@ TEST(roots_are_located_to_a_few_ulp_of_t) {
       {"infinite", [](double t, const double*, double* e) { e[0] = t < 0.7 ? -infinity : infinity; }, 0.7},
       {"tiny", [](double t, const double*, double* e) { e[0] = 1e-300 * (t - 0.7); }, 0.7},
   };
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const auto& example : examples)
       for (const bool long_steps : {false, true}) {
         const check::Case label(method.name, ", ", example.name);
@@ -233,7 +233,7 @@ TEST(roots_are_located_to_a_few_ulp_of_t) {
 
 TEST(locating_a_root_takes_few_evaluations) {
   // Bisection of a step down to 2 ulp takes some 50, superlinear convergence some 10.
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     std::int64_t calls = 0;
     Watch watch;
     watch.add([&calls](double t, const double*, double* e) { e[0] = std::exp(t) - 2, ++calls; }, 1);
@@ -245,7 +245,7 @@ TEST(locating_a_root_takes_few_evaluations) {
 
 TEST(an_event_is_where_the_values_returned_are_zero) {
   // The state stored with an event is the continuous solution there, and the event function vanishes at it to roundoff.
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const Interpolation interpolation : {Interpolation::projected, Interpolation::corrected, Interpolation::raw}) {
       const check::Case label(method.name, ", interpolation ", static_cast<int>(interpolation));
       Watch watch;
@@ -269,7 +269,7 @@ TEST(an_action_restarts_the_solution_with_both_values_at_one_time) {
   // A ball at constant gravity that loses a fifth of its speed: impacts at 1, 1 + 2·0.8, 1 + 2·0.8 + 2·0.64, …
   Function bounce = [](double, const double* y, double* out) { out[0] = 0, out[1] = -0.8 * y[1]; };
   Function floor = [](double, const double* y, double* e) { e[0] = y[0]; };
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Problem ball{.name = "ball",
                  .y0 = {1, 0},

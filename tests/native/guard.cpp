@@ -17,7 +17,7 @@ const std::vector<double> tolerances = {1e-2, 1e-3, 1e-4, 1e-6, 1e-8};
 }  // namespace
 
 TEST(a_right_invariant_is_never_accused_in_a_long_run) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (Problem problem : {harmonic(), kepler(0.05), kepler(0.6), lotka_volterra(), moving(), pendulum(), rigid_body(),
                             with_redundant_invariant(rigid_body())})
       for (const double rtol : tolerances)
@@ -65,7 +65,7 @@ TEST(a_wrong_invariant_is_found) {
               r[0] = (y[0] - 1.01 * t) * (y[0] - 1.01 * t) + (y[1] - 1) * (y[1] - 1);
             }),
   };
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const Problem& problem : problems)
       for (const double rtol : tolerances) {
         const check::Case label(method.name, ", ", problem.name, ", rtol ", rtol);
@@ -80,7 +80,7 @@ TEST(a_wrong_invariant_is_found) {
 TEST(with_an_exact_jacobian_a_slow_drift_is_found_too) {
   Problem problem = harmonic();
   problem.f = [](double, const double* y, double* out) { out[0] = y[1], out[1] = -y[0] - 1e-4 * y[1]; };
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double rtol : {1e-4, 1e-6, 1e-8}) {
       const check::Case label(method.name, ", rtol ", rtol);
       Run run(method, problem, {.rtol = rtol, .atol = 1e-3 * rtol});
@@ -99,7 +99,7 @@ TEST(a_wrong_invariant_among_right_ones_is_named) {
     g(t, y, r + 1);
     r[0] = y[0] * y[0] + y[2];
   };
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run run(method, problem, {.user_jacobian = false});
     CHECK(accused(run.run()));
     CHECK(run->report().finding.invariant == 0);
@@ -158,7 +158,7 @@ TEST(an_invariant_that_is_undefined_at_the_start_is_refused_and_named) {
 }
 
 TEST(the_guard_looks_without_changing_the_run) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const Problem& problem : {kepler(0.6), lotka_volterra(), pendulum(), moving()}) {
       const check::Case label(method.name, ", ", problem.name);
       Run guarded(method, problem), alone(method, problem, {.settings = {.check = false}});
@@ -169,7 +169,7 @@ TEST(the_guard_looks_without_changing_the_run) {
 }
 
 TEST(a_redundant_invariant_is_flagged_and_costs_nothing) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run redundant(method, with_redundant_invariant(rigid_body())), plain(method, rigid_body());
     CHECK(redundant.run() == State::reached_end && plain.run() == State::reached_end);
     int dropped = 0;

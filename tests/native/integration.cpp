@@ -12,7 +12,7 @@ using namespace invariode;
 using namespace invariode::test;
 
 TEST(the_end_is_reached_exactly) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double tf : {1.0, 0.1, 1. / 3, 7.123456789, 1e-9, 1e4, -0.1, -7.123456789}) {
       const check::Case label(method.name, ", tf ", tf);
       Run run(method, scalar("decay", 1, tf, [](double t, const double*, double* out) { out[0] = std::cos(t); }));
@@ -26,7 +26,7 @@ TEST(the_end_is_reached_exactly) {
 TEST(the_end_is_assigned_and_not_added) {
   const double t0 = -1e5 / 3, tf = 0.1;
   CHECK(t0 + (tf - t0) != tf);
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run run(method, clock(0), {.settings = {.t0 = t0, .tf = tf, .hmax = infinity, .first_step = 1e6}});
     CHECK(run.run() == State::reached_end);
     CHECK(run->output().points.t.back() == tf && run->step().t() == tf && run->counts().steps == 1);
@@ -53,7 +53,7 @@ TEST(backwards_is_the_mirror_image_of_forwards) {
 }
 
 TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double hmax : {0.5, 0.03}) {
       Run run(method, harmonic(), {.settings = {.tf = 10.01, .hmax = hmax, .first_step = 100}});
       CHECK(run.run() == State::reached_end);
@@ -122,7 +122,7 @@ TEST(a_failed_attempt_is_retried_inside_hmax_and_the_interval) {
 }
 
 TEST(a_first_step_that_is_given_is_taken) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run run(method, harmonic(), {.settings = {.first_step = 0.001}});
     CHECK(run.run() == State::reached_end);
     CHECK(run->output().steps.front().h == 0.001);
@@ -154,7 +154,7 @@ TEST(an_infinite_interval_ends_at_a_terminal_event) {
       scalar("y' = t, zero at the start", 0, infinity, [](double t, const double*, double* out) { out[0] = t; }),
       scalar("backwards", 0, -infinity, [](double, const double*, double* out) { out[0] = -1; }),
   };
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const Problem& problem : problems) {
       const check::Case label(method.name, ", ", problem.name);
       Run run(method, problem, {.settings = {.hmax = infinity}, .events = {{as_callback(at_five), 1}}});
@@ -164,7 +164,7 @@ TEST(an_infinite_interval_ends_at_a_terminal_event) {
 }
 
 TEST(output_at_times_gives_those_times_and_no_others) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double forward : {1.0, -1.0}) {
       const check::Case label(method.name, ", direction ", forward);
       Settings settings{.tf = 5 * forward, .output_at_times = true};
@@ -183,7 +183,7 @@ TEST(output_at_times_gives_those_times_and_no_others) {
 }
 
 TEST(output_does_not_change_the_integration) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run plain(method, pendulum()), refined(method, pendulum(), {.settings = {.refine = 7}}),
         end(method, pendulum(), {.settings = {.save_all = false}});
     for (Run* run : {&plain, &refined, &end}) CHECK(run->run() == State::reached_end);
@@ -198,7 +198,7 @@ TEST(output_does_not_change_the_integration) {
 }
 
 TEST(stepping_by_hand_is_running) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run by_hand(method, lotka_volterra()), at_once(method, lotka_volterra());
     CHECK(by_hand.start() == State::running);
     std::int64_t steps = 0;
@@ -209,7 +209,7 @@ TEST(stepping_by_hand_is_running) {
 }
 
 TEST(the_callback_sees_every_step_and_can_stop) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     std::vector<double> seen;
     Function callback = [&](double t, const double*, double* flag) {
       seen.push_back(t);
@@ -224,7 +224,7 @@ TEST(the_callback_sees_every_step_and_can_stop) {
 }
 
 TEST(nothing_to_integrate_is_done_at_once) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Problem here = kepler(0.5);
     here.tf = 0;
     Run still(method, here);
@@ -238,7 +238,7 @@ TEST(nothing_to_integrate_is_done_at_once) {
 }
 
 TEST(a_span_of_one_ulp_is_one_step) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double beyond : {infinity, -infinity}) {
       const double tf = std::nextafter(1.0, beyond);
       Run run(method, harmonic(), {.settings = {.t0 = 1, .tf = tf}});  // hmax, a tenth of that, would not move t
@@ -249,7 +249,7 @@ TEST(a_span_of_one_ulp_is_one_step) {
 }
 
 TEST(f_that_is_not_finite_at_the_start_is_reported_with_its_component) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (int component = 0; component < 4; ++component) {
       Problem problem = without_invariants(kepler(0.5));
       problem.f = [=](double, const double*, double* out) {
@@ -262,7 +262,7 @@ TEST(f_that_is_not_finite_at_the_start_is_reported_with_its_component) {
 }
 
 TEST(f_that_stays_undefined_ends_the_run_there_with_the_component) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Problem problem = without_invariants(harmonic());
     const Function f = problem.f;
     problem.f = [f](double t, const double* y, double* out) {
@@ -279,7 +279,7 @@ TEST(f_that_stays_undefined_ends_the_run_there_with_the_component) {
 }
 
 TEST(pure_relative_control_at_zero_is_named_as_the_reason) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     // The error relative to y₁ ~ (t − 1)^{k+1} is that of the quadrature formula, whatever h.
     Problem problem{.name = "leaves zero", .y0 = {1, 0}, .tf = 2, .f = [](double t, const double*, double* out) {

@@ -28,7 +28,7 @@ struct Dense {
 /// Runs all methods in a mode on problems with invariants, forwards and backwards, then looks.
 template <class Look>
 void for_runs(std::initializer_list<Interpolation> wanted, Look look) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const Interpolation mode : wanted)
       for (const double forward : {1.0, -1.0})
         for (Problem problem : {kepler(0.5, 10), lotka_volterra(), pendulum(), moving()}) {
@@ -108,7 +108,7 @@ TEST(between_steps_the_residual_is_the_blend_of_those_at_the_ends) {
 }
 
 TEST(projected_values_between_steps_are_as_accurate_as_corrected_ones) {
-  for (const Method& method : methods())
+  for (const Method& method : general_methods())
     for (const double rtol : {1e-4, 1e-7}) {
       const check::Case label(method.name, ", rtol ", rtol);
       double error[2] = {0, 0};
@@ -128,7 +128,7 @@ TEST(projected_values_between_steps_are_as_accurate_as_corrected_ones) {
 }
 
 TEST(without_invariants_projected_and_corrected_are_the_raw_extension) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     std::vector<double> results[3];
     for (int k = 0; k < 3; ++k) {
       Run run(method, without_invariants(kepler(0.5, 10)), {.settings = {.refine = 3, .interpolation = modes[k]}});
@@ -145,7 +145,7 @@ TEST(without_invariants_projected_and_corrected_are_the_raw_extension) {
 
 TEST(a_run_with_a_terminal_event_has_the_same_continuous_solution_up_to_it) {
   Function event = [](double t, const double*, double* e) { e[0] = t - 3.1; };
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Run whole(method, kepler(0.5, 10), {.settings = {.dense = true}});
     Run cut(method, kepler(0.5, 10), {.settings = {.dense = true}, .events = {{as_callback(event), 1}}});
     CHECK(whole.run() == State::reached_end && cut.run() == State::terminal_event);

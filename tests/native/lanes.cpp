@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "methods.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/worker.hpp"
 
@@ -233,7 +234,7 @@ std::vector<Case> random_cases(std::mt19937_64& random) {
 TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
   std::mt19937_64 random(17);
   std::size_t beside_others = 0;
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (const Case& one : random_cases(random)) {
       const Rows rows(one.size, random);
@@ -259,7 +260,7 @@ TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
 TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
   std::mt19937_64 random(3);
   std::size_t beside_others = 0, refused = 0;
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (Case& one : random_cases(random)) {
       // Of some the energy is told with a mistake, of others it changes with time.

@@ -16,10 +16,10 @@
 #include <vector>
 
 #include "integrate.hpp"
+#include "methods.hpp"
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
 #include "methods/radau.hpp"
-#include "methods/registry.hpp"
 
 namespace invariode::test {
 
@@ -239,7 +239,7 @@ inline std::unique_ptr<Step> make_step(const Method& method, Callback& f, const 
 template <class Which>
 std::vector<Method> methods_that(Which which) {
   std::vector<Method> chosen;
-  std::ranges::copy_if(methods(), std::back_inserter(chosen), which);
+  std::ranges::copy_if(general_methods(), std::back_inserter(chosen), which);
   return chosen;
 }
 inline bool is(const Method& method, std::string_view name) { return method.name == name; }

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "methods.hpp"
 #include "run/names.hpp"
 #include "run/points.hpp"
 #include "run_problems.hpp"
@@ -30,7 +31,7 @@ bool refused(const std::function<void()>& misuse) {
 }  // namespace
 
 TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Oscillator oscillator;
     const Solver solver = oscillator.solver(method);
@@ -48,7 +49,7 @@ TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
 
 TEST(out_of_memory_in_any_function_is_an_exception_of_the_run) {
   const auto throws = [](void*, double, const double*, double*) -> Status { throw std::bad_alloc(); };
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     for (const int which : {0, 1, 2, 3}) {
       Oscillator oscillator;
@@ -72,7 +73,7 @@ TEST(out_of_memory_in_any_function_is_an_exception_of_the_run) {
 }
 
 TEST(runs_of_one_solver_leave_no_trace_in_it) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Oscillator oscillator;
     oscillator.add_event(0);
@@ -84,7 +85,7 @@ TEST(runs_of_one_solver_leave_no_trace_in_it) {
 }
 
 TEST(with_a_singular_mass_invariants_hold_together_with_the_algebraic_equations) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     if (method.mass != MassMatrices::any) continue;
     const check::Case label(method.name);
     for (const double off : {0.0, 0.25}) {  // the algebraic component at the start, as far off
@@ -115,7 +116,7 @@ TEST(where_no_start_is_consistent_the_verdict_says_so) {
 }
 
 TEST(preparing_holds_invariants_at_the_initial_value_of_the_run) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     Oscillator oscillator;
     const Solver solver = oscillator.solver(method);
     Run run(solver);
@@ -129,7 +130,7 @@ TEST(preparing_holds_invariants_at_the_initial_value_of_the_run) {
 }
 
 TEST(a_run_goes_on_from_where_another_ended) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Oscillator oscillator;
     oscillator.add_event(3);  // ends at the third zero of x
@@ -158,7 +159,7 @@ TEST(a_run_goes_on_from_where_another_ended) {
 }
 
 TEST(what_stops_a_run_is_its_state) {
-  for (const Method& method : methods()) {
+  for (const Method& method : general_methods()) {
     const check::Case label(method.name);
     Oscillator interrupted, undefined;
     interrupted.stop_after = 30;

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
 from .graph.function import TracedFunction
+from .second_order import SecondOrder
 
 
 def compile(
@@ -17,7 +18,7 @@ def compile(
     by: Literal["auto", "trace", "numba"] = "auto",
     inplace: bool = False,
     elementary: Literal["own", "libm"] = "own",
-) -> CompiledFunction:
+) -> Any:
     """A function that is compiled to machine code when it is used in a problem.
 
     It is called with symbolic values, and becomes an expression graph, which is compiled in milliseconds and has exact
@@ -75,6 +76,13 @@ def compile(
         raise TypeError(f"compile takes a function f(t, y), got {shown(fun)}")
     choice("by", by, ("auto", "trace", "numba"))
     choice("elementary", elementary, ("own", "libm"))
+    if isinstance(fun, SecondOrder):
+        inside = fun.fun
+        if by == "numba" or inplace or getattr(inside, "inplace", False):
+            return SecondOrder(compile(inside, by=by, inplace=inplace, elementary=elementary))
+        if isinstance(inside, TracedFunction):
+            by, elementary = inside.by if by == "auto" else by, inside.elementary
+        fun = fun.first_order
     if isinstance(fun, CompiledFunction):
         if isinstance(fun, TracedFunction) and fun.elementary == "libm":
             elementary = "libm"

@@ -53,14 +53,14 @@ class Value:
     def __rsub__(self, other: float) -> Value:
         return Value(self.builder, self._like(other)) - self
 
-    def __truediv__(self, other: Value) -> Value:
-        return self._made("fdiv", self.ir, other.ir)
+    def __truediv__(self, other: Value | float) -> Value:
+        return self._made("fdiv", self.ir, self._like(other))
 
     def __rtruediv__(self, other: float) -> Value:
         return Value(self.builder, self._like(other)) / self
 
     def __neg__(self) -> Value:
-        return self._made("neg", self.ir)
+        return self._made("fneg" if self._element == "double" else "neg", self.ir)
 
     def leading_zeros(self) -> Value:
         """Of one integer; of 0 as many as it has bits."""
@@ -72,10 +72,21 @@ class Value:
         function = module.globals.get(name) or ir.Function(module, ir.FunctionType(kind, [kind] * len(arguments)), name)
         return Value(self.builder, self.builder.call(function, [one.ir for one in arguments]))
 
+    def _intrinsic(self, name: str, *others: Value) -> Value:
+        vector = isinstance(self.ir.type, ir.VectorType)
+        return self._called(f"llvm.{name}.{f'v{self.ir.type.count}' if vector else ''}f64", self, *others)
+
     def square_root(self) -> Value:
         """Correctly rounded, by the processor's instruction."""
-        vector = isinstance(self.ir.type, ir.VectorType)
-        return self._called(f"llvm.sqrt.{f'v{self.ir.type.count}' if vector else ''}f64", self)
+        return self._intrinsic("sqrt")
+
+    def floor(self) -> Value:
+        """The largest integer that is not above it."""
+        return self._intrinsic("floor")
+
+    def times_plus(self, factor: Value, term: Value) -> Value:
+        """The product and the sum, rounded once."""
+        return self._intrinsic("fma", factor, term)
 
     def library_power(self, exponent: float) -> Value:
         """Of one number, by the mathematical library."""

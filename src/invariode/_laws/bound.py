@@ -21,7 +21,15 @@ from .._base.arguments import (
     reals,
     tolerances,
 )
-from .._functions.compiled import CoreFunction, as_python, complex_form, is_native, native_parameters, to_native
+from .._functions.compiled import (
+    CompiledFunction,
+    CoreFunction,
+    as_python,
+    complex_form,
+    is_native,
+    native_parameters,
+    to_native,
+)
 from .._functions.derivatives import compared, somewhere
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
@@ -376,8 +384,11 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
-    """A native g as the core takes it, and its values at (t, y). It cannot say how many there are."""
+    """A native g as the core takes it, and its values at (t, y). Machine code cannot say how many there are, the
+    Python function that it was made from can."""
     told = [len(known) for known in (one.names, one.value) if known is not None]
+    if not told and isinstance(one.fun, CompiledFunction) and not one.fun.inplace:
+        told = [np.size(one.fun.at(t, y, parameters=p))]
     if not told:
         raise ValueError(f"invariant {name} is native: give its value or its names, which say how many values it has")
     m = max(told)

@@ -14,6 +14,7 @@ from .._base.arguments import (
     call_name,
     distinct_labels,
     extra_arguments,
+    flag,
     function,
     interval,
     shown,
@@ -21,9 +22,11 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
+from .._functions.compile import compile
 from .._functions.compiled import is_native, is_plain_function
 from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
+from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
@@ -52,6 +55,7 @@ class Description:
     bounds: Bounds | None
     sensitivities: Sensitivities | None
     records_events: bool
+    second_order: bool
     is_plain: bool  # y' = f(t, y, *args) with a Python function, and nothing else
     _title: str | None
     _labels: list[str] | None
@@ -71,6 +75,7 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
+        second_order: bool = False,
         nonnegative: Any = None,
         bounds: Any = None,
         sensitivities: SensitivitiesLike | None = None,
@@ -78,7 +83,7 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+        called = _as_called(fun)
         span, start = interval(t_span), state(y0)
         start.flags.writeable = False
         is_complex = start.dtype.kind == "c"
@@ -110,10 +115,13 @@ class Description:
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
+            second_order=flag("second_order", second_order) or states_second_order(called),
             _title=name,
             _labels=named,
             _as_given=given,
-            is_plain=_is_plain(called, invariants, events, sensitivities, inputs, *given.values()),
+            is_plain=_is_plain(
+                called, invariants, events, second_order or None, sensitivities, inputs, *given.values()
+            ),
         )
         if self.sensitivities is not None and self.args:
             self.parameters()
@@ -189,6 +197,7 @@ class Description:
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,
             **self._as_given,
+            "second_order": self.second_order and not states_second_order(self.fun),
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "name": self._title,
@@ -201,6 +210,14 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _as_called(fun: Any) -> Any:
+    """f as the solvers call it."""
+    called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+    if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
+        return compile(called)
+    return called
 
 
 def _is_plain(fun: Any, *others: Any) -> bool:

@@ -42,6 +42,8 @@ class Event:
         Default: the degree of the method's continuous extension, at least 3. 'adaptive': enough points to resolve `fun`
         along the step by Chebyshev interpolation, from which all of its roots follow: from 9 for a smooth function to
         hundreds around a kink.
+    name : str, optional
+        What messages, tables and ``Experiment(event_times=)`` call the event. Default: the name of `fun`.
 
     Notes
     -----
@@ -67,6 +69,7 @@ class Event:
         rehold: bool = True,
         at_start: bool = False,
         samples: int | Literal["adaptive"] | None = None,
+        name: str | None = None,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
@@ -81,7 +84,7 @@ class Event:
                 "at_start is not possible with an action: if the event is zero at t0, apply the action to y0 first"
             )
         self.samples = _samples(samples)
-        self.__name__ = call_name(fun, "event")
+        self.__name__ = call_name(fun, "event") if name is None else _name(name)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
@@ -90,6 +93,12 @@ class Event:
     def __repr__(self) -> str:
         at_start = ", at_start=True" if self.at_start else ""
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"name of an event must be a string that is not empty, got {shown(name)}")
+    return name
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:

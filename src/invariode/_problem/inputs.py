@@ -12,6 +12,7 @@ from .. import _core
 from .._base.arguments import Array, choice, flag, items, real_numbers, shown
 from .._base.types import InputKind
 from .._functions.compiled import NativeWithInputs, is_native
+from .._functions.second_order import SecondOrder
 
 
 class Input:
@@ -134,6 +135,8 @@ def fed(fun: Any, inputs: Sequence[Input]) -> Any:
     """A function of (t, y, *inputs, *args) as one of (t, y, *args), native if the function is."""
     if not inputs or not (callable(fun) or is_native(fun)):
         return fun
+    if isinstance(fun, SecondOrder):
+        return SecondOrder(fed(fun.fun, inputs))
     if is_native(fun):
         return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
     return _Fed(fun, inputs)

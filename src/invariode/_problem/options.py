@@ -454,6 +454,16 @@ class DescribingOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    second_order: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Whether y is (q, v) and f returns ``(v, a(t, q))``: the accelerations do not depend on the velocities. The "
+            "methods rkn64, rkn86 and rkn1210 need it, and test it at the start. `SecondOrder` says so too.",
+            flag,
+        ),
+    ]
     bounds: Annotated[
         Any,
         Option(
@@ -642,9 +652,19 @@ def table_of(kind: type) -> dict[str, Option]:
 
 #: The options by topic, in the order in which they are documented.
 TOPICS: Mapping[str, tuple[str, ...]] = {
-    "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "breakpoints"),
-    "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
-    "its parameters": ("sensitivities",),
+    "the problem": (
+        "args",
+        "vectorized",
+        "events",
+        "invariants",
+        "bounds",
+        "nonnegative",
+        "mass",
+        "second_order",
+        "breakpoints",
+    ),
+    "the Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
+    "parameters": ("sensitivities",),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),
     "output": ("t_eval", "dense_output", "adjoint", "interpolation", "refine", "keep"),
@@ -657,7 +677,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "on_interrupt",
         "on_failure",
     ),
-    "an ensemble": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
+    "ensembles": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
 }
 
 _ROWS = {**table_of(AllOptions), **table_of(ManyOptions)}

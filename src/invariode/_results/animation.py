@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import math
 import operator
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.animation import FuncAnimation, writers
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._base.arguments import Array, positive, shown
@@ -288,7 +292,31 @@ class Film(FuncAnimation):
             raise RuntimeError(
                 f"{ending or 'this file'} needs the program ffmpeg, not found here: save as .gif or .html"
             )
-        super().save(os.fspath(filename), writer=writer, **options)
+        still = {"savefig_kwargs", "extra_anim"}.isdisjoint(options) and isinstance(self.figure, Figure)
+        with self._on_a_picture(options.get("dpi")) if still else nullcontext():
+            super().save(os.fspath(filename), writer=writer, **options)
+
+    @contextmanager
+    def _on_a_picture(self, dpi: float | Literal["figure"] | None) -> Iterator[None]:
+        """Meanwhile, the axes and what is around them are one picture behind the rest, since they take most of the time
+        of drawing a frame; and each frame is drawn once, not in the window as well."""
+        ax, canvas = self._dots.axes, self.figure.canvas
+        still = _standing(ax)
+        with _hidden([one for one in ax.get_children() if one not in still]):
+            picture = _Still(_pixels(self.figure, dpi))
+        axes_on = getattr(ax, "_axis3don", False)  # of axes in space
+        canvas.draw_idle = lambda: None
+        try:
+            with _hidden(still):
+                self.figure.add_artist(picture)
+                if axes_on:
+                    ax.set_axis_off()
+                yield
+        finally:
+            del canvas.draw_idle
+            picture.remove()
+            if axes_on:
+                ax.set_axis_on()
 
     def to_jshtml(self, fps: int | None = None, embed_frames: bool = True, default_mode: str | None = None) -> str:
         """HTML that shows the film with its controls, and needs no network.
@@ -307,6 +335,50 @@ class Film(FuncAnimation):
 
     def _repr_html_(self) -> str:
         return self.to_jshtml()
+
+
+class _Still(Artist):
+    """Pixels (rows, columns, 4) behind all else in a figure. Unlike an image, they are not resampled."""
+
+    zorder = -1
+
+    def __init__(self, pixels: Array) -> None:
+        super().__init__()
+        self._pixels = pixels[::-1]
+
+    def draw(self, renderer: Any) -> None:
+        gc = renderer.new_gc()
+        renderer.draw_image(gc, 0, 0, self._pixels)
+        gc.restore()
+
+
+def _pixels(figure: Any, dpi: float | Literal["figure"] | None) -> Array:
+    """The figure as it is, (rows, columns, 4), in the dots in which a film is saved."""
+    wanted = matplotlib.rcParams["savefig.dpi"] if dpi is None else dpi
+    dots = float(figure.dpi if wanted == "figure" else wanted)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="rgba", dpi=dots)
+    return np.frombuffer(drawn.getvalue(), np.uint8).reshape(-1, int(figure.get_figwidth() * dots), 4)
+
+
+def _standing(ax: Any) -> list[Any]:
+    """The frame of the axes, and whatever else the figure shows."""
+    figure = ax.figure
+    others = [one for one in figure.get_children() if one not in (ax, figure.patch)]
+    axes = [ax.xaxis, ax.yaxis, *([ax.zaxis] if ax.name == "3d" else [])]
+    return [*others, ax.patch, *ax.spines.values(), *axes]
+
+
+@contextmanager
+def _hidden(artists: Iterable[Any]) -> Iterator[None]:
+    shown = [one for one in artists if one.get_visible()]
+    for one in shown:
+        one.set_visible(False)
+    try:
+        yield
+    finally:
+        for one in shown:
+            one.set_visible(True)
 
 
 def _line(ax: Any, colour: Any, properties: dict[str, Any]) -> Any:

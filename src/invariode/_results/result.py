@@ -264,9 +264,9 @@ class Drift(Record):
             return "no invariants were imposed"
         width = max(len("invariant"), *map(len, self.names))
         lines = [
-            f"{'invariant':<{width}} {'value':>14}  {'residual before, after':>22}  {'distance before, after':>22}",
+            f"{'invariant':<{width}} {'value':>12}  {'residual before, after':>22}  {'distance before, after':>22}",
             *(
-                f"{name:<{width}} {value:>14.6g}  {before:>11.2e}{after:>11.2e}  {far:>11.2e}{near:>11.2e}"
+                f"{name:<{width}} {value:>12.6g}  {before:>11.2e}{after:>11.2e}  {far:>11.2e}{near:>11.2e}"
                 for name, value, before, after, far, near in zip(
                     self.names,
                     self.value,
@@ -277,7 +277,8 @@ class Drift(Record):
                     strict=True,
                 )
             ),
-            f"distances in units of the tolerance; largest correction of a step {self.correction:.2e}; "
+            "distances in units of the tolerance;",
+            f"largest correction of a step {self.correction:.2e}; "
             f"{self.projections} projections, {self.skipped} skipped",
         ]
         return "\n".join(lines)

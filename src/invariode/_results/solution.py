@@ -206,14 +206,16 @@ class Solution(Exports):
         ------
         TypeError, ValueError
             A shape is wrong; or the run has no continuous solution, no functions since it was loaded or unpickled,
-            actions, discontinuities of f that depend on y or parameters, a singular or variable mass matrix, a
-            `MechanicalSystem`, `Dissipated` or complex y0.
+            several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix that
+            depends on t, a `MechanicalSystem`, `Dissipated` or complex y0.
 
         Notes
         -----
         Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
         the solution stays on the manifold and its sensitivities in the tangent space, so that only the tangential part
-        of ∂G/∂y enters the adjoint.
+        of ∂G/∂y enters the adjoint. At the time of an action, G depends on the state behind it. If f has conditions at
+        which it jumps, the problem is solved again to locate them. The end of the run counts as fixed, even if a
+        terminal event has determined it.
 
         Examples
         --------

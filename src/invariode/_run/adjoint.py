@@ -1,4 +1,4 @@
-"""The gradient of a scalar with respect to many parameters, by one run backwards.
+"""The gradient of a scalar with respect to many parameters, by runs backwards.
 
 For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t_i,
 
@@ -6,35 +6,43 @@ For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t
     d/dp = μ(t_0)ᵀ ∂y0/∂p + ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt + ∂G/∂p
 
 (Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24, 2003, 1076-1089). y is that of the continuous
-solution. The integral is a quadrature over the steps of λ, so that the parameters are no unknowns of the run.
+solution. The integral is a quadrature over the steps of λ, so that the parameters are no unknowns of the run. If M is
+singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y)ᵀ λ − (∂g/∂y)ᵀ.
+
+Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and Bᵀ μ⁺ is added to the gradient. There is a run
+backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
+such a jump where it arrives, and its equation has no part in the others.
 
 Where a solution is held on r(t, y, p) = c(p), its sensitivities are tangent: R S = c' − ∂r/∂p. So ∂G/∂y enters by its
 tangential part alone, ∂G/∂y − νᵀ R with ν = (R W² Rᵀ)⁺ R W² (∂G/∂y)ᵀ, and the rest is νᵀ (c' − ∂r/∂p): the transpose of
-what the run does to S in a step that ends there.
+what the run does to S in a step that ends there. c' is R S + ∂r/∂p where the value has been taken, at the start or
+behind an action, so that ν is carried there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, real_numbers, shown, warn
+from .._base.arguments import EPS, Array, quietly, real_numbers, shown, warn
 from .._base.types import MethodName
 from .._functions.directional import Directional, Given, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import is_sparse
+from .._problem.matrices import as_matrix, is_sparse
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
+from .adjoint_jumps import Jump, Jumps, at_bounds
 from .plan import ordered_breakpoints
-from .variations import given_derivatives, require_possible
+from .variations import Switching, followed, given_derivatives, require_possible
 
 #: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
 _POINTS = 5
@@ -119,38 +127,37 @@ class _Adjoint:
         self._names = problem.parameters()
         self.n, self.k = len(problem.y0), len(self._names)
         self._at = Point(problem.t_span[0], problem.y0)
-        self._require_possible()
-        fun, given = given_derivatives(problem, self._names)
-        self._slope = self._derivatives(fun, "fun", self.n, given)
-        self._tell_of_jumps()
-        if self._slope.switches(self._at):
-            raise ValueError(
-                "gradient: fun jumps where its conditions change, and the adjoint does not follow that: use "
-                "sensitivities=, which does"
-            )
-
-    def _require_possible(self) -> None:
-        problem = self._problem
         require_possible(problem, self._names)
-        if callable(problem.matrices.mass):
-            raise ValueError("gradient: the mass matrix must be constant: use sensitivities=, or solve for y' in fun")
-        if problem.bounds is not None:
-            raise ValueError(
-                "gradient: the adjoint does not follow components that rest at bounds (nonnegative=, bounds=): use "
-                "sensitivities=, which does"
-            )
-        acting = [event.__name__ for event in problem.events if event.action is not None]
-        acting += [f"at t = {point.t}" for point in self._breakpoints if point.action is not None]
-        if acting:
-            raise ValueError(
-                f"gradient: the solution jumps by actions ({', '.join(acting)}), which the adjoint does not follow: "
-                "use sensitivities=, which does"
-            )
+        fun, given = given_derivatives(problem, self._names)
+        self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
+        conditions = self._conditions()
+        self._rests = at_bounds(problem, self._sol)
+        self._jumps = Jumps(problem, self._derivatives, conditions).of(self._sol, self._breakpoints, self._rests)
+        self._tell_of_jumps(bool(conditions))
 
-    def _tell_of_jumps(self) -> None:
+    def _conditions(self) -> list[Switching]:
+        """Conditions at which f jumps; the solution is made again with them as events."""
+        with quietly():  # what is not followed is an error
+            found = followed(self._slope, self._derivatives, self._problem, [])
+        if not found:
+            if self._slope.switches(self._at):
+                raise ValueError(
+                    "gradient: fun jumps where its conditions change, which is not followed with a mass matrix, if "
+                    "inputs are compared, or with many conditions"
+                )
+            return []
+        run = self._run
+        located = run.problem.replace(events=[*run.problem.events, *(one.event for one in found)], sensitivities=None)
+        options: Options = {**run.options, "dense_output": True, "keep": None, "t_eval": None, "checkpoint": None}
+        with quietly():  # the run has warned
+            self._sol = run.solve(located.replace(t_span=(located.t_span[0], run.t)), run.method, options)
+        return found
+
+    def _tell_of_jumps(self, followed: bool) -> None:
         """A warning if f has jumped where there is no breakpoint."""
-        jumps = [t for t in self._sol.stats.discontinuities if t not in {point.t for point in self._breakpoints}]
-        if jumps:
+        known = {point.t for point in self._breakpoints}
+        jumps = [t for t in self._sol.stats.discontinuities if t not in known]
+        if jumps and not (followed and self._slope.knows_jumps):
             warn(
                 f"gradient: fun looks discontinuous at t = {jumps[0]:.6g}. If that time depends on y or on parameters, "
                 "the gradient is wrong; if not, give it as a breakpoint",
@@ -160,42 +167,49 @@ class _Adjoint:
     @cached_property
     def _breakpoints(self) -> list[Breakpoint]:
         given = self._run.options.get("breakpoints")
-        return ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
+        points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
+        low, high = sorted((self._problem.t_span[0], self._run.t))
+        return [one for one in points if low <= one.t <= high]
 
-    def _derivatives(self, fun: Any, called: str, m: int | None, given: Given | None = None) -> Directional:
-        return Directional(
-            fun, self._problem.args, self._names, self.n, given, at=self._at, m=m, called=called, moves_t=False
-        )
+    def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
+        return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
 
-    @cached_property
-    def _mass(self) -> Array | None:
+    # -------------------------------------------------------------------------------------------------------- the mass
+
+    def _mass(self, t: float) -> Array | None:
         """Mᵀ; None: the identity."""
         mass = self._problem.matrices.mass
         if mass is None:
             return None
-        found = np.asarray(mass.toarray() if is_sparse(mass) else mass, dtype=float).T
-        if np.linalg.matrix_rank(found) < self.n:
-            raise ValueError(
-                "gradient: the mass matrix is singular: use sensitivities=, which takes algebraic equations"
-            )
-        return found
+        given = as_matrix("mass", mass(t, *self._problem.args) if callable(mass) else mass, False)
+        return np.asarray(given.toarray() if is_sparse(given) else given, dtype=float).T
 
-    def _multiplier(self, mu: Array) -> Array:
+    @cached_property
+    def _algebraic(self) -> _Algebraic | None:
+        """The algebraic equations of a singular M."""
+        transposed = self._mass(self._at.t)
+        if transposed is None or np.linalg.matrix_rank(transposed) == self.n:
+            return None
+        if callable(self._problem.matrices.mass):
+            raise ValueError(
+                "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
+            )
+        return _Algebraic.of(transposed)
+
+    def _multiplier(self, t: float, mu: Array) -> Array:
         """λ."""
-        return mu if self._mass is None else np.asarray(np.linalg.solve(self._mass, mu))
+        transposed = self._mass(t)
+        return mu if transposed is None else np.asarray(np.linalg.solve(transposed, mu))
 
     # ------------------------------------------------------------------------------------------------- on the manifold
 
     @cached_property
-    def _laws(self) -> list[tuple[Directional, Array]]:
-        """Of each invariant r = c: its derivatives, and dc/dp (m, k)."""
+    def _laws(self) -> list[_Law]:
         found = []
         for one in self._problem.invariants:
             jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
-            law = self._derivatives(one.fun, f"invariant {one.fun}", None, Given(jac))
-            start = np.vstack([self._at.y, self._start.T])
-            rate = law.tangent(self._at.t, start).T if one.value is None else np.zeros((law.m, self.k))
-            found.append((law, rate))
+            law = self._derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
+            found.append(_Law(law, one.value is not None, np.zeros(law.m)))
         return found
 
     @cached_property
@@ -204,16 +218,41 @@ class _Adjoint:
         assert self._problem.sensitivities is not None
         return self._problem.sensitivities.start(self._names, self._problem.args, self.n)
 
-    def _tangential(self, t: float, y: Array, cost: Array) -> tuple[Array, Array]:
-        """The tangential part of ∂G/∂y, and what the rest adds to the gradient."""
-        if not self._laws:
+    def _tangential(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
+        """The tangential part of ∂G/∂y, and what the rest adds to the gradient here; what it adds where the laws took
+        their values is carried by them."""
+        if not laws:
             return cost, np.zeros(self.k)
-        R = np.vstack([law.jacobian(t, y) for law, _ in self._laws])
+        R = np.vstack([one.law.jacobian(t, y) for one in laws])
         w = self._weights(y)
         nu = np.linalg.lstsq(w[:, None] * R.T, w * cost, rcond=None)[0]
-        none = np.zeros((self.k, self.n))
-        rates = [rate - law.columns(t, y, np.zeros(self.k), none, np.eye(self.k)).T for law, rate in self._laws]
-        return cost - R.T @ nu, nu @ np.vstack(rates)
+        beside, place = np.zeros(self.k), 0
+        for one in laws:
+            own = nu[place : place + one.law.m]
+            place += one.law.m
+            beside -= own @ one.of_parameters(t, y)
+            if not one.demanded:
+                one.carried = one.carried + own
+        return cost - R.T @ nu, beside
+
+    def _taken(self, t: float, y: Array, mu: Array) -> tuple[Array, Array]:
+        """μ where laws take their values, with what they carry, and what that adds to the gradient."""
+        total = np.zeros(self.k)
+        for one in self._laws:
+            if not one.demanded:
+                mu = mu + one.law.jacobian(t, y).T @ one.carried
+                total += one.carried @ one.of_parameters(t, y)
+                one.carried = np.zeros(one.law.m)
+        return mu, total
+
+    def _projected(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
+        """The cost as that of tangential and differential components alone, and what the rest adds."""
+        cost, beside = self._tangential(t, y, cost, laws)
+        if self._algebraic is None:
+            return cost, beside
+        J = self._slope.jacobian(t, y)
+        cost, multiplier = self._algebraic.differential(J, cost)
+        return cost, beside + self._slope.transposed(t, y, multiplier)[self.n :]
 
     def _weights(self, y: Array) -> Array:
         """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
@@ -225,24 +264,91 @@ class _Adjoint:
 
     def gradient(self, objective: Objective) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
-        t0, tf = self._problem.t_span[0], self._run.t
-        y = self._sol.sol(objective.times)
-        parts = [self._tangential(*one) for one in zip(objective.times.tolist(), y.T, objective.costs.T, strict=True)]
-        total = objective.direct + sum((beside for _, beside in parts), np.zeros(self.k))
-        jumps: dict[float, Array] = {}
-        for time, (cost, _) in zip(objective.times.tolist(), parts, strict=True):
-            jumps[time] = jumps.get(time, 0) + cost
-        g = None
+        self._g = g = None
         if objective.integrand is not None:
-            g = self._derivatives(objective.integrand, "integrand", 1)
-        if tf == t0:
-            return np.asarray(total + sum(jumps.values(), np.zeros(self.n)) @ self._start)
-        last = jumps.pop(tf, np.zeros(self.n))
-        first = jumps.pop(t0, np.zeros(self.n))
-        mu = self._backwards(g, last, jumps, self._sizes(objective, y, g))
-        return np.asarray(total + (mu.y[:, -1] + first) @ self._start + self._integral(g, mu))
+            self._g = g = self._derivatives(objective.integrand, "integrand", m=1, moves_t=False)
+        t0, tf = self._problem.t_span[0], self._run.t
+        states = self._sol.sol(objective.times)
+        self._total = objective.direct.astype(float)
+        costs: dict[float, Array] = {}
+        for t, cost in zip(objective.times.tolist(), objective.costs.T, strict=True):
+            costs[t] = costs.get(t, 0) + cost
+        self._sizes = self._sizes_of(objective, states, g) if tf != t0 else np.ones(self.n)
+        mu = np.zeros(self.n)
+        for piece in reversed(self._pieces(t0, tf)):
+            mu = self._across(piece, mu, costs)
+        for jump in reversed([one for one in self._jumps if one.t == t0]):
+            mu = self._through(jump, mu)
+        mu, beside = self._taken(t0, self._at.y, mu)
+        demanded = [one for one in self._laws if one.demanded]
+        mu, more = self._tangential(t0, self._at.y, mu, demanded)
+        return np.asarray(self._total + beside + more + mu @ self._start)
 
-    def _sizes(self, objective: Objective, states: Array, g: Directional | None) -> Array:
+    def _pieces(self, t0: float, tf: float) -> list[_Piece]:
+        """The intervals between breakpoints and jumps, with the jumps at their ends."""
+        forward = 1.0 if tf >= t0 else -1.0
+        inside = (
+            {one.t for one in self._breakpoints} | {one.t for one in self._jumps} | {one.end for one in self._rests}
+        )
+        ends = sorted(inside - {t0} | {tf}, key=lambda t: forward * t)
+        begins = [t0, *ends[:-1]]
+        return [
+            _Piece(a, b, [one for one in self._jumps if one.t == b != t0], self._moving(a, b))
+            for a, b in zip(begins, ends, strict=True)
+        ]
+
+    def _moving(self, begin: float, end: float) -> Array:
+        """Which components move between these times: 1, or 0 of those that rest at a bound."""
+        found = np.ones(self.n)
+        low, high = sorted((begin, end))
+        for one in self._rests:
+            if min(one.begin, one.end) <= low and high <= max(one.begin, one.end):
+                found[one.component] = 0
+        return found
+
+    def _across(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
+        """μ at the beginning of a piece, from that behind its end. A cost at a jump is that of the state behind it."""
+        if piece.end == self._run.t and piece.end in costs:
+            mu = mu + self._cost(piece.end, costs.pop(piece.end))
+        for jump in reversed(piece.jumps):
+            mu = self._through(jump, mu)
+        if piece.begin == piece.end:
+            return mu
+        low, high = sorted((piece.begin, piece.end))
+        within = {t: self._cost(t, cost) for t, cost in costs.items() if low <= t <= high and t != piece.end}
+        first = within.pop(piece.begin, np.zeros(self.n))
+        lam = self._backwards(piece, mu, within)
+        self._total = self._total + self._integral(piece, lam)
+        end = lam.y[:, -1]
+        transposed = None if self._algebraic is None else self._algebraic.transposed
+        return np.asarray((end if transposed is None else transposed @ end) + first)
+
+    def _cost(self, t: float, cost: Array) -> Array:
+        found, beside = self._projected(t, self._sol.sol(t), cost, self._laws)
+        self._total = self._total + beside
+        return found
+
+    def _through(self, jump: Jump, mu: Array) -> Array:
+        """μ before a jump from that behind it."""
+        if jump.moves:
+            if jump.reholds:
+                mu, beside = self._taken(jump.t, jump.after, mu)
+                self._total = self._total + beside
+            held = [one for one in self._laws if one.demanded or not jump.reholds]
+            mu, beside = self._tangential(jump.t, jump.after, mu, held)
+            self._total = self._total + beside
+        cost_of_time = 0.0
+        if self._g is not None:
+            cost_of_time = float(self._g.value(jump.t, jump.before)[0] - self._g.value(jump.t, jump.after)[0])
+        mu, beside = jump.transposed(mu, cost_of_time)
+        self._total = self._total + beside
+        if self._algebraic is None:
+            return mu
+        mu, beside = self._projected(jump.t, jump.before, mu, [])
+        self._total = self._total + beside
+        return mu
+
+    def _sizes_of(self, objective: Objective, states: Array, g: Directional | None) -> Array:
         """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
         changes within theirs together."""
         t0, tf = self._problem.t_span[0], self._run.t
@@ -255,50 +361,139 @@ class _Adjoint:
         size = sum(float(w @ np.abs(cost)) for w, (_, cost) in zip(weights, costs, strict=True))
         return np.asarray(size / weights.max(axis=0))
 
-    def _backwards(self, g: Directional | None, last: Array, jumps: dict[float, Array], sizes: Array) -> Result:
-        """μ as a function of s = t_f − t, whose smallest steps are shorter than those at t_f."""
-        slope, solution, n = self._slope, self._sol.sol, self.n
-        t0, tf = self._problem.t_span[0], self._run.t
+    def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Result:
+        """μ, or λ if M is singular, as a function of s = end − t, whose smallest steps are shorter than those at the
+        end."""
+        slope, solution, n, g = self._slope, self._sol.sol, self.n, self._g
+        singular = self._algebraic
 
         def rate(s: float, mu: Array) -> Array:
-            y = solution(tf - s)
-            found = slope.transposed(tf - s, y, self._multiplier(mu))[:n]
-            return found if g is None else found + g.jacobian(tf - s, y)[0]
+            t = piece.inside(s)
+            y = solution(t)
+            lam = mu if singular else self._multiplier(t, mu)
+            found = slope.transposed(t, y, piece.moving * lam)[:n]
+            return found if g is None else found + g.jacobian(t, y)[0]
 
         def jacobian(s: float, mu: Array) -> Array:
-            found = slope.jacobian(tf - s, solution(tf - s)).T
-            return found if self._mass is None else np.linalg.solve(self._mass.T, found.T).T
+            t = piece.inside(s)
+            found = slope.jacobian(t, solution(t)).T * piece.moving
+            transposed = None if singular else self._mass(t)
+            return found if transposed is None else np.linalg.solve(transposed.T, found.T).T
 
-        points: dict[float, Any] = {tf - point.t: None for point in self._breakpoints}
-        points |= {tf - time: (lambda s, mu, cost=cost: mu + cost) for time, cost in jumps.items()}
+        sizes = self._sizes
+        if singular is not None:
+            end = piece.inside(0.0)
+            solved = singular.solved(slope.jacobian(end, solution(end)))
+            mu, sizes = solved @ mu, np.abs(solved) @ sizes
+            costs = {t: np.linalg.lstsq(singular.transposed, cost, rcond=None)[0] for t, cost in costs.items()}
         method, rtol = self._run.method, np.max(self._sol._rtol)
         implicit = "jac" in find_method(method)[0].options
-        adjoint = Description(rate, (0.0, tf - t0), last, jac=jacobian if implicit else None, name="the adjoint")
+        adjoint = Description(
+            rate,
+            (0.0, piece.end - piece.begin),
+            mu,
+            jac=jacobian if implicit else None,
+            mass=None if singular is None else singular.transposed,
+            name="the adjoint",
+        )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
         options: Options = {
             "rtol": rtol,
             "atol": np.maximum(atol, np.finfo(float).tiny),
             "dense_output": True,
-            "breakpoints": points,
+            "breakpoints": {piece.end - t: (lambda s, mu, cost=cost: mu + cost) for t, cost in costs.items()},
             "max_step": np.inf,
             "on_failure": "raise",
         }
         return self._run.solve(adjoint, method, options)
 
-    def _integral(self, g: Directional | None, mu: Result) -> Array:
-        """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt from the start to the end."""
+    def _integral(self, piece: _Piece, mu: Result) -> Array:
+        """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a piece."""
+        g = self._g
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         lengths = np.diff(mu.t)
         begins, lengths = mu.t[:-1][lengths != 0], lengths[lengths != 0]
         places = (begins[:, None] + 0.5 * lengths[:, None] * (1 + nodes)).ravel()
         parts = (0.5 * lengths[:, None] * weights).ravel()
-        times = self._run.t - places
+        times = np.array([piece.inside(s) for s in places.tolist()])
         total = np.zeros(self.k)
         for t, part, y, here in zip(times.tolist(), parts, self._sol.sol(times).T, mu.sol(places).T, strict=True):
-            total += part * self._slope.transposed(t, y, self._multiplier(here))[self.n :]
+            lam = here if self._algebraic else self._multiplier(t, here)
+            total += part * self._slope.transposed(t, y, piece.moving * lam)[self.n :]
             if g is not None:
                 total += part * g.transposed(t, y, np.ones(1))[self.n :]
         return total
+
+
+class _Piece(NamedTuple):
+    """An interval on which the solution is smooth, what happens at its end, and which components move in it."""
+
+    begin: float
+    end: float
+    jumps: list[Jump]
+    moving: Array
+
+    def inside(self, s: float) -> float:
+        """The time end − s, inside the interval: at its ends f and y may be those of its neighbours."""
+        low, high = sorted((np.nextafter(self.begin, self.end), np.nextafter(self.end, self.begin)))
+        return float(min(max(self.end - s, low), high))
+
+
+@dataclass
+class _Law:
+    """An invariant r = c.
+
+    Attributes
+    ----------
+    law : Directional
+        The derivatives of r.
+    demanded : bool
+        Whether c is a given number; otherwise it is the value that r had at the start, or behind the last action.
+    carried : ndarray, (m,)
+        The derivative of the objective with respect to c, for what comes later than the current time.
+    """
+
+    law: Directional
+    demanded: bool
+    carried: Array
+
+    def of_parameters(self, t: float, y: Array) -> Array:
+        """∂r/∂p, (m, k)."""
+        k, n = self.law.k, self.law.n
+        return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
+
+
+class _Algebraic(NamedTuple):
+    """The algebraic equations Zᵀ f = 0 of a singular M of index 1, Zᵀ M = 0 and M N = 0: Zᵀ (J S + ∂f/∂p) = 0.
+
+    Attributes
+    ----------
+    transposed : ndarray, (n, n)
+        Mᵀ.
+    Z, N : ndarray, (n, m)
+        Bases of the null spaces.
+    """
+
+    transposed: Array
+    Z: Array
+    N: Array
+
+    @staticmethod
+    def of(transposed: Array) -> _Algebraic:
+        U, sizes, V = np.linalg.svd(transposed.T)
+        rank = int(np.sum(sizes > sizes[0] * len(sizes) * EPS))
+        return _Algebraic(transposed, U[:, rank:], V[rank:].T)
+
+    def differential(self, J: Array, cost: Array) -> tuple[Array, Array]:
+        """The cost c as one in the range of Mᵀ, c + JᵀZ ξ with Nᵀ(c + JᵀZ ξ) = 0, and Z ξ: for all S that satisfy the
+        equations, c S = (c + JᵀZ ξ) S + (Z ξ)ᵀ ∂f/∂p."""
+        xi = -np.linalg.solve(self.N.T @ J.T @ self.Z, self.N.T @ cost)
+        return cost + J.T @ (self.Z @ xi), self.Z @ xi
+
+    def solved(self, J: Array) -> Array:
+        """The λ of a μ, as a matrix: Mᵀ λ = μ, Nᵀ Jᵀ λ = 0."""
+        rows = np.vstack([self.transposed, self.N.T @ J.T])
+        return np.linalg.pinv(rows)[:, : len(self.transposed)]
 
 
 def _objective(

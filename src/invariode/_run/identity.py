@@ -16,6 +16,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.second_order import FirstOrderForm
 from .._functions.graph.python import Formula
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
@@ -76,6 +77,7 @@ def _function(value: Any) -> FunctionType | None:
     """The Python function behind a function or a callable object, if there is one."""
     if isinstance(value, CompiledFunction):
         value = value.fun
+    value = value.fun if isinstance(value, FirstOrderForm) else value
     value = getattr(value, "py_func", value)  # numba's
     value = getattr(value, "__func__", value)  # a method's
     if not isinstance(value, FunctionType) and not isinstance(value, type):

@@ -40,6 +40,7 @@ from .._results.messages import (
     status_and_message,
 )
 from .._results.result import LIMIT_REACHED, Names
+from .second_order import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
@@ -260,6 +261,8 @@ def planned(problem: Description, choice: Choice) -> Plan:
             f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
             "y' in fun"
         )
+    if chosen.equations == "second-order":
+        require_second_order(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = on_interval(settings, problem, options)

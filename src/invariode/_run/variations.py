@@ -19,14 +19,14 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import EPS, Array, warn
-from .._functions.compiled import CoreFunction, NativeWithInputs, is_native, to_native
+from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
-from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters, with_numbers
+from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
-from .._problem.events import Event, EventSpec
+from .._problem.events import Event, EventSpec, event_spec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
@@ -184,7 +184,7 @@ def make_variations(
         about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
         for one, spec in zip(problem.invariants, specs, strict=True)
     ]
-    rate = _Rate(problem)
+    rate = Rate(problem)
     times = [EventTime(event, about, rate, weights) for event in problem.events]
     jumps = [
         None
@@ -196,7 +196,8 @@ def make_variations(
     made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
     doses = [made.get(id(point.action)) for point in points]
     log: list[tuple[float, str]] = []
-    switches = _switches(slope, about, problem, log)
+    switches = followed(slope, about.of, problem, log)
+    parameters = Parameters.of(args)
     sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
     tangents = [law.for_core for law in laws]
     for_core = _core.Variations(
@@ -204,7 +205,7 @@ def make_variations(
         slope=slope.for_core,
         thresholds=np.ascontiguousarray(_absolute(y0, weights) / sizes[:, None]),
         invariants=tangents,
-        jumps=[*jumps, *(jump for _, jump in switches)],
+        jumps=[*jumps, *(one.jump for one in switches)],
         breakpoints=doses,
         error_test=wanted.error_test,
     )
@@ -218,7 +219,7 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
-        switches=[event for event, _ in switches],
+        switches=[event_spec(one.event, n, parameters) for one in switches],
         log=log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
@@ -253,7 +254,7 @@ class _Derivatives:
             )
 
 
-class _Rate:
+class Rate:
     """y' = M⁻¹ f."""
 
     def __init__(self, problem: Description) -> None:
@@ -274,7 +275,7 @@ class _Rate:
 class EventTime:
     """The derivatives of the times at which an event occurs."""
 
-    def __init__(self, event: Event, about: _Derivatives, rate: _Rate, weights: Weights) -> None:
+    def __init__(self, event: Event, about: _Derivatives, rate: Rate, weights: Weights) -> None:
         self._name, self._rate, self._weights = event.__name__, rate, weights
         self._function = about.of(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
         self._grazing: list[float] = []
@@ -325,7 +326,7 @@ class _Jump:
 
     _action: Directional
     _time: EventTime
-    _rate: _Rate
+    _rate: Rate
     _log: list[tuple[float, Array]] = field(default_factory=list)
 
     def __call__(self, t: float, Y: Array, after: Array) -> Array:
@@ -363,7 +364,7 @@ _MOST_SWITCHES = 32
 _MOST_DOUBLINGS = 8
 
 
-class _Crossing(NamedTuple):
+class Crossing(NamedTuple):
     """How e(t, y, p) = 0 is crossed: y' before and behind, the rate of e before, and whether it leads back."""
 
     before: Array
@@ -373,30 +374,49 @@ class _Crossing(NamedTuple):
 
 
 @dataclass
-class _Switching:
-    """Where f goes from one branch to another at e(t, y, p) = 0: S⁺ = S⁻ + (f⁻ − f⁺) ∂τ."""
+class Switching:
+    """Where f goes from one branch to another at e(t, y, p) = 0: S⁺ = S⁻ + (f⁻ − f⁺) ∂τ.
 
+    Attributes
+    ----------
+    name : str
+        What messages call it.
+    function : callable
+        e, for events.
+    difference : Directional
+        The derivatives of e.
+    """
+
+    name: str
+    function: Any
+    difference: Directional
     _value: Callable[[float, Array], Array]
-    _difference: Directional
     _below: Callable[[float, Array], Array]
     _above: Callable[[float, Array], Array]
     _forward: float
-    _name: str
     _log: list[tuple[float, str]]  # of all conditions
     _warned: bool = False
 
-    def _crossing(self, t: float, y: Array) -> _Crossing | None:
+    @property
+    def event(self) -> Event:
+        """The condition as an event, which starts the new branch."""
+        made = Event(self.function, action=self.action, rehold=False)
+        made.__name__ = self.name
+        return made
+
+    def crossing(self, t: float, y: Array) -> Crossing | None:
+        """How it is crossed in this state; None: it is not."""
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
-        none = np.zeros((2, self._difference.k))
-        rates = self._difference.columns(t, y, np.ones(2), np.stack([below, above]), none)[:, 0]
+        none = np.zeros((2, self.difference.k))
+        rates = self.difference.columns(t, y, np.ones(2), np.stack([below, above]), none)[:, 0]
         rising, falling = self._forward * rates[0] > 0, self._forward * rates[1] < 0
         if rising:
-            return _Crossing(below, above, rates[0], bool(falling))
-        return _Crossing(above, below, rates[1], leads_back=False) if falling else None
+            return Crossing(below, above, rates[0], bool(falling))
+        return Crossing(above, below, rates[1], leads_back=False) if falling else None
 
     def action(self, t: float, y: Array, *args: Any) -> Array:
         """y, moved by roundoff to the side of the new branch, so that the next step begins with that."""
-        found = self._crossing(t, y)
+        found = self.crossing(t, y)
         if found is None or found.leads_back:
             return y
         side, step = np.sign(self._forward * found.rate), EPS * max(abs(t), 1.0)
@@ -410,10 +430,25 @@ class _Switching:
     def jump(self, t: float, Y: Array, after: Array) -> Array:
         """S behind it."""
         y, S = Y[0], Y[1:]
-        found = self._crossing(t, y)
+        found = self.crossing(t, y)
         if found is None:
             return S
-        self._tell_of_others(t)
+        self.tell(t, found)
+        k = len(S)
+        times = -self.difference.columns(t, y, np.zeros(k), S, np.eye(k))[:, 0] / found.rate
+        moved: Array = S + np.outer(times, found.before - found.behind)
+        return moved
+
+    def tell(self, t: float, found: Crossing) -> None:
+        """A warning if another condition has changed at the same time, or if the crossing leads back."""
+        together = [name for time, name in self._log if abs(time - t) <= _TOGETHER * max(abs(t), 1.0)]
+        self._log.append((t, self.name))
+        if together and self.name not in together:
+            warn(
+                f"sensitivities: several conditions of fun change together at t = {t:.6g}, and each is followed alone. "
+                "Sensitivities are not reliable from there on: write the same condition in one way",
+                AccuracyWarning,
+            )
         if found.leads_back and not self._warned:
             self._warned = True
             warn(
@@ -421,28 +456,13 @@ class _Switching:
                 "Sensitivities are not reliable from there on",
                 AccuracyWarning,
             )
-        k = len(S)
-        times = -self._difference.columns(t, y, np.zeros(k), S, np.eye(k))[:, 0] / found.rate
-        moved: Array = S + np.outer(times, found.before - found.behind)
-        return moved
-
-    def _tell_of_others(self, t: float) -> None:
-        """A warning if another condition has changed at the same time."""
-        together = [name for time, name in self._log if abs(time - t) <= _TOGETHER * max(abs(t), 1.0)]
-        self._log.append((t, self._name))
-        if together and self._name not in together:
-            warn(
-                f"sensitivities: several conditions of fun change together at t = {t:.6g}, and each is followed alone. "
-                "Sensitivities are not reliable from there on: write the same condition in one way",
-                AccuracyWarning,
-            )
 
 
-def _switches(
-    slope: Directional, about: _Derivatives, problem: Description, log: list[tuple[float, str]]
-) -> list[tuple[EventSpec, Callable[..., Array]]]:
-    """The conditions of f at which it jumps, as events, and what happens to S there."""
-    found = slope.switches(about.at)
+def followed(
+    slope: Directional, about: Callable[..., Directional], problem: Description, log: list[tuple[float, str]]
+) -> list[Switching]:
+    """The conditions of f at which it jumps, if they can be followed; if not, there is a warning."""
+    found = slope.switches(Point(problem.t_span[0], problem.y0))
     if not found:
         return []
     unknown = problem.matrices.mass is not None or any(slope.of_inputs(one.difference) for one in found)
@@ -454,34 +474,20 @@ def _switches(
             AccuracyWarning,
         )
         return []
-    n, p, forward = (
-        len(problem.y0),
-        Parameters.of(problem.args),
-        1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0,
-    )
+    forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
     made = []
     for i, switch in enumerate(found):
         name = f"condition {i + 1} of fun"
         function = slope.on_graph([switch.difference], "condition")
-        difference = about.of(function, name, m=1, moves_t=True)
-        values = [slope.branch(one) for one in ([switch.difference], switch.below, switch.above)]
-        switching = _Switching(values[0], difference, values[1], values[2], forward, name, log)
-        event = EventSpec(
-            fun=to_native(name, function, n, 1, p, event=True) if has_llvm() else _sign_of(slope, switch.difference),
-            terminal=0,
-            direction=0,
-            name=name,
-            action=switching.action,
-            rehold=False,
-            samples=0,
-        )
-        made.append((event, switching.jump))
+        difference = about(function, name, m=1, moves_t=True)
+        value, below, above = (slope.branch(one) for one in ([switch.difference], switch.below, switch.above))
+        event = function if has_llvm() else _sign_of(value)
+        made.append(Switching(name, event, difference, value, below, above, forward, log))
     return made
 
 
-def _sign_of(slope: Directional, difference: Node) -> Callable[..., float]:
+def _sign_of(value: Callable[[float, Array], Array]) -> Callable[..., float]:
     """An event without machine code."""
-    value = slope.branch([difference])
     return lambda t, y, *args: float(value(t, y)[0])
 
 
@@ -491,7 +497,11 @@ def _sign_of(slope: Directional, difference: Node) -> Callable[..., float]:
 
 def require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
     """That there are sensitivities. What there are none for is refused by name."""
-    if isinstance(problem.fun, CoreFunction):
+    if isinstance(problem.fun, SecondOrder) and problem.fun.native:
+        raise ValueError(
+            "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
+        )
+    if isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder):
         raise ValueError(
             "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "
             "equations as a function, or use invariode.symbolic"
@@ -539,10 +549,11 @@ def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> t
 
 def _with_inputs(problem: Description) -> Any:
     """f, with its inputs."""
-    if not problem.inputs:
-        return problem.fun
-    inputs = problem.inputs
-    return NativeWithInputs(problem.fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
+    fun, inputs = problem.fun, problem.inputs
+    fun = fun.first_order if isinstance(fun, SecondOrder) else fun
+    if not inputs:
+        return fun
+    return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
 
 
 def _is_python(given: Any) -> bool:

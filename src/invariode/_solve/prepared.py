@@ -16,6 +16,7 @@ from .._base.arguments import Array, extra_arguments, interval
 from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
 from .._functions.layout import Arguments, count_of
+from .._functions.second_order import SecondOrder
 from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments, keep_arrays
 from .._results.messages import MESSAGES
@@ -155,7 +156,8 @@ def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
     mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
-    if alone or isinstance(problem.fun, CoreFunction) or not _of_any_parameters(problem, plan, native):
+    counts = isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder)
+    if alone or counts or not _of_any_parameters(problem, plan, native):
         return False
     if any(event.at_start for event in problem.events):
         return False

@@ -35,4 +35,4 @@ def invariode(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """ODE solvers that keep what the equations keep."""
+    """ODE solvers that conserve what your equations conserve."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Unpack
 
@@ -24,6 +25,10 @@ Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
 
 #: Noise levels: numbers, names of parameters, or one of these for each quantity.
 Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | None
+
+
+#: Runs without an end of their own go on to so many times the last measured time of an event.
+_BEYOND = 10
 
 
 @public
@@ -54,8 +59,8 @@ class Experiment:
         The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
         which is then a relative error.
     event_times : dict, optional
-        Measured times of events, by the name of the event's function. The first value is the time of the first
-        occurrence; NaN means not measured.
+        Measured times of events of the problem, by name: that of ``Event(name=)``, or else of the event's function. The
+        first value is the time of the first occurrence; NaN means not measured.
     event_sigma : float, str or dict, optional
         The standard deviation of these times, specified as for `sigma`.
     y0 : {"steady"}, optional
@@ -63,7 +68,8 @@ class Experiment:
         the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
         parameters. Default: the problem's y0.
     **options
-        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`.
+        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
+        which lists the options that are not accepted.
 
     Examples
     --------
@@ -150,6 +156,27 @@ class Experiment:
             if self.observation.function is not None and self.data.names is not None
             else self.observation.names(len(self.data.values))
         )
+
+    @property
+    def last(self) -> float:
+        """The time of the last datum."""
+        times = [self.data.t, *self.events.values()]
+        return float(max(np.nanmax(one, initial=-np.inf) for one in times))
+
+    def ended(self) -> Problem:
+        """The problem with the end that the data give, if it has no other. If times of one event are all there is, it
+        is terminal at the last one of them; otherwise runs go on beyond the last of these times, in case events come
+        later in a trial."""
+        problem, t0 = self.problem, self.problem.t_span[0]
+        if not self.events:
+            return problem.replace(t_span=(t0, self.last))
+        end = t0 + _BEYOND * (self.last - t0)
+        if len(self.events) > 1 or len(self.data.t):
+            return problem.replace(t_span=(t0, end))
+        (place, times), *_ = self.events.items()
+        events = [copy(one) for one in problem.events]
+        events[place].terminal = events[place].terminal or int(np.flatnonzero(~np.isnan(times))[-1]) + 1
+        return problem.replace(t_span=(t0, end), events=events)
 
     # For the parameters of the fit
 
@@ -356,6 +383,8 @@ def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None)
     for name, times in event_times.items():
         if names.count(name) != 1:
             listed = ", ".join(names) or "no events"
+            if name in names:
+                raise ValueError(f"event_times names {name!r}, and several events have this name: give Event(name=)")
             raise ValueError(f"event_times names {name!r}{meant(name, names)}: the problem has {listed}")
         values = real_numbers(f"event_times of {name}", times)
         if values.ndim != 1 or np.isinf(values).any() or np.isnan(values).all():

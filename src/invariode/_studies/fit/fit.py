@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Unpack
+from collections import Counter
+from contextlib import closing
+from functools import partial
+from typing import Any, Literal, NamedTuple, Unpack
 
-from ..._base.arguments import choice, flag, positive_integer, warn
+from ..._base.arguments import Array, choice, flag, positive_integer, warn
 from ..._base.public import public
 from ..._base.types import MethodName
+from ..._ensemble.worker_processes import may_start, solve_rows
 from ..._problem.options import Options
 from .likelihood import Model, to_model
 from .result import Fit
@@ -31,6 +35,7 @@ def fit(
     absolute_sigma: bool = True,
     starts: int = 1,
     seed: int = 0,
+    workers: int = 1,
     loss: Literal["linear", "soft_l1", "huber", "cauchy", "arctan"] = "linear",
     method: MethodName = "ode45",
     **options: Unpack[Options],
@@ -57,12 +62,18 @@ def fit(
         bounds (a Latin hypercube). If it exceeds 1, each parameter except noise levels needs two finite bounds.
     seed : int, default 0
         The random seed for these points.
+    workers : int, default 1
+        The number of processes that share the `starts`. The result does not depend on it. More than one pays
+        if a search takes longer than starting a process, some 10 ms; functions are sent to the processes as in
+        `solve_ensemble`.
     loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, default "linear"
         As in SciPy. All except "linear" reduce the influence of residuals above one `sigma`, for data with outliers.
     method : str, default 'ode45'
         The method of the runs, a name in `METHODS`.
     **options
-        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9.
+        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9. Not accepted are
+        `t_eval`, `dense_output`, `refine`, `keep`, `sensitivities`, `on_failure`, `callback` and `checkpoint`, which
+        the fit sets itself, and `events`, which belong to the problem.
 
     Returns
     -------
@@ -83,8 +94,9 @@ def fit(
     Notes
     -----
     If the run at a trial point fails, the search rejects the step: ``Fit.failures`` counts the reasons. Noise levels
-    are estimated by maximum likelihood together with the other parameters. Standard errors account for the degrees of
-    freedom that the fitted parameters use.
+    are estimated by maximum likelihood together with the other parameters. Priors are weighed against the data: with
+    priors, an unknown sigma, or the unknown factor of relative ones, is a noise level too, named "sigma". Standard
+    errors account for the degrees of freedom that the fitted parameters use.
 
     Examples
     --------
@@ -105,41 +117,76 @@ def fit(
         "y0": y0,
     }
     choice("loss", loss, LOSSES)
-    model = to_model(problem, t, data, parameters, described, flag("absolute_sigma", absolute_sigma), method, options)
+    flag("absolute_sigma", absolute_sigma)
+    model = to_model(problem, t, data, parameters, described, absolute_sigma, method, options, weighs_priors=True)
     if loss != "linear" and (model.relative or any(one.level for one in model.space.free)):
         raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
-    priors = [one.name for one in model.space.free if one.parameter.prior is not None]
-    if model.relative and priors:  # the prior and the data have no common unit
-        raise ValueError(
-            f"the prior of {priors[0]} needs the standard deviation of the data, to weigh the two: give sigma, or make "
-            'it a noise level by name: sigma="s", with "s": (lower, upper) among the parameters'
-        )
-    count = positive_integer("starts", starts)
-    best, ends = _searched(model, count, seed, loss)
+    points = start_points(model, positive_integer("starts", starts), seed)
+    best, ends = _best(_searched(model, points, loss, positive_integer("workers", workers)))
     known = uncertainty(model, best)
     found = Fit(model, best, known, loss, ends)
     _tell(found)
     return found
 
 
-def _searched(model: Model, count: int, seed: int, loss: str) -> tuple[Found, list[tuple[float, bool]]]:
-    """Run all searches: the best result, and the cost and success of each."""
-    best: Found | None = None
-    ends: list[tuple[float, bool]] = []
-    first: NoStartError | None = None
-    for start in start_points(model, count, seed):
-        try:
-            found = search(model, start, loss)
-        except NoStartError as error:
-            ends.append((math.inf, False))
-            first = first or error
-            continue
-        ends.append((found.cost, found.success))
-        if best is None or (found.cost, not found.success) < (best.cost, not best.success):
-            best = found
-    if best is None:
-        raise ValueError(str(first)) from None
-    return best, ends
+class _End(NamedTuple):
+    """How one of the searches ended.
+
+    Attributes
+    ----------
+    number : int
+        Which of the searches.
+    found : Found or NoStartError
+        What it found.
+    runs, failures : int and Counter
+        What it has cost.
+    """
+
+    number: int
+    found: Found | NoStartError
+    runs: int
+    failures: Counter[str]
+
+
+def _searched(model: Model, points: list[Array], loss: str, workers: int) -> list[_End]:
+    """All searches, in their order, in this process or in others."""
+    if workers > 1 and not may_start():
+        warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
+        workers = 1
+    if workers == 1 or len(points) == 1:
+        return [_search(model, points, loss, i) for i in range(len(points))]
+    ends: list[_End] = []
+    with closing(solve_rows(partial(_search, model, points, loss), len(points), workers, _died)) as chunks:
+        for chunk in chunks:
+            ends += chunk
+    for one in ends:
+        model.runs += one.runs
+        model.failures.update(one.failures)
+    return sorted(ends, key=lambda one: one.number)
+
+
+def _search(model: Model, points: list[Array], loss: str, i: int) -> _End:
+    runs, failures = model.runs, model.failures.copy()
+    found: Found | NoStartError
+    try:
+        found = search(model, points[i], loss)
+    except NoStartError as error:
+        found = error
+    return _End(i, found, model.runs - runs, model.failures - failures)
+
+
+def _died(i: int) -> _End:
+    return _End(i, NoStartError("the worker process died: fun ended the process, or memory ran out"), 0, Counter())
+
+
+def _best(ends: list[_End]) -> tuple[Found, list[tuple[float, bool]]]:
+    """The best result, and the cost and success of each search."""
+    found = [one.found for one in ends]
+    ended = [one for one in found if isinstance(one, Found)]
+    if not ended:
+        raise ValueError(str(found[0])) from None
+    costs = [(one.cost, one.success) if isinstance(one, Found) else (math.inf, False) for one in found]
+    return min(ended, key=lambda one: (one.cost, not one.success)), costs
 
 
 def _tell(found: Fit) -> None:

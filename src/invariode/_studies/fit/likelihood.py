@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,9 @@ _OWN = ("t_eval", "keep", "sensitivities", "dense_output", "refine", "on_failure
 
 #: Tolerances of the runs: residuals must be smoother than the data are noisy, for which the defaults of runs are large.
 RTOL, ATOL = 1e-6, 1e-9
+
+#: The name of an unknown sigma that is fitted.
+IMPLIED = "sigma"
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -91,7 +95,11 @@ class Model:
         Why runs failed, with their number.
     runs : int
         The number of evaluations.
+    implied : str or None
+        The noise level that stands for an unknown sigma.
     """
+
+    implied: str | None = None
 
     def __init__(
         self,
@@ -103,7 +111,8 @@ class Model:
     ) -> None:
         for name in _OWN:
             if name in options or any(name in one.options for one in experiments):
-                raise TypeError(f"{name} is no option of fit, which sets it itself")
+                instead = "give events to the Problem" if name == "events" else "fit sets it itself"
+                raise TypeError(f"{name} is not an option of fit: {instead}")
         tolerant: Options = {"rtol": RTOL, "atol": ATOL, **options}
         self.rtol = float(np.min(tolerant["rtol"]))
         self.experiments = experiments
@@ -222,9 +231,32 @@ def to_model(
     absolute_sigma: bool,
     method: MethodName,
     options: Options,
+    *,
+    weighs_priors: bool = False,
 ) -> Model:
-    """What the arguments of `fit` and `objective` describe."""
+    """What the arguments of `fit` and `objective` describe. `weighs_priors`: an unknown sigma is a parameter if there
+    are priors, which have to be weighed against the data."""
     if parameters is None and data is None:  # several experiments: fit(experiments, parameters)
         t, parameters = None, t
     experiments = to_experiments(problem, {"t": t, "data": data, **described})
-    return Model(experiments, to_parameters(parameters), absolute_sigma, method, options)
+    wanted = to_parameters(parameters)
+    series = [one for each in experiments for one in each.series]
+    implied = None
+    if weighs_priors and any(one.prior is not None for one in wanted.values()) and _is_relative(series, absolute_sigma):
+        taken = any(name == IMPLIED for one in experiments for name in (*wanted, *one.known()))
+        implied = f"{IMPLIED}[data]" if taken else IMPLIED
+        experiments = [_with_level(one, implied) for one in experiments]
+        wanted, absolute_sigma = {**wanted, implied: Parameter()}, True
+    model = Model(experiments, wanted, absolute_sigma, method, options)
+    model.implied = implied
+    return model
+
+
+def _with_level(experiment: Experiment, name: str) -> Experiment:
+    """The same with the unknown factor of sigma as a parameter."""
+    found = copy(experiment)
+    found.series = [
+        one._replace(level=name, sigma=np.ones(len(one.values)) if one.sigma is None else one.sigma)
+        for one in experiment.series
+    ]
+    return found

@@ -68,20 +68,19 @@ class Objective:
 
     def _value(self, at: Evaluation) -> float:
         model = self._model
-        residuals, _, factors = model.space.priors(at.free)
-        priors = float(np.sum(factors - 0.5 * residuals**2) - 0.5 * len(factors) * np.log(2 * np.pi))
+        priors = model.space.priors(at.free)
+        constant = 0.5 * len(priors.residuals) * np.log(2 * np.pi)
         sigma = at.sigma * np.sqrt(model.variance(at))
-        return model.log_likelihood(at, sigma) + priors
+        return float(model.log_likelihood(at, sigma) + priors.log_factor - priors.cost - constant)
 
     def _gradient(self, at: Evaluation) -> Array:
         model = self._model
         found: Array = -at.with_levels(at.jacobian).T @ at.residuals / model.variance(at)
         for one in at.levels:
             found -= len(one.data) / one.value * one.slope
-        residuals, slopes, _ = model.space.priors(at.free)
-        found -= slopes.T @ residuals
-        logs = [one.parameter.prior is not None and one.log for one in model.space.free]
-        return found - np.where(logs, 1 / at.free, 0.0)
+        priors = model.space.priors(at.free)
+        found += priors.slope_of_factor - priors.slopes.T @ priors.residuals
+        return found
 
     def __repr__(self) -> str:
         return f"Objective({', '.join(self.names)}; {self._model.size} data)"
@@ -107,8 +106,8 @@ def objective(
     """Make a function that computes the log-likelihood of the data, and its gradient, from the parameters.
 
     It is for samplers, such as those of PyMC and emcee, and for other optimisers. If parameters have priors, the
-    logarithms of the prior densities are added. If sigma is unknown or relative, its best value for these parameters
-    is used.
+    logarithms of the prior densities are added (without its unknown constant for a prior that is a function). If sigma
+    is unknown or relative, its best value for these parameters is used.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ import numpy as np
 from ..._base.arguments import Array, choice, flag, items, number, shown
 from ..._base.public import public
 from ..._base.suggestions import meant
-from ..._functions.derivatives import compared
+from .priors import Prior, PriorLike, check_complex_steps, to_prior
 
 #: Complex increment of the derivatives of ties: its square vanishes against 1.
 _TINY = 1e-40
@@ -37,10 +37,11 @@ class Parameter:
     scale : {"linear", "log"}, optional
         "log" searches in ln p, for positive parameters of unknown magnitude; the intervals of `Fit.confidence` are
         then symmetric in ln p. Default: "linear", for noise levels "log".
-    prior : (float, float), optional
-        Prior information: a normal distribution with this mean and standard deviation. With ``scale="log"``, ln p is
-        normal: its mean is the logarithm of the first number, its standard deviation is the second. A fit with priors
-        needs a `sigma`: numbers, or noise levels by name.
+    prior : (float, float), (str, float, float) or callable, optional
+        Prior information. ``(mean, sd)`` or ``("normal", mean, sd)``: p is normal. ``("lognormal", median, sd)``: ln p
+        is normal with this standard deviation, which is what a pair means with ``scale="log"`` and for noise levels. A
+        function ``r(p)``: the density is proportional to exp(-r**2 / 2); it is written with NumPy's functions, for its
+        derivative by complex steps. Bounds are a uniform prior.
     shared : bool, default True
         Whether all experiments share one value. False: each has its own, called ``name[0]``, ``name[1]`` and so on.
     equals : float, str or callable, optional
@@ -57,7 +58,7 @@ class Parameter:
     start: float | None = None
     bounds: tuple[float | None, float | None] = (None, None)
     scale: Literal["linear", "log"] | None = None
-    prior: tuple[float, float] | None = None
+    prior: PriorLike = None
     shared: bool = True
     equals: float | str | Callable[..., float] | None = None
 
@@ -74,23 +75,11 @@ class Parameter:
         if self.start is not None:
             own("start", number("start of a Parameter", self.start))
             self.check_start(self.start, "start of a Parameter")
-        if self.prior is not None:
-            own("prior", self._prior(self.prior))
+        if isinstance(self.prior, (list, np.ndarray)):
+            own("prior", tuple(self.prior))
+        to_prior(self.prior, self.scale == "log")
         if self.equals is not None:
             self._tie(self.equals)
-
-    def _prior(self, given: Any) -> tuple[float, float]:
-        pair = items(given)
-        if pair is None or isinstance(given, str) or len(pair) != 2:
-            raise TypeError(f"prior of a Parameter must be (mean, standard deviation), got {shown(given)}")
-        mean, width = (number("prior of a Parameter", one) for one in pair)
-        if not (math.isfinite(mean) and 0 < width < math.inf):
-            raise ValueError(f"prior of a Parameter needs a positive standard deviation, got {shown(given)}")
-        if self.scale == "log" and mean <= 0:
-            raise ValueError(
-                f'prior of a Parameter with scale="log" must be about a positive value, got {shown(given)}'
-            )
-        return mean, width
 
     def _tie(self, equals: Any) -> None:
         others: dict[str, Any] = {"start": self.start, "scale": self.scale, "prior": self.prior}
@@ -190,9 +179,13 @@ class Free(NamedTuple):
         return self.level or self.parameter.scale == "log"
 
     @property
+    def prior(self) -> Prior | None:
+        return to_prior(self.parameter.prior, self.log)
+
+    @property
     def size(self) -> float:
         """Of its values, of which the search has multiples; that of logarithms is 1."""
-        of = [self.start or 0.0, *self.parameter.limits, *(self.parameter.prior or ())]
+        of = [self.start or 0.0, *self.parameter.limits, 0.0 if self.prior is None else self.prior.size]
         return 1.0 if self.log else next((abs(one) for one in of if one != 0 and math.isfinite(one)), 1.0)
 
 
@@ -221,19 +214,8 @@ class _Tied:
 
     def _check(self, at: Array) -> None:
         """Check the derivatives by complex steps against finite differences."""
-        found = compared(lambda z: np.array([self._function(*z)]), at, np.where(at == 0, 1.0, np.abs(at)))
-        if found is None:
-            return  # not defined around this point
-        if isinstance(found.stepped, Exception) or not found.agree(_TOLERANT).all():
-            raise ValueError(
-                f"equals of {self.name} must take complex numbers, for its derivatives: use NumPy's functions in place "
-                "of math's, and no abs"
-            )
+        check_complex_steps(f"equals of {self.name}", lambda z: self._function(*z), at)
         self._checked = True
-
-
-#: By how much complex steps and differences may disagree, in units of the error of the differences.
-_TOLERANT = 10
 
 
 class Local(NamedTuple):
@@ -241,6 +223,28 @@ class Local(NamedTuple):
 
     values: Array  # (k,)
     slopes: Array  # their derivatives with respect to the free ones, (k, free)
+
+
+class Priors(NamedTuple):
+    """All priors of a fit.
+
+    Attributes
+    ----------
+    residuals, slopes : ndarray, (m,) and (m, k)
+        Their residuals with derivatives with respect to the free parameters.
+    log_factor, slope_of_factor : float and ndarray, (k,)
+        The sum of the logarithms of the densities' factors, and its derivatives.
+    """
+
+    residuals: Array
+    slopes: Array
+    log_factor: float
+    slope_of_factor: Array
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return 0.5 * float(self.residuals @ self.residuals)
 
 
 class Space:
@@ -275,6 +279,9 @@ class Space:
                 places[name, e] = len(self.free)
                 called = name if e is None else f"{name}[{e}]"
                 self.free.append(_free(called, name, one, [experiments[i] for i in of]))
+        for free in self.free:
+            if free.start is not None and free.prior and not math.isfinite(free.prior.at(free.start).residual):
+                raise ValueError(f"{free.name} starts at {free.start:g}, where its prior is zero: give another start")
         self._rows: list[list[int | _Fixed | _Tied]] = [
             [self._row(name, e, places) for name in names] for e, names in enumerate(self.names)
         ]
@@ -364,19 +371,19 @@ class Space:
         lower, upper = self.coordinates(limits[:, 0]), self.coordinates(limits[:, 1])
         return lower, upper
 
-    def priors(self, free: Array) -> tuple[Array, Array, Array]:
-        """Residuals of the priors, their derivatives, and the logarithms of the densities' factors."""
-        residuals, slopes, factors = [], [], []
-        for i, one in enumerate(self.free):
-            if one.parameter.prior is None:
-                continue
-            mean, width = one.parameter.prior
-            row = np.zeros(len(free))
-            row[i] = 1 / (width * free[i]) if one.log else 1 / width
-            residuals.append((math.log(free[i] / mean) if one.log else free[i] - mean) / width)
-            slopes.append(row)
-            factors.append(-math.log(width) - (math.log(free[i]) if one.log else 0.0))
-        return np.array(residuals), np.reshape(slopes, (-1, len(free))), np.array(factors)
+    @cached_property
+    def _priors(self) -> list[tuple[int, Prior]]:
+        return [(i, one.prior) for i, one in enumerate(self.free) if one.prior is not None]
+
+    def priors(self, free: Array) -> Priors:
+        """The priors at these values."""
+        every = [(i, prior.at(float(free[i]))) for i, prior in self._priors]
+        rows = [one.slope * np.eye(len(free))[i] for i, one in every]
+        factors = np.zeros(len(free))
+        for i, one in every:
+            factors[i] = one.slope_of_factor
+        residuals = np.array([one.residual for _, one in every])
+        return Priors(residuals, np.reshape(rows, (-1, len(free))), sum(one.log_factor for _, one in every), factors)
 
 
 def _same(value: Any) -> Any:

@@ -24,8 +24,7 @@ _POINTS = 300
 def times(experiment: Experiment) -> Array:
     """The times at which the model is drawn."""
     t0, tf = experiment.problem.t_span
-    end = tf if np.isfinite(tf) else float(np.max(experiment.data.t, initial=t0 + 1))
-    return np.linspace(t0, end, _POINTS)
+    return np.linspace(t0, tf if np.isfinite(tf) else experiment.last, _POINTS)
 
 
 def draw(experiment: Experiment, band: Prediction, sigmas: Sequence[Array], ax: Axes | None) -> Axes:

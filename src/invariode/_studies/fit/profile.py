@@ -145,9 +145,14 @@ class Walk:
                 found = search(self._model, self._model.space.natural(start), held=[self._place])
             except NoStartError:
                 continue
-            gained = 2 * (found.cost - self._found.cost) / self._scale.variance
-            return _Point(u, math.sqrt(max(gained, 0.0)), self._model.space.coordinates(found.at.free))
+            return _Point(u, math.sqrt(max(self._gained(found), 0.0)), self._model.space.coordinates(found.at.free))
         return None
+
+    def _gained(self, found: Found) -> float:
+        """Twice the increase of the cost; that of the data in units of the variance, which priors do not have."""
+        before, now = (self._model.space.priors(one.at.free).cost for one in (self._found, found))
+        data = (found.cost - now) - (self._found.cost - before)
+        return 2 * (data / self._scale.variance + now - before)
 
     def _value(self, u: float) -> float:
         free = self._start.copy()

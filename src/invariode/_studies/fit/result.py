@@ -58,7 +58,8 @@ class Fit:
         as data, or more. Standard errors are then infinite unless sigma is known.
     reduced_chi_squared : float
         The sum of squares of the residuals in units of sigma, divided by `degrees_of_freedom`: about 1 if sigma is
-        right. NaN without degrees of freedom.
+        right. NaN without degrees of freedom, and with a `loss` other than "linear", with which outliers would dominate
+        it.
     sigma : float or None
         The estimate, from the residuals, of an unknown sigma, or of the factor of relative ones; NaN without degrees
         of freedom, None if sigma is known.
@@ -117,13 +118,15 @@ class Fit:
 
     @property
     def reduced_chi_squared(self) -> float:
-        degrees = self.degrees_of_freedom
+        degrees = self.degrees_of_freedom if self._loss == "linear" else 0
         return float(np.sum(self._found.at.residuals**2)) / degrees if degrees else math.nan
 
     @property
     def sigma(self) -> float | None:
-        model = self._model
-        return model.unit * math.sqrt(model.variance(self._found.at, self._inner)) if model.relative else None
+        model, at = self._model, self._found.at
+        if model.implied is not None:
+            return self.parameters[model.implied] * math.sqrt(unit_of_variance(model, at))
+        return model.unit * math.sqrt(model.variance(at, self._inner)) if model.relative else None
 
     @property
     def log_likelihood(self) -> float | None:
@@ -258,7 +261,7 @@ class Fit:
         Parameters
         ----------
         t : array_like of shape (n_t,)
-            The times, within the problem's t_span.
+            The times, within the problem's t_span. The prediction is NaN behind a terminal event.
         experiment : int, default 0
             The index of the experiment.
         level : float, default 0.95
@@ -405,7 +408,7 @@ class Fit:
         """Summary line: the number of data and the goodness of fit."""
         log = self.log_likelihood
         scale = f", sigma {self.sigma:.4g}" if self.sigma is not None else f", χ²/ν {self.reduced_chi_squared:.4g}"
-        if self._found.at.levels or not self.degrees_of_freedom:
+        if self._found.at.levels or math.isnan(self.reduced_chi_squared):
             scale = ""  # noise levels are in the table
         likelihood = "" if log is None else f", log-likelihood {log:.6g}, AIC {self.aic:.6g}"
         return f"{self._model.size} data, {self.degrees_of_freedom} degrees of freedom{scale}{likelihood}"

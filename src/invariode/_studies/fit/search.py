@@ -162,20 +162,16 @@ def _reached(model: Model, found: Found, loss: str, held: Sequence[int]) -> dict
     rows = at.with_levels(at.jacobian) * space.slope(at.free)
     first = weighted(loss, at.residuals).first
     gradient = rows.T @ (first * at.residuals)
+    for level in at.levels:  # of c ln s
+        gradient += len(level.data) / level.value * level.slope * space.slope(at.free)
     rows *= found.weights[:, None]
-    priors, slopes, _ = space.priors(at.free)
-    gradient += (slopes * space.slope(at.free)).T @ priors
+    priors = space.priors(at.free)
+    gradient += (priors.slopes * space.slope(at.free)).T @ priors.residuals
     error = math.sqrt(float(np.mean(first * at.residuals**2)))
     reached = {}
     for i, one in enumerate(space.free):
         for bound, outwards in zip(one.parameter.limits, (-1.0, 1.0), strict=True):
-            if (
-                i in held
-                or one.level
-                or not math.isfinite(bound)
-                or gradient[i] * outwards >= 0
-                or (one.log and not bound)
-            ):
+            if i in held or not math.isfinite(bound) or gradient[i] * outwards >= 0 or (one.log and not bound):
                 continue
             away = abs(u[i] - (math.log(bound) if one.log else bound / one.size))
             if away * float(np.linalg.norm(rows[:, i])) <= _NEAR * error:
@@ -246,9 +242,9 @@ class _Round:
                 length = math.sqrt(len(one.data) * (1 + 2 * math.log(one.value / before)))
                 parts.append(np.array([length]))
                 rows.append(len(one.data) / (length * one.value) * one.slope[None])
-        residuals, slopes, _ = self._space.priors(at.free)
-        jacobian = np.concatenate([*rows, slopes]) * self._space.slope(at.free)
-        return np.concatenate([*parts, residuals]), jacobian[:, self._moving]
+        priors = self._space.priors(at.free)
+        jacobian = np.concatenate([*rows, priors.slopes]) * self._space.slope(at.free)
+        return np.concatenate([*parts, priors.residuals]), jacobian[:, self._moving]
 
     def _residuals(self, u: Array) -> Array:
         at = self._model.evaluate(self._free(u))
@@ -315,8 +311,7 @@ class _Round:
         at = self._last
         data = weighted(self._loss, at.residuals)
         cost = -self._model.log_likelihood(at, at.sigma) if at.levels else data.cost
-        priors = self._space.priors(at.free)[0]
-        return Found(at, cost + 0.5 * float(priors @ priors), success, message, data.second)
+        return Found(at, cost + self._space.priors(at.free).cost, success, message, data.second)
 
 
 def start_points(model: Model, count: int, seed: Any) -> list[Array]:

@@ -20,6 +20,7 @@ from ..._problem.invariants import AccuracyWarning
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
 from ..._problem.sensitivities import Sensitivities
+from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..._solve.problem import Problem
@@ -113,8 +114,8 @@ class Simulation:
         self._watch = _Watch(experiment, names, self._places, self._dynamic)
         t0, tf = problem.t_span
         self._times, self._which = _once(experiment.data.t, backwards=tf < t0)
-        if not np.isfinite(tf):  # a run has no other end
-            problem = problem.replace(t_span=(t0, float(self._times.max(initial=t0 + 1.0))))
+        if not np.isfinite(tf):
+            problem = experiment.ended()
         args, y0 = with_values(problem.args, problem.y0, self._dynamic, values[self._places])  # floats, not integers
         self._problem = problem.replace(args=args, y0=y0, sensitivities=self._sensitivities)
         self._runs = self._prepared(self._times)
@@ -219,10 +220,13 @@ class Simulation:
         sol = self._prepared(once)(start)
         if isinstance(sol, Failed):
             return sol
-        if len(sol.t) < len(once):
+        missing = len(once) - len(sol.t)
+        if missing and sol.status != MESSAGES["terminal_event"][0]:
             return Failed(f"the run ended at t = {sol.t_end:.6g}")
         found = self._curves(sol, start, values)
-        return Curves(found.values[:, which], found.tangent[:, which])
+        behind = [(0, 0), (0, missing)]
+        filled = [np.pad(one, behind + [(0, 0)] * (one.ndim - 2), constant_values=np.nan) for one in found]
+        return Curves(*(one[:, which] for one in filled))
 
     def solution(self, values: Array) -> Solution:
         """A run without sensitivities, as users make it."""

@@ -71,7 +71,7 @@ def _information(model: Model, found: Found, variance: float) -> Array:
     at, slope = found.at, model.space.slope(found.at.free)
     rows = [at.jacobian * slope * found.weights[:, None]]
     rows += [np.sqrt(2 * len(one.data)) * (one.slope * slope / one.value)[None] for one in at.levels]
-    priors = model.space.priors(at.free)[1] * slope
+    priors = model.space.priors(at.free).slopes * slope
     return np.concatenate([*rows, priors * math.sqrt(variance) if math.isfinite(variance) else priors])
 
 

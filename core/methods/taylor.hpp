@@ -1,0 +1,97 @@
+#pragma once
+// Taylor series of any order (docs/algorithms.md, 'Taylor series'; Jorba and Zou, A software package for the numerical
+// integration of ODEs by means of high-order Taylor methods, Exp. Math. 14 (2005) 99-117).
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "series.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+/// y(t + unit s) = Σ c_k s^k up to the order of the series. The expansion at the end of a step is the next one's, and
+/// its first coefficient, against the slope of the polynomial, tells the error of the step.
+class Taylor final : public Step {
+ public:
+  static constexpr int lowest_order = 3, highest_order = 40;
+
+  /// `series` outlives this. `projected`: candidates will be moved, so that an expansion there would be of no use; f is
+  /// evaluated instead.
+  Taylor(Callback& f, const Weights& weights, Series& series, bool projected);
+
+  Outcome start(double t, const double* y, const Span& span) override;
+  Attempt attempt(double h, double t1) override;
+  bool errors(double* out) const override;
+  bool reject(Cause cause, double hmin) override;
+  Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
+
+  /// All coefficients but the first.
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return order_; }
+
+  [[nodiscard]] Interpolate interpolate() const override;
+  [[nodiscard]] std::size_t extension_size() const override { return (order_ + 1) * n(); }
+  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
+  [[nodiscard]] int degree() const override { return order(); }
+  Status extension(double* data) override;
+
+  [[nodiscard]] int order() const override { return static_cast<int>(order_); }
+  /// |h λ| from the ratio of the last two coefficients: λ^k / k! outgrows all others where stability limits h.
+  [[nodiscard]] double stability() const override;
+  [[nodiscard]] double real_limit() const override;
+  [[nodiscard]] const double* slope() const override;
+  [[nodiscard]] int undefined_component() const override { return undefined_.component; }
+  [[nodiscard]] std::optional<int> undefined_coefficient() const override { return undefined_.coefficient; }
+
+ private:
+  /// Coefficients (order + 1, n) in s = (t − t_k) / unit.
+  struct Expansion {
+    std::vector<double> c;
+    double unit = 1;
+    bool finite = true;
+  };
+  [[nodiscard]] const double* row(const Expansion& expansion, std::size_t k) const {
+    return expansion.c.data() + k * n();
+  }
+  [[nodiscard]] const Expansion& at_point_reached() const { return accepted_ ? next_ : current_; }
+  [[nodiscard]] Expansion& at_point_reached() { return accepted_ ? next_ : current_; }
+
+  Status expand(double t, const double* y, Expansion& into);
+  Status evaluate_at_candidate();
+  [[nodiscard]] double reach(const Expansion& expansion) const;
+  [[nodiscard]] double error_of(std::size_t i) const;
+  [[nodiscard]] int first_undefined(const double* v) const;
+
+  /// What was not finite in the last attempt.
+  struct Undefined {
+    int component = -1;
+    std::optional<int> coefficient;  ///< nothing: f
+  };
+
+  Series& series_;
+  bool projected_;
+  std::size_t order_;
+  double exponent_;  // 1 / (p + 1)
+  double factor_;    // of h: (rtol e^{−0.7})^{1/(p−1)}
+  double rtol_;      // of the acceptance test
+  Expansion current_, next_;
+  std::vector<double> values_;
+  double* candidate_ = nullptr;  // y*
+  double* end_slope_ = nullptr;  // of the polynomial, in the unit of its expansion
+  double* end_f_ = nullptr;      // f(t₁, y*), in units of `end_unit_`
+  double* weight_ = nullptr;     // at both ends of the last step
+  double* slope_ = nullptr;
+  double t1_ = 0;
+  double error_ = 0;
+  double length_ = 0;  // t₁ − t
+  double end_unit_ = 1;
+  bool expanded_ = false;  // next_ is the expansion at the candidate
+  bool failed_ = false;    // an attempt of this step failed
+  bool accepted_ = false;
+  Undefined undefined_;
+};
+
+}  // namespace invariode

@@ -1,0 +1,142 @@
+"""What is known of parameters before a fit: priors as residuals, whose squares are minus twice the log of a density."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from ..._base.arguments import choice, items, number, shown
+from ..._functions.derivatives import compared
+
+#: Complex increment of derivatives: its square vanishes against 1.
+_TINY = 1e-40
+#: By how much complex steps and differences may disagree, in units of the error of the differences.
+_TOLERANT = 10
+
+PriorLike: TypeAlias = (
+    tuple[float, float] | tuple[Literal["normal", "lognormal"], float, float] | Callable[[Any], Any] | None
+)
+
+
+class At(NamedTuple):
+    """A prior at a value p of its parameter.
+
+    Attributes
+    ----------
+    residual, slope : float
+        r and dr/dp: the density is a factor times exp(−r² / 2).
+    log_factor, slope_of_factor : float
+        The logarithm of the factor, without that of 1/√(2π), and its derivative; 0 if it is not known.
+    """
+
+    residual: float
+    slope: float
+    log_factor: float = 0.0
+    slope_of_factor: float = 0.0
+
+
+class Prior(Protocol):
+    """The density of a parameter."""
+
+    @property
+    def size(self) -> float:
+        """The size of its values; 0: it is not known."""
+
+    def at(self, value: float) -> At:
+        """The prior at a value."""
+
+
+class Normal(NamedTuple):
+    """p is normal."""
+
+    mean: float
+    width: float
+
+    @property
+    def size(self) -> float:
+        return abs(self.mean)
+
+    def at(self, value: float) -> At:
+        return At((value - self.mean) / self.width, 1 / self.width, -math.log(self.width))
+
+
+class LogNormal(NamedTuple):
+    """ln p is normal."""
+
+    median: float
+    width: float
+
+    @property
+    def size(self) -> float:
+        return self.median
+
+    def at(self, value: float) -> At:
+        if value <= 0:  # where the density is 0
+            return At(math.inf, math.nan)
+        residual = math.log(value / self.median) / self.width
+        return At(residual, 1 / (self.width * value), -math.log(self.width * value), -1 / value)
+
+
+class Residual:
+    """r(p) is given, and the density is proportional to exp(−r² / 2)."""
+
+    size = 0.0
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function = function
+        self._checked = False
+
+    def at(self, value: float) -> At:
+        """The prior at a value; its derivative is by a complex step."""
+        found = number("the value of a prior", self._function(value))
+        if not self._checked:
+            self._check(value)
+        slope = complex(self._function(value + _TINY * 1j)).imag / _TINY
+        return At(found, slope)
+
+    def _check(self, value: float) -> None:
+        check_complex_steps("a prior", lambda z: self._function(z[0]), np.array([value]))
+        self._checked = True
+
+
+def check_complex_steps(called: str, function: Callable[..., Any], at: Any) -> None:
+    """That complex steps give the derivatives of a function of numbers.
+
+    Raises
+    ------
+    ValueError
+        They do not.
+    """
+    found = compared(lambda z: np.array([function(z)]), at, np.where(at == 0, 1.0, np.abs(at)))
+    if found is None:
+        return  # not defined around this point
+    if isinstance(found.stepped, Exception) or not found.agree(_TOLERANT).all():
+        raise ValueError(
+            f"{called} must take complex numbers, for its derivatives: use NumPy's functions in place of math's, and "
+            "no abs"
+        )
+
+
+def to_prior(given: Any, log: bool) -> Prior | None:
+    """Convert the prior of a parameter; `log`: a pair is about its logarithm."""
+    if given is None or isinstance(given, (Normal, LogNormal, Residual)):
+        return given
+    if callable(given):
+        return Residual(given)
+    entries = items(given)
+    if entries is None or isinstance(given, str) or len(entries) not in (2, 3):
+        raise TypeError(
+            'prior of a Parameter must be (mean, standard deviation), ("lognormal", median, standard deviation of '
+            f"ln p), or a function r(p) with density exp(-r**2 / 2), got {shown(given)}"
+        )
+    kind = ("lognormal" if log else "normal") if len(entries) == 2 else entries[0]
+    choice("the kind of a prior", kind, ("normal", "lognormal"))
+    mean, width = (number("prior of a Parameter", one) for one in entries[-2:])
+    if not (math.isfinite(mean) and 0 < width < math.inf):
+        raise ValueError(f"prior of a Parameter needs a positive standard deviation, got {shown(given)}")
+    if kind == "lognormal" and mean <= 0:
+        raise ValueError(f"a log-normal prior of a Parameter must be about a positive value, got {shown(given)}")
+    return LogNormal(mean, width) if kind == "lognormal" else Normal(mean, width)
