@@ -83,15 +83,11 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called = _as_called(fun)
         span, start = interval(t_span), state(y0)
+        called = _as_called(fun, start)
         start.flags.writeable = False
         is_complex = start.dtype.kind == "c"
-        if is_complex and isinstance(called, TracedFunction):
-            called = called.of_complex()
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
-        if name is not None and not isinstance(name, str):
-            raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
             "jac": jac,
@@ -102,6 +98,7 @@ class Description:
             "nonnegative": nonnegative,
             "bounds": bounds,
         }
+        others = (invariants, events, second_order or None, sensitivities, inputs, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
@@ -111,7 +108,7 @@ class Description:
             events=_checked_events(events),
             matrices=matrices,
             inputs=to_inputs(inputs, span),
-            name=call_name(called, "problem") if name is None else name,
+            name=_named(name, called),
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
@@ -119,9 +116,7 @@ class Description:
             _title=name,
             _labels=named,
             _as_given=given,
-            is_plain=_is_plain(
-                called, invariants, events, second_order or None, sensitivities, inputs, *given.values()
-            ),
+            is_plain=is_plain_function(called) and not [one for one in others if one is not None],
         )
         if self.sensitivities is not None and self.args:
             self.parameters()
@@ -212,16 +207,18 @@ class Description:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
 
-def _as_called(fun: Any) -> Any:
+def _as_called(fun: Any, y0: Array) -> Any:
     """f as the solvers call it."""
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
-        return compile(called)
-    return called
+        called = compile(called)
+    return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
 
 
-def _is_plain(fun: Any, *others: Any) -> bool:
-    return is_plain_function(fun) and not [one for one in others if one is not None]
+def _named(name: str | None, fun: Any) -> str:
+    if name is not None and not isinstance(name, str):
+        raise TypeError(f"name of the problem must be a str, got {shown(name)}")
+    return call_name(fun, "problem") if name is None else name
 
 
 def _checked_events(events: EventsLike) -> list[Any]:

@@ -192,8 +192,6 @@ class Plan(NamedTuple):
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception that a single solve raises if the run ended like this."""
         state = run.state
-        if state in MESSAGES:
-            return None
         if state == "invariant_refused":
             text = refusal(run, self.laws, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)

@@ -265,11 +265,11 @@ def presented(
 ) -> Solution:
     """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
     took turns."""
-    if exception := plan.exception(run):
-        raise exception
-    if run.state == "start_undefined":
+    if run.state not in MESSAGES:
+        if exception := plan.exception(run):
+            raise exception
         problem = source.problem
-        if error := wrong_length(problem, problem.y0, problem.args):
+        if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
             raise error
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
