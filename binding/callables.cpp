@@ -22,8 +22,6 @@
 
 namespace invariode::binding {
 
-namespace {
-
 /// A Python callable as a core callback. y, or its two parts, is handed over in an array that the callee may keep: it
 /// is used again only if nobody else holds it or a view of it. Results are copied at once. The first exception stays
 /// set, and the callback says `stop`.
@@ -41,6 +39,12 @@ class PythonFunction final : public Callable {
   }
 
   [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
+  /// Another one that takes and returns the same.
+  void exchange(nb::object callable, nb::tuple args) {
+    looks_for_signals_ = PyFunction_Check(callable.ptr());
+    std::swap(callable_, callable);  // what it was is given up at the end, which may run Python code
+    std::swap(args_, args);
+  }
   int visit(visitproc visit, void* arg) const override {
     Py_VISIT(callable_.ptr());
     Py_VISIT(args_.ptr());
@@ -324,6 +328,8 @@ void PythonFunction::complain(PyObject* returned) const {
   Py_XDECREF(cause);
   Py_XDECREF(traceback);
 }
+
+namespace {
 
 /// Machine code as a core callback, with the arguments it gets. It needs no interpreter.
 class NativeFunction final : public Callable {
@@ -627,6 +633,17 @@ Motion& Functions::motion(const nb::object& mechanics) {
 Callback Functions::state_valued(nb::handle f, const std::string& name) {
   return add(f, args_, name, {.rows = static_cast<npy_intp>(space_.components()), .complex = space_.complex},
              space_.complex);
+}
+
+Callback Functions::exchangeable(nb::handle f, const std::string& name) {
+  const Callback callback = state_valued(f, name);
+  exchangeable_ = owned_.empty() ? nullptr : dynamic_cast<PythonFunction*>(owned_.back().get());
+  return callback;
+}
+
+void Functions::lend(nb::object f, nb::tuple args) {
+  if (exchangeable_ == nullptr) throw std::invalid_argument("f is no Python function, and cannot be exchanged");
+  exchangeable_->exchange(std::move(f), std::move(args));
 }
 
 Callback Functions::scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}, space_.complex); }

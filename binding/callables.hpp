@@ -109,6 +109,7 @@ struct Takes {
 };
 
 class OwnedMotion;
+class PythonFunction;
 
 /// Owns the functions of a problem and makes callbacks of them. Names are for messages.
 class Functions {
@@ -118,6 +119,10 @@ class Functions {
 
   /// f(t, y) -> state
   Callback state_valued(nb::handle f, const std::string& name);
+  /// The same, which `lend` can exchange if it is Python's. One for all functions.
+  Callback exchangeable(nb::handle f, const std::string& name);
+  /// Puts a Python function and its further arguments in the place of the exchangeable one, which must be Python's.
+  void lend(nb::object f, nb::tuple args);
   /// f(t, y) -> number
   Callback scalar(nb::handle f, const std::string& name);
   /// f(t, y), without args, -> true or false
@@ -170,7 +175,8 @@ class Functions {
   nb::tuple args_;
   std::vector<double> parameters_;
   std::vector<std::unique_ptr<Callable>> owned_;
-  std::vector<OwnedMotion*> motions_;  // among them
+  std::vector<OwnedMotion*> motions_;       // among them
+  PythonFunction* exchangeable_ = nullptr;  // likewise
   bool native_ = true;
 };
 

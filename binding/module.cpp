@@ -218,7 +218,8 @@ void define_methods(nb::module_& module) {
           "Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.")
       .def_prop_ro(
           "equations", [](const Method& m) { return name_of(m.equations); },
-          "What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.")
+          "What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' "
+          "system.")
       .def_prop_ro("options", [](const Method& m) {
         std::vector<const char*> names;
         for (const char* one : m.options)
@@ -247,7 +248,7 @@ NB_MODULE(_core, module) {
         "sub-interpreters");
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
-  define_outputs();
+  define_outputs(module);
   define_callables(module);
   define_problem(module);
   define_dense(module);

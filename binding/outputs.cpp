@@ -9,6 +9,8 @@
 #include <span>
 #include <utility>
 
+#include "weights.hpp"
+
 namespace invariode::binding {
 namespace {
 
@@ -41,6 +43,15 @@ nb::object handed_over(std::span<const npy_intp> shape, bool complex, Buffer<dou
   return array;
 }
 
+bool finite_numbers(nb::handle values) {
+  auto* array = reinterpret_cast<PyArrayObject*>(values.ptr());
+  const bool known = PyArray_Check(values.ptr()) && PyArray_IS_C_CONTIGUOUS(array) &&
+                     (PyArray_TYPE(array) == NPY_DOUBLE || PyArray_TYPE(array) == NPY_CDOUBLE);
+  if (!known) throw nb::type_error("not a contiguous array of float64 or complex128");
+  const auto size = static_cast<std::size_t>(PyArray_NBYTES(array)) / sizeof(double);
+  return all_finite(static_cast<const double*>(PyArray_DATA(array)), size);
+}
+
 npy_intp components(std::size_t n, bool complex) { return static_cast<npy_intp>(complex ? n / 2 : n); }
 
 }  // namespace
@@ -60,8 +71,10 @@ nb::object state_array(const double* y, std::size_t n, bool complex) {
   return copied(shape, complex, y, n);
 }
 
-void define_outputs() {
+void define_outputs(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
+  module.def("all_finite", &finite_numbers, nb::arg("values"),
+             "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
 }
 
 }  // namespace invariode::binding

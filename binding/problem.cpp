@@ -206,7 +206,7 @@ Weights Tolerances::for_size(std::size_t n) const {
 BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {
   problem_.n = spec.n;
   problem_.complex = spec.complex;
-  if (!spec.fun.is_none()) problem_.f = functions_.state_valued(spec.fun, "fun(t, y)");
+  if (!spec.fun.is_none()) problem_.f = functions_.exchangeable(spec.fun, "fun(t, y)");
   if (spec.series) problem_.series = functions_.series(*spec.series);
   if (nb::isinstance<MotionPart>(spec.fun))
     problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
@@ -429,9 +429,11 @@ constexpr Setting settings[] = {
     plain<&RunSettings::t0>("t0"),
     plain<&RunSettings::tf>("tf"),
     plain<&RunSettings::hmax>("max_step"),
+    {"times", set_times, get_times},
+    plain<&RunSettings::max_points>("max_points"),
+    plain<&RunSettings::max_bytes>("max_bytes"),
     plain<&RunSettings::first_step>("first_step"),
     plain<&RunSettings::refine>("refine"),
-    {"times", set_times, get_times},
     {"interpolation",
      [](RunSettings& s, nb::handle name) {
        s.interpolation = choose(interpolation_names, nb::cast<std::string>(name), "interpolation");
@@ -451,8 +453,6 @@ constexpr Setting settings[] = {
     plain<&RunSettings::negligible>("negligible"),
     plain<&RunSettings::max_steps>("max_steps"),
     plain<&RunSettings::time_limit>("time_limit"),
-    plain<&RunSettings::max_points>("max_points"),
-    plain<&RunSettings::max_bytes>("max_bytes"),
 };
 
 void define_settings(nb::module_& module) {

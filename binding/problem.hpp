@@ -132,6 +132,8 @@ class BoundProblem {
   [[nodiscard]] bool native() const { return functions_.native(); }
   /// The motions that its functions are parts of.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
+  /// Puts a Python function in the place of f, which must be one.
+  void lend(nb::object f, nb::tuple args) { functions_.lend(std::move(f), std::move(args)); }
   int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
 
  private:

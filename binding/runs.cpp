@@ -302,6 +302,30 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
   return finished;
 }
 
+/// A Python function in the place of f, for a run: afterwards the solver holds nothing of the user's.
+class Lent {
+ public:
+  Lent(BoundProblem& bound, nb::object fun, nb::tuple args) : bound_(bound) {
+    bound_.lend(std::move(fun), std::move(args));
+  }
+  Lent(const Lent&) = delete;
+  Lent& operator=(const Lent&) = delete;
+  ~Lent() { bound_.lend(nb::none(), nb::tuple()); }
+
+ private:
+  BoundProblem& bound_;
+};
+
+/// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
+FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, const ConstVector& y0,
+                            const RunSettings& settings) {
+  require_state(y0, self.solver.problem().extent().size());
+  self.solver.cover(settings);
+  const Lent lent(self.bound, std::move(fun), std::move(args));
+  const nb::object nobody = nb::none();
+  return drive(self, {.y0 = y0.data()}, nobody, nullptr, nobody, 0);
+}
+
 /// A run that Python advances step by step. It keeps its solver alive.
 class Stepper {
  public:
@@ -551,6 +575,10 @@ void define_summary_of_run(RunClass& run) {
   run.def_prop_ro(
       "counts", [](const FinishedRun& self) { return std::tuple_cat(self.result.counted()); },
       "Numbers, in the order of COUNTS.");
+  property(run, "steps", [](const RunResult& r) { return r.counts.steps; });
+  property(run, "nfev", [](const RunResult& r) { return r.nfev; });
+  property(run, "njev", [](const RunResult& r) { return r.linear.jacobians; });
+  property(run, "nlu", [](const RunResult& r) { return r.linear.factorizations; });
   property(run, "projected_start", [](const RunResult& r) { return r.projected_start; });
   property(run, "derivatives", [](const RunResult& r) {
     std::vector<const char*> names;
@@ -679,7 +707,10 @@ void define_solver(nb::module_& module) {
       .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
            nb::arg("cover") = nb::none(),
            "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
-           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.");
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
+      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("settings"),
+           "Integrates y' = fun(t, y, *args) from y0 with these settings of the loop, in the place of the Python "
+           "function that it was made with; afterwards it holds no function.");
 }
 
 void define_stepper(nb::module_& module) {

@@ -117,4 +117,9 @@ void Solver::cover(double t0, double tf, double hmax) {
   require_settings(settings_);
 }
 
+void Solver::cover(Settings settings) {
+  require_settings(settings);
+  settings_ = std::move(settings);
+}
+
 }  // namespace invariode

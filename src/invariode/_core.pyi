@@ -7,6 +7,11 @@ import numpy
 from numpy.typing import NDArray
 
 
+def all_finite(values: object) -> bool:
+    """
+    Whether all numbers of a contiguous array of float64 or complex128 are finite.
+    """
+
 class PiecewisePolynomial:
     """Functions of t that are polynomials between times."""
 
@@ -149,6 +154,24 @@ class Settings:
     def max_step(self, arg: object, /) -> None: ...
 
     @property
+    def times(self) -> object: ...
+
+    @times.setter
+    def times(self, arg: object, /) -> None: ...
+
+    @property
+    def max_points(self) -> object: ...
+
+    @max_points.setter
+    def max_points(self, arg: object, /) -> None: ...
+
+    @property
+    def max_bytes(self) -> object: ...
+
+    @max_bytes.setter
+    def max_bytes(self, arg: object, /) -> None: ...
+
+    @property
     def first_step(self) -> object: ...
 
     @first_step.setter
@@ -159,12 +182,6 @@ class Settings:
 
     @refine.setter
     def refine(self, arg: object, /) -> None: ...
-
-    @property
-    def times(self) -> object: ...
-
-    @times.setter
-    def times(self, arg: object, /) -> None: ...
 
     @property
     def interpolation(self) -> object: ...
@@ -249,18 +266,6 @@ class Settings:
 
     @time_limit.setter
     def time_limit(self, arg: object, /) -> None: ...
-
-    @property
-    def max_points(self) -> object: ...
-
-    @max_points.setter
-    def max_points(self, arg: object, /) -> None: ...
-
-    @property
-    def max_bytes(self) -> object: ...
-
-    @max_bytes.setter
-    def max_bytes(self, arg: object, /) -> None: ...
 
     FIELDS: tuple = ...
 
@@ -386,6 +391,18 @@ class Run:
     @property
     def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
+
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def nfev(self) -> int: ...
+
+    @property
+    def njev(self) -> int: ...
+
+    @property
+    def nlu(self) -> int: ...
 
     @property
     def projected_start(self) -> bool: ...
@@ -536,6 +553,11 @@ class Solver:
     def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
         """
         Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
+        """
+
+    def integrate_other(self, fun: object, args: tuple, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], settings: Settings) -> Run:
+        """
+        Integrates y' = fun(t, y, *args) from y0 with these settings of the loop, in the place of the Python function that it was made with; afterwards it holds no function.
         """
 
 class Stepper:

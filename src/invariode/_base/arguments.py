@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._core import all_finite
 from .suggestions import meant
 
 Array = NDArray[Any]
@@ -37,6 +38,7 @@ _NUMERIC = "biufcO"
 _Value = TypeVar("_Value")
 
 _quiet = ContextVar("quiet", default=False)
+_warned = ContextVar("warned", default=0)
 
 #: What the paths of our own files start with.
 PACKAGE = os.path.dirname(os.path.dirname(__file__)) + os.sep
@@ -44,12 +46,18 @@ PACKAGE = os.path.dirname(os.path.dirname(__file__)) + os.sep
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """A warning that points at the line of the caller of this package."""
+    _warned.set(_warned.get() + 1)
     if _quiet.get():
         return
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
+
+
+def warnings_given() -> int:
+    """How many warnings this thread has given, or would have given, so far."""
+    return _warned.get()
 
 
 @contextmanager
@@ -114,6 +122,8 @@ def function(name: str, value: object, signature: str) -> Any:
 
 def number(name: str, value: object) -> float:
     """A real number, and not NaN."""
+    if type(value) is float and value == value:  # the common case
+        return value
     if isinstance(value, (str, bytes, bytearray)) or (isinstance(value, np.ndarray) and value.ndim):
         raise TypeError(f"{name} must be a real number, got {shown(value)}")
     try:
@@ -185,6 +195,8 @@ def flag(name: str, value: object) -> bool:
 
 def items(value: object) -> list[Any] | None:
     """The items of a list, a tuple, an array and the like; None for what has no items."""
+    if type(value) is tuple or type(value) is list:  # the common case
+        return list(value)
     if (
         isinstance(value, (bytes, bytearray, memoryview)) or not isinstance(value, Iterable) or hasattr(value, "tocsr")
     ):  # a sparse matrix, whose items are sparse matrices again
@@ -217,6 +229,8 @@ def _too_large(name: str, value: object) -> ValueError:
 
 def as_array(name: str, value: object) -> Array:
     """What was given as an array of any type and shape."""
+    if type(value) is np.ndarray:  # the common case
+        return value
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
     try:
@@ -260,7 +274,7 @@ def state(y0: ArrayLike) -> Array:
     if y.ndim != 1:
         raise ValueError(f"`y0` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
     y = numbers("y0", y)
-    if not np.isfinite(y).all():
+    if not all_finite(y):
         i = int(np.flatnonzero(~np.isfinite(y))[0])
         raise ValueError(f"All components of the initial state `y0` must be finite, got y0[{i}] = {y[i]}")
     return y

@@ -313,6 +313,15 @@ class EnsembleSolution:
             at_outputs = end[i][:, :, None] if self._final else values[i]
             S = SensitivityData(names, at_outputs[:, :, reached], end[i], None)
         return Solution(
+            {
+                "_invariants": invariants,
+                "_rtol": about.rtol,
+                "_atol": about.atol,
+                "_drift": self._drift(i, about, stats, known=len(invariants) > 0),
+                "_names": Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
+                "_sensitivities": S,
+                "_origin": None,
+            },
             t=t[reached],
             y=y[:, reached],
             sol=None,
@@ -329,12 +338,6 @@ class EnsembleSolution:
             stats=stats,
             steps=None,
             t_end=float(self.t_end[i]),
-            _invariants=invariants,
-            _rtol=about.rtol,
-            _atol=about.atol,
-            _drift=self._drift(i, about, stats, known=len(invariants) > 0),
-            _names=Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
-            _sensitivities=S,
         )
 
     def _stats_of(self, i: int) -> Stats:

@@ -22,7 +22,7 @@ import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
-from types import BuiltinFunctionType, FunctionType, MappingProxyType
+from types import BuiltinFunctionType, FunctionType, MappingProxyType, MethodType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -334,9 +334,19 @@ def numba_or_say_so() -> Any:
 
 def is_native(fun: object) -> bool:
     """Whether `fun` is machine code of a kind that is accepted."""
+    if type(fun) in _PLAIN:  # the common case
+        return False
     if isinstance(fun, CoreFunction):
         return fun.native
     return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
+
+
+def is_plain_function(fun: object) -> bool:
+    """Whether `fun` is called as it is, by Python: no machine code, and no class of this package."""
+    if type(fun) in _PLAIN:
+        return True
+    of_ours = any(one.__module__.partition(".")[0] == "invariode" for one in type(fun).__mro__)
+    return not of_ours and not is_native(fun)
 
 
 class NativeWithInputs(NamedTuple):
@@ -353,6 +363,7 @@ class NativeWithInputs(NamedTuple):
         return Arguments([*entries, *further.entries])
 
 
+_PLAIN = (FunctionType, MethodType)
 _POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
 
 

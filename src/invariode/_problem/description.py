@@ -23,7 +23,7 @@ from .._base.arguments import (
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
 from .._functions.compile import compile
-from .._functions.compiled import is_native
+from .._functions.compiled import is_native, is_plain_function
 from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
@@ -56,6 +56,7 @@ class Description:
     sensitivities: Sensitivities | None
     records_events: bool
     second_order: bool
+    is_plain: bool  # y' = f(t, y, *args) with a Python function, and nothing else
     _title: str | None
     _labels: list[str] | None
     _as_given: dict[str, Any]
@@ -82,44 +83,40 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
-        if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
-            called = compile(called)
         span, start = interval(t_span), state(y0)
+        called = _as_called(fun, start)
         start.flags.writeable = False
-        listed = _checked_events(events)
         is_complex = start.dtype.kind == "c"
-        if is_complex and isinstance(called, TracedFunction):
-            called = called.of_complex()
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
-        if name is not None and not isinstance(name, str):
-            raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         named = None if labels is None else distinct_labels(labels, len(start))
+        given = {
+            "jac": jac,
+            "jac_sparsity": jac_sparsity,
+            "lband": lband,
+            "uband": uband,
+            "mass": mass,
+            "nonnegative": nonnegative,
+            "bounds": bounds,
+        }
+        others = (invariants, events, second_order or None, sensitivities, inputs, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
             y0=start,
             args=extra_arguments(args),
             invariants=to_invariants(invariants),
-            events=listed,
+            events=_checked_events(events),
             matrices=matrices,
             inputs=to_inputs(inputs, span),
-            name=call_name(called, "problem") if name is None else name,
+            name=_named(name, called),
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
             second_order=flag("second_order", second_order) or states_second_order(called),
             _title=name,
             _labels=named,
-            _as_given={
-                "jac": jac,
-                "jac_sparsity": jac_sparsity,
-                "lband": lband,
-                "uband": uband,
-                "mass": mass,
-                "nonnegative": nonnegative,
-                "bounds": bounds,
-            },
+            _as_given=given,
+            is_plain=is_plain_function(called) and not [one for one in others if one is not None],
         )
         if self.sensitivities is not None and self.args:
             self.parameters()
@@ -208,6 +205,20 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _as_called(fun: Any, y0: Array) -> Any:
+    """f as the solvers call it."""
+    called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+    if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
+        called = compile(called)
+    return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
+
+
+def _named(name: str | None, fun: Any) -> str:
+    if name is not None and not isinstance(name, str):
+        raise TypeError(f"name of the problem must be a str, got {shown(name)}")
+    return call_name(fun, "problem") if name is None else name
 
 
 def _checked_events(events: EventsLike) -> list[Any]:

@@ -27,6 +27,9 @@ class Matrices:
     mass: Any = None
 
 
+_NOTHING_KNOWN = Matrices()
+
+
 def to_matrices(
     jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, n: int, *, is_complex: bool
 ) -> Matrices:
@@ -39,7 +42,7 @@ def to_matrices(
         The one that is wrong.
     """
     if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
-        return Matrices()
+        return _NOTHING_KNOWN
     whole, names, bands = (n, n), ("lband", "uband"), None
     if isinstance(jac, Banded):
         if lband is not None or uband is not None:

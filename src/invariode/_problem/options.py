@@ -21,6 +21,7 @@ from .._base.arguments import (
     count,
     flag,
     function,
+    kept,
     positive,
     positive_integer,
     shown,
@@ -65,6 +66,7 @@ __all__ = [
     "StepperOptions",
     "changed",
     "checked",
+    "keep_arrays",
     "parted",
     "refused",
     "table_of",
@@ -696,6 +698,8 @@ _REPLACED: Mapping[str, str] = {
 
 _OF_A_RUN = table_of(Options)
 _DEFAULTS = {name: row.default for name, row in _OF_A_RUN.items()}
+#: Options whose values may be arrays.
+_OF_ARRAYS: tuple[Literal["t_eval", "rtol", "atol", "breakpoints"], ...] = ("t_eval", "rtol", "atol", "breakpoints")
 _OF_SOME_METHODS = frozenset(name for name, row in TABLE.items() if not row.every_method)
 
 _Part = TypeVar("_Part")
@@ -738,6 +742,13 @@ def unknown_option(name: str, known: Iterable[str], text: str = "unknown option"
     return TypeError(f"{text} {name!r}{hint}")
 
 
+def keep_arrays(options: Options) -> None:
+    """Puts copies in the place of what the caller could change later."""
+    for name in _OF_ARRAYS:
+        if options.get(name) is not None:
+            options[name] = kept(options[name])
+
+
 def changed(options: Options, changes: Mapping[str, Any]) -> Options:
     """The options with changes. New limits replace `max_steps`, their short form, and the other way round."""
     kept: dict[str, Any] = dict(options)
@@ -763,6 +774,9 @@ def unused(method: MethodName, describing: DescribingOptions) -> None:
 
 def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
     """Options in two: those of the class, and the others."""
-    own, others = kind.__annotations__, dict(options)
-    mine = {name: others.pop(name) for name in options if name in own}
-    return cast("_Part", mine), others
+    own = kind.__annotations__
+    mine: Any = {}
+    others: Any = {}
+    for name, value in options.items():
+        (mine if name in own else others)[name] = value
+    return mine, others

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, TypedDict, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,10 @@ class Record(Mapping[str, Any]):
 
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__
+
+
+def _none() -> None:
+    return None
 
 
 @dataclasses.dataclass(eq=False)
@@ -127,12 +131,33 @@ class Stats(Record):
     linear_iterations: int
     derivatives: str | None
     projected_start: bool
-    clipped_amount: float = 0.0
-    mechanics: dict[str, Any] | None = None
-    stiff_since: float | None = None
-    jacobian: str | None = None
-    discontinuities: tuple[float, ...] = ()
-    sensitivities: str | None = None
+    # Factories leave no attributes of the class, which would hide that a field is not there yet.
+    clipped_amount: float = dataclasses.field(default_factory=float)
+    mechanics: dict[str, Any] | None = dataclasses.field(default_factory=_none)
+    stiff_since: float | None = dataclasses.field(default_factory=_none)
+    jacobian: str | None = dataclasses.field(default_factory=_none)
+    discontinuities: tuple[float, ...] = dataclasses.field(default_factory=tuple)
+    sensitivities: str | None = dataclasses.field(default_factory=_none)
+
+    @classmethod
+    def when_needed(cls, make: Callable[[], Stats]) -> Stats:
+        """Counts that are made when the first of them is asked for."""
+        later = cls.__new__(cls)
+        later.__dict__["_make"] = make
+        return later
+
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is not there: perhaps not yet."""
+            make = self.__dict__.pop("_make", None)
+            if make is None:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            self.__dict__.update({**vars(make()), **self.__dict__})
+            return getattr(self, name)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(self)
 
 
 class StiffnessWarning(UserWarning):
@@ -366,6 +391,18 @@ def default_labels(size: int) -> list[str]:
     return [f"y{i}" for i in range(size)]
 
 
+class Private(TypedDict):
+    """What a result has besides its items."""
+
+    _invariants: BoundInvariants
+    _rtol: ArrayLike
+    _atol: ArrayLike
+    _drift: BeforeProjection
+    _names: Names
+    _sensitivities: SensitivityData | None
+    _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
+
+
 #: Marks a field that was not given, since None is a value.
 _ABSENT: Any = object()
 
@@ -401,28 +438,14 @@ class Result(dict[str, Any]):
     _sensitivities: SensitivityData | None
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
-    def __init__(
-        self,
-        *,
-        _invariants: BoundInvariants,
-        _rtol: ArrayLike,
-        _atol: ArrayLike,
-        _drift: BeforeProjection,
-        _names: Names,
-        _sensitivities: SensitivityData | None = None,
-        _origin: Any = None,
-        **fields: Any,
-    ) -> None:
+    def __init__(self, private: Private, /, **fields: Any) -> None:
         super().__init__(fields)
-        own = self.__dict__  # past __setattr__: a short solve takes 30 µs, to which this must not add
-        own["_invariants"], own["_rtol"], own["_atol"] = _invariants, _rtol, _atol
-        own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
-        own["_sensitivities"] = _sensitivities
+        self.__dict__.update(private)  # past __setattr__
 
     def changed(self, **changes: Any) -> Self:
         """A copy with other values of some fields, and with what the user has added."""
-        own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
-        return type(self)(**{**self, **own, **changes})
+        private = {**self.__dict__, **{name: changes.pop(name) for name in [*changes] if name.startswith("_")}}
+        return type(self)(cast("Private", private), **{**self, **changes})
 
     if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
 

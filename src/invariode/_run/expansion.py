@@ -185,12 +185,15 @@ class Expansion(NamedTuple):
         How many conditions there are.
     events : list of EventSpec
         Those of the problem with their series.
+    problem : Description
+        The problem, with f and its events on their graphs.
     """
 
     series: _core.Series
     conditions: _core.Series | None
     count: int
     events: list[EventSpec]
+    problem: Description
 
     def for_core(self) -> dict[str, Any]:
         """What the core's problem takes, besides its events."""
@@ -216,6 +219,7 @@ def make_expansion(
         conditions=conditions,
         count=len(system.conditions),
         events=[*given, *events[len(given) :]],
+        problem=problem,
     )
 
 

@@ -1,6 +1,7 @@
 """The plan of a run: a problem with a method and its options, checked, in the form the core takes.
 
-It is made in four stages: options, functions, linear algebra, invariants.
+It is made in two parts: what the method and its options say (`choose`), and what this problem adds (`planned`), in
+three stages: functions, linear algebra, invariants.
 """
 
 from __future__ import annotations
@@ -79,14 +80,16 @@ class Tolerances(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """How the core goes from t0 to tf, and what it keeps."""
+    """How the core goes from t0 to tf, and what it keeps. The first fields are those of `on_interval`."""
 
     t0: float
     tf: float
     max_step: float
+    times: Array | None
+    max_points: int
+    max_bytes: int
     first_step: float  # 0: the method chooses
     refine: int
-    times: Array | None
     interpolation: str
     dense: bool
     save_all: bool
@@ -101,8 +104,6 @@ class Settings(NamedTuple):
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
     max_steps: int = LARGEST_COUNT
     time_limit: float = math.inf
-    max_points: int = LARGEST_COUNT
-    max_bytes: int = LARGEST_COUNT
 
     @property
     def forward(self) -> float:
@@ -116,12 +117,12 @@ class Settings(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What the core evaluates."""
+    """What the core evaluates. The first fields are those that `Plan.of` exchanges."""
 
-    n: int  # reals that make up y
-    complex: bool
     fun: Any
     args: tuple[Any, ...]
+    n: int  # reals that make up y
+    complex: bool
     parameters: Array  # `args` for native functions
     linear: _core.Linear | None
     events: list[EventSpec]
@@ -139,34 +140,41 @@ class Functions(NamedTuple):
         return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.events, 1)}
 
 
-class Plan(NamedTuple):
-    """What a run does, and the names in its messages."""
+class Choice(NamedTuple):
+    """A method with its options, checked: what is known of a run before its problem."""
 
     method: Method
-    tolerances: Tolerances
+    options: Options  # all of them
+    settings: Settings  # on no interval yet
+
+
+class Plan(NamedTuple):
+    """What a run does, and the names in its messages. The first fields are those that `of` exchanges."""
+
     settings: Settings
     functions: Functions
     y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
-    moved: bool
     bound: BoundInvariants
+    called: Names  # the names in tables and pictures
+    method: Method
+    tolerances: Tolerances
+    moved: bool
     names: list[str]  # of the invariants, algebraic equations last
     event_names: list[str]
     records_events: bool  # also none at all, where a list of none was given
-    called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
     on_failure: OnFailure
     checkpoint: Checkpoint | None
-    varied: Variations | None  # what is computed besides y
-    expansion: Expansion | None  # for methods by series
-    described: Description  # the problem; for these methods with f and events on their graphs
+    varied: Variations | None = None  # what is computed besides y
+    expansion: Expansion | None = None  # for methods by series
 
     @property
     def start(self) -> Array:
         """What the core starts from: y0, and the sensitivities behind it."""
-        y0 = self.y0.view(float)
+        y0 = self.y0.view(float) if self.functions.complex else self.y0
         return y0 if self.varied is None else self.varied.augmented(y0)
 
     @property
@@ -178,6 +186,11 @@ class Plan(NamedTuple):
     def laws(self) -> Laws:
         """What messages say of the invariants."""
         return Laws(self.names, self.bound.demanded, self.bound.senses)
+
+    def of(self, problem: Description, settings: Settings, bound: BoundInvariants) -> Plan:
+        """The same for another problem, of f and its arguments alone."""
+        functions = Functions._make((problem.fun, problem.args, *self.functions[2:]))
+        return Plan._make((settings, functions, problem.y0, bound, names_of(problem, []), *self[5:]))
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -204,8 +217,6 @@ class Plan(NamedTuple):
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception that a single solve raises if the run ended like this."""
         state = run.state
-        if state in MESSAGES:
-            return None
         if state == "invariant_refused":
             text = refusal(run, self.laws, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
@@ -251,28 +262,33 @@ def solver(plan: Plan) -> _core.Solver:
 
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     """The plan, with everything that the core needs but y0."""
+    return planned(problem, choose(method, given))
+
+
+def choose(method: MethodName, given: Options) -> Choice:
+    """The method and the options, as far as they can be checked without a problem."""
     chosen, implied = find_method(method)
     _require_linear_solver(chosen, given.get("linear_solver"))
     options = checked(given, chosen)
+    if options["prefer"]:
+        _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
+    if options["bdf"] is None:
+        options["bdf"] = implied.get("bdf", False)
+    return Choice(chosen, options, _settings(chosen, options))
+
+
+def planned(problem: Description, choice: Choice) -> Plan:
+    """The plan of a problem for the method and the options."""
+    chosen, options, settings = choice
     by_series = chosen.equations == "graph"
     if by_series:
         from .expansion import on_graph
 
         problem = on_graph(problem, chosen)
-    if options["prefer"]:
-        _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
-    if options["bdf"] is None:
-        options["bdf"] = implied.get("bdf", False)
-    if problem.matrices.mass is not None and "mass" not in chosen.options:
-        raise ValueError(
-            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
-            "y' in fun"
-        )
-    if chosen.equations == "second-order":
-        require_second_order(problem, chosen)
+    _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
-    settings = _settings(problem, chosen, options)
+    settings = on_interval(settings, problem, options)
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
@@ -291,75 +307,98 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
     event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
-    functions = _functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints)
-    called = Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
-    varied = None
-    if problem.sensitivities is not None:
-        varied = _variations(problem, options, y0, weights, bound, breakpoints)
-        bound = bound.varied(varied.tangents)
-        functions = functions._replace(events=[*functions.events, *varied.switches])
-        event_names = [*event_names, *(one.name for one in varied.switches)]
-    expansion = None
-    if system is not None:
-        from .expansion import make_expansion, order_of
-
-        order = order_of(chosen, weights.rtol, settings.max_order or None)
-        expansion = make_expansion(problem, system, order, parameters, functions.events, varied)
-        functions = functions._replace(events=expansion.events)
-    elif any(event.touching for event in problem.events):
-        warn(f"touching of events has no effect on {chosen.name}, whose steps are no polynomials in t of f: use taylor")
-    return Plan(
+    plan = Plan(
+        settings=settings,
+        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
+        y0=y0,
+        bound=bound,
+        called=names_of(problem, event_names),
         method=chosen,
         tolerances=weights,
-        settings=settings,
-        functions=functions,
-        y0=y0,
         moved=y0 is not problem.y0,
-        bound=bound,
         names=_names(bound, linear),
         event_names=event_names,
         records_events=problem.records_events,
-        called=called,
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
-        varied=varied,
-        expansion=expansion,
-        described=problem,
     )
+    if problem.sensitivities is not None:
+        plan = _with_sensitivities(plan, problem, options, breakpoints)
+    if system is not None:
+        plan = _with_expansion(plan, problem, system)
+    return plan
+
+
+def _require_fitting(problem: Description, method: Method) -> None:
+    """The problem is one for this method, and a warning for what the method ignores."""
+    if problem.matrices.mass is not None and "mass" not in method.options:
+        raise ValueError(
+            f"mass: {method.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
+            "y' in fun"
+        )
+    if method.equations == "second-order":
+        require_second_order(problem, method)
+    if method.equations != "graph" and any(event.touching for event in problem.events):
+        warn(f"touching of events has no effect on {method.name}, whose steps are no polynomials in t of f: use taylor")
+
+
+def _with_sensitivities(plan: Plan, problem: Description, options: Options, breakpoints: list[Breakpoint]) -> Plan:
+    """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
+    varied = _variations(problem, options, plan.y0, plan.tolerances, plan.bound, breakpoints)
+    return plan._replace(
+        varied=varied,
+        bound=plan.bound.varied(varied.tangents),
+        functions=plan.functions._replace(events=[*plan.functions.events, *varied.switches]),
+        event_names=[*plan.event_names, *(one.name for one in varied.switches)],
+    )
+
+
+def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
+    """The plan with the series of the solution, and of the events along it."""
+    from .expansion import make_expansion, order_of
+
+    order = order_of(plan.method, plan.tolerances.rtol, plan.settings.max_order or None)
+    expansion = make_expansion(problem, system, order, plan.functions.events, plan.varied)
+    return plan._replace(expansion=expansion, functions=plan.functions._replace(events=expansion.events))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Options
 
 
-def _settings(problem: Description, method: Method, options: Options) -> Settings:
-    t0, tf = problem.t_span
-    span = abs(tf - t0)
-    t_eval = options["t_eval"]
-    times = None if t_eval is None else output_times(t_eval, t0, tf)
-    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
+def names_of(problem: Description, event_names: list[str]) -> Names:
+    """The names in tables and pictures."""
+    return Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
+
+
+def _settings(method: Method, options: Options) -> Settings:
+    """Those of the method and its options, on no interval yet."""
+    at_times = options["t_eval"] is not None
+    keep = options["keep"] or ("outputs" if at_times else "all")  # with t_eval no record, unless it is requested
     dense = options["dense_output"] or options["adjoint"]
-    if keep == "end" and (times is not None or dense):
+    if keep == "end" and (at_times or dense):
         other = "t_eval, dense_output and adjoint need"
         raise ValueError(f'keep="end" keeps only the final state: {other} keep="outputs" or "all"')
-    if options["refine"] > 1 and (times is not None or keep == "end"):
-        other = "t_eval" if times is not None else 'keep="end"'
+    if options["refine"] > 1 and (at_times or keep == "end"):
+        other = "t_eval" if at_times else 'keep="end"'
         warn(f"refine has no effect together with {other}")
+    limits, steps = options["limits"] or _UNLIMITED, options["max_steps"]
+    if steps is not None and limits.steps is not None:
+        raise ValueError(f"max_steps={steps} is short for limits=Limits(steps={steps}): give one of them")
     explicit_one, implicit_one = options["prefer"] or ("", "")
-    first = options["first_step"]
-    if first is not None and first > span:
-        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {shown(first)}")
     return Settings(
-        t0=t0,
-        tf=tf,
-        max_step=longest_step(options["max_step"], span),
-        first_step=0.0 if first is None else first,
+        t0=0.0,
+        tf=0.0,
+        max_step=math.inf,
+        times=None,
+        max_points=LARGEST_COUNT,
+        max_bytes=LARGEST_COUNT,
+        first_step=options["first_step"] or 0.0,
         refine=options["refine"],
-        times=times,
         interpolation=options["interpolation"],
         dense=dense,
         save_all=keep != "end",
@@ -371,8 +410,21 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         prefer_explicit=explicit_one,
         prefer_implicit=implicit_one,
         iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
-        **_limits(options, 0 if times is None else len(times), reals(problem.y0)),
+        max_steps=steps or limits.steps or LARGEST_COUNT,
+        time_limit=limits.time or math.inf,
     )
+
+
+def on_interval(settings: Settings, problem: Description, options: Options) -> Settings:
+    """The settings on the interval of a problem, with its output times, which fill what may be kept."""
+    t0, tf = problem.t_span
+    span, t_eval = abs(tf - t0), options["t_eval"]
+    times = None if t_eval is None else output_times(t_eval, t0, tf)
+    if settings.first_step > span:
+        first = shown(settings.first_step)
+        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {first}")
+    most = _most_kept(options["limits"] or _UNLIMITED, 0 if times is None else len(times), reals(problem.y0))
+    return Settings._make((t0, tf, longest_step(options["max_step"], span), times, *most, *settings[6:]))
 
 
 def longest_step(given: LargestStep, span: float) -> float:
@@ -391,21 +443,13 @@ _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 _UNLIMITED = Limits()
 
 
-def _limits(options: Options, demanded: int, n: int) -> dict[str, Any]:
-    """What ends the run. `demanded`: times of output, which somebody wants and which do not count against defaults."""
-    given, steps = options["limits"] or _UNLIMITED, options["max_steps"]
-    if steps is not None and given.steps is not None:
-        raise ValueError(f"max_steps={steps} is short for limits=Limits(steps={steps}): give one of them")
-    points, size = given.points, given.bytes
+def _most_kept(limits: Limits, demanded: int, n: int) -> tuple[int, int]:
+    """How many points and bytes. `demanded`: times of output, which somebody wants and which do not count against
+    defaults."""
+    points, size = limits.points, limits.bytes
     if points is None and size is None:
-        points = _MOST_POINTS + demanded
-        size = _MOST_BYTES + demanded * 8 * (n + 1)  # of t and y, doubles
-    return {
-        "max_steps": steps or given.steps or LARGEST_COUNT,
-        "time_limit": given.time or math.inf,
-        "max_points": points or LARGEST_COUNT,
-        "max_bytes": size or LARGEST_COUNT,
-    }
+        return _MOST_POINTS + demanded, _MOST_BYTES + demanded * 8 * (n + 1)  # of t and y, doubles
+    return points or LARGEST_COUNT, size or LARGEST_COUNT
 
 
 def _highest_order(method: Method, order: int | None) -> int:
@@ -482,10 +526,10 @@ def _functions(
 ) -> Functions:
     n = reals(problem.y0)
     return Functions(
-        n=n,
-        complex=problem.y0.dtype.kind == "c",
         fun=fun,
         args=problem.args,
+        n=n,
+        complex=problem.y0.dtype.kind == "c",
         parameters=parameters,
         linear=linear,
         events=[event_spec(event, n, parameters) for event in problem.events],

@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, kept, number, output_times, shown, warn
+from .._base.arguments import Array, number, output_times, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
@@ -23,7 +23,7 @@ from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options, changed
+from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
 from .._results.messages import (
     MESSAGES,
     about_jumps,
@@ -54,6 +54,7 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
+from .template import plan_and_template
 
 if TYPE_CHECKING:
     from .variations import Variations
@@ -183,12 +184,13 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
 
 
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
-    plan = make_plan(problem, method, options)
-    given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
-    for name in ("t_eval", "rtol", "atol", "breakpoints"):
-        if name in given:
-            given[name] = kept(given[name])
+    plan, template = plan_and_template(problem, method, options)
+    given = options.copy()
+    given.pop("progress", None)
+    keep_arrays(given)
     source = Solved(problem, method, given)
+    if template is not None:
+        return concluded(presented(template.run(plan), plan, source, template.members), plan.on_failure)
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
         sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
@@ -197,7 +199,8 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
             sol = sol.changed(status=status, message=message)
     else:
         sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
-    compare(plan.described, sol, options.get("check", True))
+    compiled = problem if plan.expansion is None else plan.expansion.problem
+    compare(compiled, sol, options.get("check", True))
     return concluded(sol, plan.on_failure)
 
 
@@ -263,19 +266,20 @@ def presented(
 ) -> Solution:
     """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
     took turns."""
-    if exception := plan.exception(run):
-        raise exception
-    if run.state == "start_undefined":
+    if run.state not in MESSAGES:
+        if exception := plan.exception(run):
+            raise exception
         problem = source.problem
-        if error := wrong_length(problem, problem.y0, problem.args):
+        if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
             raise error
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
-    if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
-        warn(complex_steps_left(run.left_complex_steps))
-    if run.misfit is not None:
-        warn(misfit(run.misfit, plan.functions.complex))
+    if plan.functions.linear is not None:
+        if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
+            warn(complex_steps_left(run.left_complex_steps))
+        if run.misfit is not None:
+            warn(misfit(run.misfit, plan.functions.complex))
     if run.remarkable:
         _warn_of_steps(run, plan)
     return sol
@@ -334,42 +338,44 @@ def _integrated(
 def _solution(
     run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
 ) -> Solution:
-    dtype = plan.y0.dtype
+    dtype, functions = plan.y0.dtype, plan.functions
     status, message = plan.verdict(run)
     bound = plan.bound
-    if jumps := run.take_jumps():
+    if (functions.events or functions.breakpoints) and (jumps := run.take_jumps()):
         bound = bound.jumped(jumps)
-    dense = run.take_dense()
+    dense = run.take_dense() if plan.settings.dense else None
     t, y, t_end, y_end = run.take_points()
     happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
     sensitivities = None
     if plan.varied is not None:
         y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
         plan.varied.tell_of_steps(t, y)
-    stats = _stats(run, plan)
-    next_h = run.next_h if plan.method.fixed_order and stats.steps else None
+    stats = _stats(run, plan) if plan.names else Stats.when_needed(partial(_stats, run, plan))
+    next_h = run.next_h if plan.method.fixed_order and run.steps else None
     return Solution(
+        {
+            "_invariants": bound,
+            "_rtol": plan.rtol,
+            "_atol": plan.atol,
+            "_drift": BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
+            "_names": plan.called,
+            "_sensitivities": sensitivities,
+            "_origin": RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
+        },
         t=t,
         y=y,
         sol=None if dense is None else DenseSolution(dense, dtype, bound),
         t_events=None if happened is None else [times for times, _ in happened],
         y_events=None if happened is None else [points.view(dtype) for _, points in happened],
-        nfev=stats.nfev,
-        njev=stats.njev,
-        nlu=stats.nlu,
+        nfev=run.nfev,
+        njev=run.njev,
+        nlu=run.nlu,
         status=status,
         message=message,
         success=status >= 0,
         stats=stats,
         steps=Steps(run.take_steps(), members) if plan.settings.record else None,
         t_end=t_end,
-        _invariants=bound,
-        _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
-        _rtol=plan.rtol,
-        _atol=plan.atol,
-        _names=plan.called,
-        _sensitivities=sensitivities,
-        _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
     )
 
 

@@ -24,6 +24,7 @@ from .._problem.options import (
     unused,
 )
 from .._results.solution import Solution
+from .._run.run import solve
 from .problem import Problem
 
 __all__ = ["solve_ivp"]
@@ -112,7 +113,8 @@ def solve_ivp(
     unused(method, describing)
     alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
-    return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **running)
+    running["t_eval"], running["dense_output"] = t_eval, dense_output
+    return solve(problem, method, running)
 
 
 def one_column(fun: Any) -> Callable[..., Any]:

@@ -235,6 +235,17 @@ def _solution(fields: dict[str, Any]) -> Solution:
         outputs=y,
     )
     solution = Solution(
+        {
+            "_invariants": g,
+            "_rtol": fields["rtol"].tolist(),
+            "_atol": fields["atol"].tolist(),
+            "_drift": BeforeProjection(
+                fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])
+            ),
+            "_names": Names(**fields["names"]),
+            "_sensitivities": _sensitivities(fields, each),
+            "_origin": None,
+        },
         t=fields["t"],
         y=y,
         sol=None,
@@ -244,12 +255,6 @@ def _solution(fields: dict[str, Any]) -> Solution:
         stats=Stats(**{**stats, "discontinuities": tuple(stats["discontinuities"])}),
         steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
         t_end=fields["t_end"],
-        _invariants=g,
-        _rtol=fields["rtol"].tolist(),
-        _atol=fields["atol"].tolist(),
-        _drift=BeforeProjection(fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])),
-        _names=Names(**fields["names"]),
-        _sensitivities=_sensitivities(fields, each),
     )
     for name, held in fields["added"].items():
         solution[name] = fields[f"added.{held['array']}"] if "array" in held else held["value"]

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, extra_arguments, interval, kept
+from .._base.arguments import Array, extra_arguments, interval
 from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
 from .._functions.layout import Arguments, count_of
 from .._functions.second_order import SecondOrder
 from .._problem.description import Description
-from .._problem.options import Options, ProblemArguments
+from .._problem.options import Options, ProblemArguments, keep_arrays
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
 from .._run.plan import Plan, longest_step, make_plan, solver
@@ -27,8 +27,6 @@ from .._run.run import Solved, concluded, presented, solve
 Cover: TypeAlias = tuple[float, float, float]
 """t0, tf and the largest step."""
 
-#: Options whose arrays the caller may change later: copies are kept.
-_KEPT: tuple[Literal["t_eval", "rtol", "atol", "breakpoints"], ...] = ("t_eval", "rtol", "atol", "breakpoints")
 #: Options that must fit the interval.
 _OF_SPAN: tuple[Literal["t_eval", "breakpoints", "first_step"], ...] = ("t_eval", "breakpoints", "first_step")
 
@@ -51,9 +49,7 @@ class PreparedSolver:
         self.problem = problem
         self.method = method
         self._options = options.copy()
-        for name in _KEPT:
-            if name in options:
-                self._options[name] = kept(options[name])
+        keep_arrays(self._options)
         plan = self._plan = make_plan(problem, method, self._options)
         core = solver(plan)
         #: Idle solvers: a thread takes one, or makes another.

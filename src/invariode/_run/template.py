@@ -1,0 +1,121 @@
+"""Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval and its output times.
+
+What does not depend on these is checked once, when the first problem of the kind is solved, and the core's solver is
+made once. Everything else is checked in each solve, by the same code.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import replace
+from typing import cast
+
+from .. import _core
+from .._base.arguments import warnings_given
+from .._base.types import MethodName
+from .._laws.bound import bind
+from .._problem.description import Description
+from .._problem.options import Options
+from .._results.result import Names
+from .plan import Choice, Plan, choose, on_interval, planned, solver
+
+#: Values of options that cannot change: a copy of them says what was given. (1, 1.0 and True are equal: their types are
+#: looked at too.)
+_PLAIN = frozenset({bool, int, float, str, type(None)})
+
+#: From this n on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a step.
+_LARGE = 200
+
+#: So many templates are kept, which is more than a script has calls of different kinds; the oldest goes first.
+_MOST = 64
+
+_NAMELESS = Names("", None, None, 0, [])
+
+_templates: dict[Hashable, Template] = {}
+_keeping = threading.Lock()
+
+
+class Template:
+    """A plan for all problems of a kind, with the core's solvers that carry it out. It holds nothing of the user's."""
+
+    def __init__(self, choice: Choice, plan: Plan) -> None:
+        core = _solver_for_all(plan)
+        self.members = core.members
+        self._choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
+        nothing_held = bind([], 0.0, plan.y0, (), 0.0)
+        #: By the direction of integration.
+        self._bound = {forward: replace(nothing_held, forward=forward) for forward in (1.0, -1.0)}
+        functions = plan.functions._replace(fun=None, args=())
+        self._plan = plan._replace(
+            settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), called=_NAMELESS, bound=nothing_held
+        )
+        #: Idle solvers: a run takes one, or makes another.
+        self._idle = deque([core])
+
+    def plan_of(self, problem: Description, options: Options) -> Plan:
+        """The plan of a problem of this kind."""
+        chosen = self._choice.options
+        if options.get("t_eval") is not None:
+            chosen = cast("Options", {**chosen, "t_eval": options["t_eval"]})
+        settings = on_interval(self._choice.settings, problem, chosen)
+        return self._plan.of(problem, settings, self._bound[settings.forward])
+
+    def run(self, plan: Plan) -> _core.Run:
+        """A run of the plan, which is one of this template."""
+        try:
+            core = self._idle.pop()
+        except IndexError:
+            core = _solver_for_all(plan)
+        functions = plan.functions
+        run = core.integrate_other(functions.fun, functions.args, plan.start, _core.Settings(plan.settings))
+        self._idle.append(core)  # but not after an exception
+        return run
+
+
+def _solver_for_all(plan: Plan) -> _core.Solver:
+    """A solver that is lent f and its arguments in each run."""
+    return solver(plan._replace(functions=plan.functions._replace(args=())))
+
+
+def plan_and_template(problem: Description, method: MethodName, options: Options) -> tuple[Plan, Template | None]:
+    """The plan; and the template that it is of, if there is one."""
+    kind = _kind(problem, method, options)
+    known = None if kind is None else _templates.get(kind)
+    if known is not None:
+        return known.plan_of(problem, options), known
+    before = warnings_given()
+    choice = choose(method, options)
+    plan = planned(problem, choice)
+    if kind is None or warnings_given() != before or not _holds_for_all(plan, problem):
+        return plan, None
+    template = Template(choice, plan)
+    with _keeping:
+        if len(_templates) >= _MOST:
+            del _templates[next(iter(_templates))]
+        _templates[kind] = template
+    return plan, template
+
+
+def _kind(problem: Description, method: MethodName, options: Options) -> Hashable | None:
+    """What problems have in common that have a plan in common. None: this problem is the only one of its kind."""
+    n = len(problem.y0)
+    if not problem.is_plain or n >= _LARGE or type(method) is not str:
+        return None
+    given = {**options, "t_eval": options.get("t_eval") is not None}
+    types = tuple(map(type, given.values()))
+    return (method, n, problem.y0.dtype.kind, types, *given.items()) if _PLAIN.issuperset(types) else None
+
+
+def _holds_for_all(plan: Plan, problem: Description) -> bool:
+    """Whether the plan says nothing of f, which the core calls as it is, and the run needs nothing around it."""
+    linear = plan.functions.linear
+    return (
+        plan.functions.fun is problem.fun
+        and plan.method.equations == "any"
+        and (linear is None or linear.kind == "differences")
+        and not plan.progress
+        and plan.on_interrupt == "raise"
+        and plan.checkpoint is None
+    )

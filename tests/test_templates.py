@@ -1,0 +1,252 @@
+"""Solves of one kind share what does not depend on the problem, and nobody can tell: same bits, errors, warnings."""
+
+from __future__ import annotations
+
+import gc
+import re
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from cases import METHODS, dealt, families
+from invariode._run import template
+
+GENERAL = [name for name, method in METHODS.items() if method.equations == "any"]
+
+
+def orbit(t, y, mu=1.0):
+    r3 = (y[0] * y[0] + y[1] * y[1]) ** 1.5
+    return y[2], y[3], -mu * y[0] / r3, -mu * y[1] / r3
+
+
+def spiral(t, y, rate=0.3):
+    return [y[1] - rate * y[0], -y[0], y[3], -np.sin(y[2]) + t / 10]
+
+
+class Callable4:
+    """Not a function, but called like one."""
+
+    def __call__(self, t: float, y: Any) -> Any:
+        return -y * (1 + t)
+
+    def method(self, t: float, y: Any) -> Any:
+        return y * np.cos(t)
+
+
+START = np.array([0.8, 0.1, 0.0, 1.2])
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "function": orbit,
+    "other function": spiral,
+    "lambda": lambda t, y, *args: [y[1], -y[0], y[3], -2 * y[2]],
+    "partial": partial(orbit, mu=1.2),
+    "object": Callable4(),
+    "method": Callable4().method,
+}
+PROBLEMS: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "y0": {"y0": [0.9, 0.0, 0.2, 1.1]},
+    "integers": {"y0": [1, 0, 0, 1]},
+    "t_span": {"t_span": (0.5, 2)},
+    "backwards": {"t_span": [0.0, -1.5]},
+    "nothing to do": {"t_span": (1, 1)},
+    "times": {"t_eval": [0.25, 0.5, 1.0]},
+    "other times": {"t_eval": np.linspace(0, 1, 7)},
+}
+OPTIONS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "tolerances": {"rtol": 1e-6, "atol": 1e-9},
+    "dense": {"dense_output": True},
+    "end": {"keep": "end"},
+    "tenth": {"max_step": "tenth", "first_step": 1e-3},
+    "whole numbers": {"max_step": 1, "max_steps": 5},
+}
+
+
+@pytest.fixture(autouse=True)
+def _no_templates(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(template, "_templates", {})
+
+
+def _timeless(value: Any) -> Any:
+    """Without the seconds that messages of limits tell."""
+    return re.sub(r"steps and \S+ s\.", "", value) if isinstance(value, str) else value
+
+
+def outcome(**call: Any) -> Any:
+    """What a solve comes to: its data, or its exception; and its warnings."""
+    with warnings.catch_warnings(record=True) as told, np.errstate(all="ignore"):
+        warnings.simplefilter("always")
+        try:
+            sol = iv.solve_ivp(**call)
+        except Exception as error:
+            return type(error), str(error), getattr(error, "__notes__", None), [str(one.message) for one in told]
+        dense = sol.sol and sol.sol(np.linspace(sol.t[0], sol.t[-1], 17)).tolist()
+        steps = sol.steps and sol.steps._rows.tolist()
+        data = {name: _timeless(value) for name, value in sol.items() if name not in ("sol", "steps", "stats")}
+        names = (sol._names, sol._rtol, sol._atol, sol._invariants.forward, sol._invariants.names, len(sol._invariants))
+        origin = sol._origin
+        extended = sol.extend(sol.t_end + np.sign(sol.t_end or 1)).y.tolist() if sol.success else None
+        ended = origin.t, origin.y.tolist(), origin.next_h, origin.memory, repr(origin.source.problem)
+    return data, dense, steps, dict(sol.stats), names, ended, extended, [str(one.message) for one in told]
+
+
+def alone(**call: Any) -> Any:
+    """The same without templates."""
+    known, template._templates = template._templates, {}
+    try:
+        return outcome(**call)
+    finally:
+        template._templates = known
+
+
+def case(fun: str = "function", problem: str = "as it is", **more: Any) -> dict[str, Any]:
+    return {"fun": FUNCTIONS[fun], "t_span": (0, 1), "y0": START, **PROBLEMS[problem], **more}
+
+
+@dealt(36, fun=FUNCTIONS, start=PROBLEMS, options=OPTIONS, method=GENERAL)
+def test_a_solve_by_a_template_is_a_solve(fun: str, start: str, options: str, method: str) -> None:
+    given = {"method": method, **OPTIONS[options]}
+    call = case(fun, start, **given)
+    outcome(**{**call, "fun": spiral, "y0": np.array(call["y0"]) * 0.9, "args": (0.1,)})
+    np.testing.assert_equal(outcome(**call), alone(**call))
+
+
+@families
+def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
+    for fun in FUNCTIONS:
+        for problem in PROBLEMS:
+            outcome(**case(fun, problem, method=method))
+    kinds = {"t_eval" in problem for problem in PROBLEMS.values()} if METHODS[method].equations == "any" else {}
+    assert len(template._templates) == len(kinds)
+
+
+@dealt(
+    22,
+    method=["ode45", "auto", "ode15s"],
+    wrong=[
+        {"y0": [1.0, np.nan, 0.0, 1.0]},
+        {"y0": [[1.0, 0.0, 0.0, 1.0]]},
+        {"y0": "abcd"},
+        {"y0": [None, 1.0, 2.0, 3.0]},
+        {"t_span": 3.0},
+        {"t_span": (np.inf, 1.0)},
+        {"t_span": ("0", 1.0)},
+        {"t_span": (0.0, 0.1), "first_step": 0.5},
+        {"t_span": (0.0, np.nan)},
+        {"args": 3.0},
+        {"args": (1.0, 2.0)},
+        {"fun": 3},
+        {"fun": lambda t, y: y[:2]},
+        {"fun": lambda t, y: None},
+        {"fun": lambda t, y: y[:, None]},
+        {"fun": lambda t, y: y / 0},
+        {"fun": lambda t, y: [y[9]] * 4},
+        {"t_eval": [0.5, 0.2]},
+        {"t_eval": [2.0]},
+        {"t_eval": "ab"},
+        {"vectorized": 1},
+        {"events": 3},
+    ],
+)
+def test_errors_are_the_same(method: str, wrong: dict[str, Any]) -> None:
+    own = {name: value for name, value in wrong.items() if name == "first_step"}
+    right = case(method=method, **own)
+    outcome(**right)
+    outcome(**{**right, "t_eval": [0.5]})
+    call = {**right, **wrong}
+    np.testing.assert_equal(outcome(**call), alone(**call))
+    np.testing.assert_equal(outcome(**right), alone(**right))  # nothing of it is left
+
+
+@pytest.mark.parametrize("equal", [(1, True), (1.0, 1), (1.0, np.float64(1.0)), (0, False), (1, 1.0)])
+def test_equal_values_of_other_types_are_other_options(equal: tuple[Any, Any]) -> None:
+    for name in ("max_step", "refine", "max_steps", "rtol", "dense_output"):
+        for value in equal:
+            call = case(**{name: value})
+            np.testing.assert_equal(outcome(**call), alone(**call))
+
+
+def test_what_draws_a_warning_draws_it_in_every_solve() -> None:
+    for _ in range(3):
+        with pytest.warns(UserWarning, match="no effect on ode45"):
+            iv.solve_ivp(**case(max_order=3))
+        with pytest.warns(UserWarning, match="too small"):
+            iv.solve_ivp(**case(rtol=1e-17, atol=0.0, max_steps=3))
+        with pytest.warns(iv.StiffnessWarning):
+            iv.solve_ivp(lambda t, y: [-1e4 * (y[0] - np.cos(t))], (0, 1), [1.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(2):
+            with pytest.raises(UserWarning, match="no effect on ode45"):
+                iv.solve_ivp(**case(max_order=3))
+
+
+def test_what_the_caller_changes_later_changes_no_solution() -> None:
+    y0, args, times, tolerances = START.copy(), [1.1], np.array([0.5, 1.0]), np.full(4, 1e-6)
+    for options in ({}, {"t_eval": times}, {"atol": tolerances}):
+        first = outcome(**case(y0=y0, args=args, **options))
+        sol = iv.solve_ivp(**case(y0=y0, args=args, **options))
+        y0[:], args[0], times[:], tolerances[:] = 3.0, 9.0, [0.1, 0.2], 1e-1
+        expected = alone(**case(args=[1.1], **{name: kept for name, kept in ORIGINAL.items() if name in options}))
+        np.testing.assert_equal(first, expected)
+        np.testing.assert_array_equal(sol._origin.source.problem.y0, START)
+        y0[:], args[0], times[:], tolerances[:] = START, 1.1, [0.5, 1.0], 1e-6
+
+
+ORIGINAL = {"t_eval": np.array([0.5, 1.0]), "atol": np.full(4, 1e-6)}
+
+
+def test_a_template_keeps_nothing_of_the_users() -> None:
+    class Held:
+        def __call__(self, t: float, y: Any, other: Any) -> Any:
+            return -y
+
+    for raises in (False, True):
+        fun, argument = Held(), Held()
+        kept = [weakref.ref(fun), weakref.ref(argument)]
+        sol = iv.solve_ivp(fun, (0, 1), [1.0, 2.0], args=(argument,))
+        if raises:
+            with pytest.raises(ZeroDivisionError):
+                iv.solve_ivp(lambda t, y, fun, other: [1 / 0] * 2, (0, 1), [1.0, 2.0], args=(fun, argument))
+        assert len(template._templates) == 1
+        del sol, fun, argument
+        gc.collect()
+        assert [one() for one in kept] == [None, None]
+
+
+def test_nested_solves_and_threads_do_not_meet() -> None:
+    def inner(t: float, y: Any) -> Any:
+        return -y
+
+    def outer(t: float, y: Any) -> Any:
+        return iv.solve_ivp(inner, (0, 0.1), y, first_step=0.1).y[:, -1] * -1
+
+    expected = alone(fun=outer, t_span=(0, 1), y0=[1.0, 2.0], first_step=0.1)
+    for _ in range(2):
+        np.testing.assert_equal(outcome(fun=outer, t_span=(0, 1), y0=[1.0, 2.0], first_step=0.1), expected)
+    found: dict[int, Any] = {}
+
+    def work(own: int) -> None:
+        for k in range(own, 30, 3):
+            found[k] = iv.solve_ivp(orbit, (0, 1 + k / 10), START, args=(1 + k / 10,)).y.tolist()
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for k in range(30):
+        assert found[k] == iv.solve_ivp(orbit, (0, 1 + k / 10), START, args=(1 + k / 10,)).y.tolist()
+
+
+def test_so_many_templates_and_no_more() -> None:
+    for k in range(template._MOST + 5):
+        iv.solve_ivp(**case(rtol=1e-3 / (1 + k), t_span=(0, 0.01)))
+    assert len(template._templates) == template._MOST
