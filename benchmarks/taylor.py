@@ -6,6 +6,7 @@ Times are those of the processor, the least of many, since the machine is shared
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -76,7 +77,7 @@ def timed(runs: Mapping[Any, Run], repetitions: int) -> dict[Any, float]:
 def seconds_at(error: float, points: Sequence[tuple[float, float]]) -> float | None:
     """The least time of an error that is not larger, interpolated on logarithms between neighbouring tolerances."""
     best = None
-    for (e0, t0), (e1, t1) in zip(points, points[1:], strict=False):
+    for (e0, t0), (e1, t1) in itertools.pairwise(points):
         if not min(e0, e1) <= error <= max(e0, e1):
             continue
         part = 0.0 if e0 == e1 else math.log(error / e0) / math.log(e1 / e0)
@@ -172,7 +173,7 @@ def found_by(event: Callable[..., Any], span: float) -> tuple[Array, float]:
 
 
 def events(repetitions: int) -> str:
-    """Sums of sines with random phases, the zeros of which are counted by their signs between 200 times as many points."""
+    """Sums of sines with random phases; their zeros are counted by the signs at 200 times as many points."""
     random = np.random.default_rng(30)
     rows = []
     known = missed = invented = 0

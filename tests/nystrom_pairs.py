@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from mpmath import lu_solve, matrix, mp, mpf, sqrt
@@ -20,12 +20,12 @@ ROUNDOFF = mpf(10) ** -50
 _PRINTED = json.loads((Path(__file__).parent / "data" / "nystrom_pairs.json").read_text())
 
 Numbers = list[mpf]
-#: A tree of f: so many leaves, derivatives of y by velocities, and the trees that hang from its derivatives by positions.
+#: A tree of f: its leaves, derivatives of y by velocities, and the trees below its derivatives by positions.
 Tree = tuple[int, tuple["Tree", ...]]
 
-#: Times of the extensions' further stages; each of their arguments is a value of the extension before it, whose order in
-#: q stands in front, and so is, behind them, that of the extension: as high as the stages permit. Of rkn1210 four, or
-#: five that lie symmetrically, permit no more than order 10.
+#: Times of the extensions' further stages. Each of their arguments is a value of the extension before it, whose order
+#: in q stands in front; behind them stands that of the extension itself, which is as high as the stages permit. For
+#: rkn1210 four of them, or five that lie symmetrically, permit no more than order 10.
 EXTENSIONS = {
     "rkn64": (6, [], 6),
     "rkn86": (6, ["1/4", "1/2", "3/4"], 8),
@@ -86,10 +86,11 @@ def printed(name: str) -> Pair:
     return Pair(A=A, last=len(A) - 1, **rows)
 
 
-# ------------------------------------------------------------------------------------------------------ order conditions
+# ----------------------------------------------------------------------------------------------------------------------
+# Order conditions
 
 
-@lru_cache(maxsize=None)
+@cache
 def trees(order: int) -> list[Tree]:
     """The special Nyström trees of so many nodes whose root is an f (Hairer, Nørsett, Wanner I, section II.14)."""
     found: list[Tree] = []
@@ -105,12 +106,12 @@ def trees(order: int) -> list[Tree]:
     return found
 
 
-@lru_cache(maxsize=None)
+@cache
 def nodes(tree: Tree) -> int:
     return 1 + tree[0] + sum(1 + nodes(branch) for branch in tree[1])
 
 
-@lru_cache(maxsize=None)
+@cache
 def factor(tree: Tree) -> mpf:
     """Of f = factor t^(nodes − 1) on the exact solution."""
     product = mpf(1)
@@ -123,13 +124,11 @@ def defect(pair: Pair, w: Numbers, order: int, *, position: bool, theta: mpf | i
     """The largest residual in the conditions of this order alone, of a sum h² Σ w_i F_i or h Σ w_i F_i at t + θ h."""
     r = order - position
     exact = mpf(theta) ** order / (r * (r + 1) if position else r)
-    return max(
-        abs(_product(w, pair.stage_sums(tree)) - exact * factor(tree))
-        for tree in trees(r)
-    )
+    return max(abs(_product(w, pair.stage_sums(tree)) - exact * factor(tree)) for tree in trees(r))
 
 
-# ------------------------------------------------------------------------------------------------------------- extensions
+# ----------------------------------------------------------------------------------------------------------------------
+# Extensions
 #
 # A polynomial that meets q, v and f at both ends is the quintic Hermite interpolant plus θ³ (1−θ)³ R(θ), with weights R
 # of the stages. On a tree of order ρ, where q = factor θ^(ρ+1) / (ρ (ρ+1)), the interpolant misses θ³ (1−θ)³ Q(θ), a
@@ -187,7 +186,9 @@ def least_norm(equations: list[tuple[Numbers, Numbers]], k: int) -> Numbers:
     """The least x with the k-th right-hand sides."""
     gram = matrix([[sum(x * y for x, y in zip(a, b, strict=True)) for b, _ in equations] for a, _ in equations])
     multipliers = lu_solve(gram, matrix([b[k] for _, b in equations]))
-    return [sum(m * a[i] for m, (a, _) in zip(multipliers, equations, strict=True)) for i in range(len(equations[0][0]))]
+    return [
+        sum(m * a[i] for m, (a, _) in zip(multipliers, equations, strict=True)) for i in range(len(equations[0][0]))
+    ]
 
 
 def extension(pair: Pair, order: int) -> list[Numbers]:
@@ -233,7 +234,7 @@ def nested(weights: list[Numbers]) -> list[Numbers]:
     return rows
 
 
-@lru_cache(maxsize=None)
+@cache
 def complete(name: str) -> tuple[Pair, list[Numbers]]:
     """The pair with the further stages of its extension, and the extension's weights for q."""
     first, times, order = EXTENSIONS[name]

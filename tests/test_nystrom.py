@@ -263,8 +263,7 @@ def test_ensembles_and_prepared_solvers():
     starts = [[1.0, 0.0], [0.5, 1.0]]
     single = [problem.replace(y0=y0).solve("rkn1210", **TOLERANCES).y[:, -1] for y0 in starts]
     many = problem.solve_ensemble(starts, "rkn1210", **TOLERANCES)
-    assert np.array_equal(many.y, np.transpose(single)) or np.array_equal(many.y, single)
-    assert many.lanes == 1 or "Runge" in str(many.lanes)
+    assert np.array_equal(many.y[..., -1], single)
     solver = problem.prepare("rkn1210", **TOLERANCES)
     assert all(np.array_equal(solver(y0=y0).y[:, -1], one) for y0, one in zip(starts, single, strict=True))
 
@@ -283,7 +282,11 @@ def test_inputs_complex_states_and_pickles():
     ("fun", "options", "message"),
     [
         (first_order, {}, r"rkn86 is for y'' = f\(t, y\).*pass invariode.SecondOrder.*second_order=True"),
-        (lambda t, y: [*y[2:], *(-y[:2] - 0.1 * y[2:])], {"second_order": True}, "component 2 of fun depends on the velo"),
+        (
+            lambda t, y: [*y[2:], *(-y[:2] - 0.1 * y[2:])],
+            {"second_order": True},
+            "component 2 of fun depends on the velo",
+        ),
         (lambda t, y: [*y[:2], *y[:2]], {"second_order": True}, r"the first 2 values of fun are not the velocities"),
         (iv.SecondOrder(attraction), {"y0": START[:3]}, "as many velocities as positions: y0 has 3"),
         (iv.SecondOrder(attraction), {"bounds": (-9, 9)}, "does not take bounds"),

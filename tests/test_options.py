@@ -78,10 +78,13 @@ def call(way, **options):
     if way.startswith("Problem."):
         extra = {"workers": 1} if way == "Problem.solve_ensemble" else {}
         return getattr(iv.Problem(decay, (0, 1), [1.0]), way.removeprefix("Problem."))(**{**extra, **options})
+    fun, y0 = decay, [1.0]
+    if way.lower() in METHODS and METHODS[way.lower()].equations == "second-order":
+        fun, y0 = iv.SecondOrder(decay), [1.0, 0.0]
     if way in {name.upper() for name in METHODS}:
-        return entry(decay, 0, [1.0], 1, **options)
+        return entry(fun, 0, y0, 1, **options)
     extra = {"workers": 1} if way == "solve_ensemble" else {}
-    return entry(decay, (0, 1), [1.0], **{**extra, **options})
+    return entry(fun, (0, 1), y0, **{**extra, **options})
 
 
 @pytest.mark.parametrize("way", ENTRIES)

@@ -117,7 +117,7 @@ def test_coefficients_of_functions_are_those_of_60_digits(most, expected):
 
 
 def systems():
-    """Right-hand sides: of an orbit with drag; with a linear system; of many bodies on a line, for loops of each kind."""
+    """Right-hand sides: an orbit with drag, one with a linear system, and many bodies on a line."""
     graph = Graph()
     t, p = graph.t, graph.p(0)
     x, z, u = (graph.y(i) for i in range(3))

@@ -186,6 +186,7 @@ class TestReplace:
             "nonnegative": [0],
             "bounds": (None, 10.0),
             "sensitivities": "y0",
+            "second_order": True,
             "inputs": [iv.Input([0], [1.0])],
             "name": "new",
             "labels": ["c", "d"],
@@ -212,6 +213,7 @@ class TestReplace:
             **{name: None if m is None else np.asarray(m).tolist() for name, m in problem._as_given.items()},
             "name": problem.name,
             "labels": problem.labels,
+            "second_order": problem.second_order,
         }
 
     @staticmethod

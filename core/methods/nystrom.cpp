@@ -29,10 +29,16 @@ class NystromStep final : public Step {
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
   static constexpr double exponent = 1.0 / (T.error_order + 1);
+  /// Whether v* depends on f(t₁, q*): the extension does then not end at y* with another slope in its place.
+  static constexpr bool last_has_weight = T.b[last] != 0;
 
  public:
   NystromStep(Callback& f, const Weights& weights, Fsal fsal, std::size_t state)
-      : Step(f, weights), fsal_(fsal), half_(state / 2), remainder_(weights.size()), values_((stages + 3) * n()) {
+      : Step(f, weights),
+        fsal_(fsal),
+        half_(state / 2),
+        remainder_(weights.size()),
+        values_((stages + 3 + last_has_weight) * n()) {
     assert(state % 2 == 0 && n() % state == 0);
     double* next = values_.data();
     const auto take = [&next, this] { return std::exchange(next, next + n()); };
@@ -40,6 +46,7 @@ class NystromStep final : public Step {
     start_ = take();
     stage_ = take();
     candidate_ = take();
+    if constexpr (last_has_weight) proposed_ = take();
   }
 
   Outcome start(double t, const double* y, const Span& span) override {
@@ -93,7 +100,9 @@ class NystromStep final : public Step {
   }
 
   Outcome accept(const double* y1) override {
-    if (!T.last_in_error() || evaluates_again(y1)) {
+    renewed_ = T.last_in_error() && evaluates_again(y1);
+    if (!T.last_in_error() || renewed_) {
+      if constexpr (last_has_weight) std::swap(k_[last], proposed_);
       const Outcome outcome = evaluate(t1_, y1, last);
       if (outcome == Outcome::stop) return outcome;
       if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
@@ -122,18 +131,23 @@ class NystromStep final : public Step {
   [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
     bool sound = true;
+    const bool other_slope = last_has_weight && renewed_;
+    if (other_slope) std::swap(k_[last], proposed_);
     if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
       further_.resize(extra * n());
       for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
     }
-    if constexpr (extra > 0)
-      if (further_stages(sound) == Status::stop) return Status::stop;
-    data = std::copy(start_, start_ + n(), data);
-    if (sound)
-      coefficients(data);
-    else
-      cubic(data);
-    return Status::ok;
+    Status status = Status::ok;
+    if constexpr (extra > 0) status = further_stages(sound);
+    if (status == Status::ok) {
+      data = std::copy(start_, start_ + n(), data);
+      if (sound)
+        coefficients(data);
+      else
+        cubic(data);
+    }
+    if (other_slope) std::swap(k_[last], proposed_);
+    return status;
   }
 
   [[nodiscard]] int order() const override { return T.order; }
@@ -295,12 +309,14 @@ class NystromStep final : public Step {
   double* start_ = nullptr;                // y at the start of the accepted step
   double* stage_ = nullptr;                // argument of the stage in work
   double* candidate_ = nullptr;            // y*
+  double* proposed_ = nullptr;             // the last stage, where f(t₁, y₁) took its place: of v* and the extension
   std::size_t evaluated_ = 0;              // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;
   double purified_ = 0;    // t₁ − t
   bool failed_ = false;    // an attempt of this step failed
   bool accepted_ = false;  // and the next has not begun
+  bool renewed_ = false;   // f(t₁, y₁) took the place of its last stage
 };
 
 template <const auto&... T>

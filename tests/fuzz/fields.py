@@ -23,6 +23,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 import invariode as iv
+from methods import GENERAL
 
 __all__ = ["damaged_field"]
 
@@ -238,7 +239,7 @@ def damaged_field(random: Random) -> str | None:
     """Loads one, and uses what comes. What is wrong with that, or None."""
     while True:
         method, kind, checkpoint = (
-            random.choice(list(iv.METHODS)),
+            random.choice(GENERAL),
             random.randrange(len(PROBLEMS)),
             random.random() < 0.3,
         )

@@ -24,7 +24,7 @@ constexpr double broken = 1e-9;    // below what is left in the conditions of th
 /// What is left of exact cancellation; rkn1210 has coefficients of size 50, and larger ones in the extension.
 template <class T>
 constexpr double roundoff_of(const T& table) {
-  return table.order >= 12 ? 1e-11 : 1e-12;
+  return table.order >= 12 ? 3e-12 : 1e-12;
 }
 
 template <class Each, const auto&... T>

@@ -42,8 +42,8 @@ class SecondOrder(CoreFunction):
 
     Notes
     -----
-    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``. `invariode.compile` takes
-    a SecondOrder, and SecondOrder what it returns.
+    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``. `invariode.compile`
+    takes a SecondOrder, and SecondOrder what it returns.
 
     Examples
     --------
@@ -51,7 +51,8 @@ class SecondOrder(CoreFunction):
     >>> import invariode as iv
     >>> def attraction(t, q):
     ...     return -q / np.linalg.norm(q) ** 3
-    >>> sol = iv.solve_ivp(iv.SecondOrder(attraction), (0, 2 * np.pi), [1.0, 0, 0, 1], "rkn1210", rtol=1e-12, atol=1e-14)
+    >>> orbit = iv.SecondOrder(attraction)
+    >>> sol = iv.solve_ivp(orbit, (0, 2 * np.pi), [1.0, 0, 0, 1], "rkn1210", rtol=1e-12, atol=1e-14)
     >>> bool(abs(sol.y[:, -1] - sol.y[:, 0]).max() < 1e-11)
     True
     """

@@ -460,8 +460,8 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             False,
             "bool",
-            "Whether y is (q, v) and f returns ``(v, a(t, q))``: the accelerations do not depend on the velocities. The "
-            "methods rkn64, rkn86 and rkn1210 need it, and test it at the start. `SecondOrder` says so too.",
+            "Whether y is (q, v) and f returns ``(v, a(t, q))``: the accelerations do not depend on the velocities. "
+            "The methods rkn64, rkn86 and rkn1210 need it, and test it at the start. `SecondOrder` says so too.",
             flag,
         ),
     ]

@@ -25,9 +25,9 @@ def require_second_order(problem: Description, method: Method) -> None:
     n = len(problem.y0)
     if not problem.second_order:
         raise ValueError(
-            f"{method.name} is for y'' = f(t, y), and fun is given as y' = f(t, y): pass invariode.SecondOrder(f) with the "
-            "accelerations f(t, q) and y0 = (q, v), or second_order=True if fun returns (v, f(t, q)). ode89 and dop853 "
-            "take any fun"
+            f"{method.name} is for y'' = f(t, y), and fun is given as y' = f(t, y): pass invariode.SecondOrder(f) with "
+            "the accelerations f(t, q) and y0 = (q, v), or second_order=True if fun returns (v, f(t, q)). ode89 and "
+            "dop853 take any fun"
         )
     if n % 2:
         raise ValueError(f"{method.name} needs as many velocities as positions: y0 has {n} components")
@@ -53,8 +53,8 @@ def _require_no_velocities(problem: Description, method: Method) -> None:
     if len(differ):
         i = half + int(differ[0])
         raise ValueError(
-            f"second_order: component {i} of fun depends on the velocities: it is {slopes[0, i]} and {slopes[1, i]} for "
-            f"two of them at t = {t0}. {method.name} integrates y'' = f(t, y) only; use dop853 or ode89"
+            f"second_order: component {i} of fun depends on the velocities: it is {slopes[0, i]} and {slopes[1, i]} "
+            f"for two of them at t = {t0}. {method.name} integrates y'' = f(t, y) only; use dop853 or ode89"
         )
 
 

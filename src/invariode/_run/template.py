@@ -60,7 +60,10 @@ class Template:
         if options.get("t_eval") is not None:
             chosen = cast("Options", {**chosen, "t_eval": options["t_eval"]})
         settings = on_interval(self._choice.settings, problem, chosen)
-        return self._plan.of(problem, settings, self._bound[settings.forward])
+        bound = self._bound[settings.forward]
+        if problem.args:
+            bound = replace(bound, args=problem.args)
+        return self._plan.of(problem, settings, bound)
 
     def run(self, plan: Plan) -> _core.Run:
         """A run of the plan, which is one of this template."""

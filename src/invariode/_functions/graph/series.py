@@ -24,7 +24,6 @@ from .nodes import Node, as_rows
 from .operations import DOUBLE, INDEX, POINTER
 from .recurrences import UNWEIGHTED, Program, Sum, linear, minus, plus, program
 
-
 #: Of optimisation: higher ones take up to twice as long, and the code is no faster (Kepler's orbit and the outer solar
 #: system at orders 12 and 17).
 _LEVEL = 1
