@@ -727,8 +727,9 @@ Preconditioner Functions::preconditioner(nb::handle f) {
   return made;
 }
 
-void define_callables(nb::module_& module) {
-  if (_import_array() < 0) throw nb::python_error();
+namespace {
+
+void define_inputs(nb::module_& module) {
   nb::class_<PiecewisePolynomial>(module, "PiecewisePolynomial", "Functions of t that are polynomials between times.")
       .def(
           "__init__",
@@ -754,6 +755,9 @@ void define_callables(nb::module_& module) {
             return value;
           },
           nb::arg("t"), "The one value at t.");
+}
+
+void define_machine_code(nb::module_& module) {
   nb::class_<Native>(module, "Native", nb::type_slots(slots<Native>),
                      "Machine code of the user, and what keeps it alive.")
       .def(
@@ -783,6 +787,14 @@ void define_callables(nb::module_& module) {
           "at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m "
           "values from those of y, (order + 1, m).")
       .def_ro("order", &SeriesSpec::order);
+}
+
+}  // namespace
+
+void define_callables(nb::module_& module) {
+  if (_import_array() < 0) throw nb::python_error();
+  define_inputs(module);
+  define_machine_code(module);
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

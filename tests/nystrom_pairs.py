@@ -17,6 +17,8 @@ from mpmath import lu_solve, matrix, mp, mpf, sqrt
 mp.dps = 60
 #: What is left of exact cancellation: rkn1210 has coefficients of size 50, printed with some 50 digits.
 ROUNDOFF = mpf(10) ** -50
+#: Coefficients that are smaller are 0; the smallest others are of size 1e-6.
+NOISE = mpf(10) ** -40
 _PRINTED = json.loads((Path(__file__).parent / "data" / "nystrom_pairs.json").read_text())
 
 Numbers = list[mpf]
@@ -251,7 +253,7 @@ def tableau(name: str) -> dict[str, list]:
     stages, size = pair.last + 1, len(pair.c)
 
     def doubles(row: Numbers, length: int = 0) -> list[float]:
-        return [0.0 if abs(x) < ROUNDOFF else float(x) for x in [*row, *[mpf(0)] * (length - len(row))]]
+        return [0.0 if abs(x) < NOISE else float(x) for x in [*row, *[mpf(0)] * (length - len(row))]]
 
     degree = len(weights[0]) - 1
     return {

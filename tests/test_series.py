@@ -17,6 +17,7 @@ from invariode._functions.graph.python import as_text
 machine = pytest.importorskip("invariode._functions.graph.machine")
 
 from invariode._functions.graph import series  # noqa: E402  # needs what was just imported
+from invariode._functions.graph.series_writer import SeriesForm  # noqa: E402
 
 EPS = np.finfo(float).eps
 ORDER = 9
@@ -34,7 +35,7 @@ def batched(values, count):
 
 def jet(outputs, **form):
     """(t, unit, y, p) → coefficients, by machine code."""
-    form = series.SeriesForm(**{"n": 3, "order": ORDER, **form})
+    form = SeriesForm(**{"n": 3, "order": ORDER, **form})
     code = series.series_code(outputs, form)
     number = ctypes.c_double if form.lanes == 1 else ctypes.c_void_p
     call = ctypes.CFUNCTYPE(None, number, number, *[ctypes.c_void_p] * 3)(code.address)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from methods import FIRST_ORDER
 
 import invariode as iv
-from methods import FIRST_ORDER
 
 EXPONENTS = (2, 3, 4, 5, 6, 7, 8, 9)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)

@@ -12,9 +12,9 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from methods import GENERAL
 
 import invariode as iv
-from methods import GENERAL
 
 __all__ = ["raising_run"]
 

@@ -20,10 +20,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from methods import GENERAL
 from scipy.sparse import csc_array
 
 import invariode as iv
-from methods import GENERAL
 
 __all__ = ["damaged_field"]
 

@@ -13,10 +13,10 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from methods import GENERAL
 from scipy.linalg import null_space
 
 import invariode as iv
-from methods import GENERAL
 
 __all__ = ["Network", "held_network"]
 

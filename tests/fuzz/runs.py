@@ -14,11 +14,11 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from methods import GENERAL
 from scipy import sparse
 from scipy.linalg import expm
 
 import invariode as iv
-from methods import FIRST_ORDER
 
 __all__ = ["right_run"]
 
@@ -110,7 +110,7 @@ def _outputs(random: Random, t0: float, tf: float) -> dict[str, Any]:
 
 def right_run(random: Random) -> str | None:
     """Makes one. What is wrong with it, or None."""
-    linear, method = Linear.of(random), random.choice(FIRST_ORDER)
+    linear, method = Linear.of(random), random.choice(GENERAL)
     low_order = iv.METHODS[method].order <= 5
     rtol = 10 ** -random.uniform(2, 6 if low_order else 10)
     atol = rtol * float(np.abs(linear.y0).max(initial=0) or 1) * 10 ** -random.uniform(0, 3)

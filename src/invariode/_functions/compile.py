@@ -81,7 +81,8 @@ def compile(
         if by == "numba" or inplace or getattr(inside, "inplace", False):
             return SecondOrder(compile(inside, by=by, inplace=inplace, elementary=elementary))
         if isinstance(inside, TracedFunction):
-            by, elementary = inside.by if by == "auto" else by, inside.elementary
+            by = inside.by if by == "auto" else by
+            elementary = "libm" if inside.elementary == "libm" else "own"
         fun = fun.first_order
     if isinstance(fun, CompiledFunction):
         if isinstance(fun, TracedFunction) and fun.elementary == "libm":

@@ -181,8 +181,6 @@ class Expansion(NamedTuple):
         Of the solution, and of its sensitivities.
     conditions : _core.Series or None
         Along the solution, of what changes its sign where f changes its branch: a step ends there.
-    count : int
-        How many conditions there are.
     events : list of EventSpec
         Those of the problem with their series.
     problem : Description
@@ -191,7 +189,6 @@ class Expansion(NamedTuple):
 
     series: _core.Series
     conditions: _core.Series | None
-    count: int
     events: list[EventSpec]
     problem: Description
 
@@ -217,7 +214,6 @@ def make_expansion(
     return Expansion(
         series=makes.series(outputs, along=False),
         conditions=conditions,
-        count=len(system.conditions),
         events=[*given, *events[len(given) :]],
         problem=problem,
     )
@@ -231,7 +227,8 @@ class _Maker:
 
     def series(self, outputs: Sequence[Node], *, along: bool) -> _core.Series:
         """Coefficients of the solution of y' = outputs, or of the outputs along a polynomial."""
-        from .._functions.graph.series import SeriesForm, series_code
+        from .._functions.graph.series import series_code
+        from .._functions.graph.series_writer import SeriesForm
 
         code = series_code(outputs, SeriesForm(self._size, self._order, along, own=self._own))
         return _core.Series(address=code.address, order=self._order, owner=code.owner)

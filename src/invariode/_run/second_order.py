@@ -59,4 +59,5 @@ def _require_no_velocities(problem: Description, method: Method) -> None:
 
 
 def _irregular(count: int) -> Array:
-    return 1 + np.modf(_OTHER * np.arange(1, count + 1))[0]
+    fractions: Array = np.modf(_OTHER * np.arange(1, count + 1))[0]
+    return 1 + fractions

@@ -117,10 +117,10 @@ _AFFINE = {"add", "subtract", "multiply", "divide", "negate", "number", "t"}
 
 def _root(line: Formula, value: float, t0: float, tf: float) -> float | None:
     """Where a line has a value: the first double at which it is there or beyond."""
-    a, b = line(t0, [])[0], line(tf, [])[0]
+    a, b = float(line(t0, [])[0]), float(line(tf, [])[0])
     t = t0 + (value - a) / (b - a) * (tf - t0)
     if not min(t0, tf) <= t <= max(t0, tf):
         return None
     for _ in range(4):  # Newton's iteration for the last digits
-        t -= (line(t, [])[0] - value) / (b - a) * (tf - t0)
+        t -= (float(line(t, [])[0]) - value) / (b - a) * (tf - t0)
     return min(max(t, min(t0, tf)), max(t0, tf))

@@ -50,7 +50,9 @@ _RATE = (1.0, 0.0)
 class Coefficients(Protocol):
     """What is known when a coefficient is computed; numbers have operators."""
 
-    k: Any
+    @property
+    def k(self) -> Any:
+        """The order."""
 
     def now(self, node: Node) -> Any:
         """Its coefficient k."""

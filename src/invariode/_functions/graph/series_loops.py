@@ -18,7 +18,7 @@ from ..llvm_values import Value
 from .nodes import Node
 from .operations import DOUBLE, INDEX, POINTER
 from .recurrences import UNWEIGHTED, Program, Rule, Sum, linear, needs
-from .series import Inverse, SeriesForm, SeriesWriter, inverse_of
+from .series_writer import Inverse, SeriesForm, SeriesWriter, inverse_of
 
 #: Numbers in a vector; where registers are shorter it takes several.
 _WIDTH = 8
@@ -588,4 +588,5 @@ class _Now:
         return self._writer._firsts(self._nodes[node], self._chunk)
 
     def over(self, number: Any, node: Node) -> Value:
-        return number / self.first(node)
+        quotient: Value = number / self.first(node)
+        return quotient

@@ -1,0 +1,86 @@
+"""What writers of Taylor coefficients share, unrolled or in loops: the form of the code, and reciprocals."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from llvmlite import ir
+
+from ..llvm_values import Value
+from .machine import Writer
+from .operations import DOUBLE, POINTER
+
+
+class SeriesForm(NamedTuple):
+    """What the code takes and gives.
+
+    Attributes
+    ----------
+    n : int
+        Components of y.
+    order : int
+        Of the last coefficients.
+    along : bool
+        Whether y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
+    lanes : int
+        So many numbers side by side.
+    own : bool
+        Whether our elementary functions are called, not the mathematical library's.
+    """
+
+    n: int
+    order: int
+    along: bool = False
+    lanes: int = 1
+    own: bool = True
+
+
+class Inverse(NamedTuple):
+    """1/d as a sum of two numbers, exact to twice the digits: the quotient x/d is the nearest number, but for one in
+    2^50 that is the next one (Brisebarre and Muller 2008). A division would take longer."""
+
+    high: Value
+    low: Value
+
+    def times(self, x: Value) -> Value:
+        """The quotient."""
+        return x.times_plus(self.high, x * self.low)
+
+
+def inverse_of(d: float) -> tuple[float, float]:
+    """Of a number: both parts."""
+    high = 1 / d
+    return high, float((1 - Fraction(high) * Fraction(d)) / Fraction(d))
+
+
+class SeriesWriter(Writer):
+    """Writes the function of Taylor coefficients."""
+
+    def __init__(self, module: Any, form: SeriesForm) -> None:
+        numbers = DOUBLE if form.lanes == 1 else POINTER
+        arguments = {"t": numbers, "unit": numbers, "y": POINTER, "out": POINTER, "p": POINTER}
+        super().__init__(module, form.own, form.lanes, arguments, ir.VoidType())
+        self._form = form
+        for name in ("y", "out", "p"):
+            self._given[name].add_attribute("noalias")
+
+    def _of(self, number: Any) -> Value:
+        return Value(self._build, number)
+
+    @property
+    def _unit(self) -> Any:
+        return self._given["unit"] if self._ops.lanes == 1 else self._load("unit", 0)
+
+    def _inverse(self, d: Value | None, multiple: float) -> Inverse:
+        """Of a number that is known when the code runs times one that is known now."""
+        if d is None:
+            high, low = inverse_of(multiple)
+            return Inverse(self._constant(high), self._constant(low))
+        d = d if multiple == 1 else d * multiple
+        one = self._constant(1.0)
+        first = one / d
+        return Inverse(first, (-d).times_plus(first, one) * first)
+
+    def _constant(self, number: float) -> Value:
+        return self._of(self._ops.constant(number))
