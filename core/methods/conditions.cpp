@@ -9,7 +9,7 @@ namespace invariode {
 namespace {
 
 constexpr double narrowest = 0x1p-26;  // √ε, of the length: roots that are closer are not told apart
-constexpr double located = 2 * eps;    // width of a root, of the length
+constexpr double located = 2 * eps;    // width of a root, of where it is
 
 }  // namespace
 
@@ -52,7 +52,7 @@ std::optional<double> Conditions::first_root() {
     const double at_low = value(part.low), at_high = value(part.high);
     double root = part.high;
     if (at_low * at_high < 0)
-      (void)find_root(e, part.low, at_low, part.high, at_high, located, root);
+      (void)find_root(e, part.low, at_low, part.high, at_high, located * part.high, root);
     else if (at_high != 0 && sign_of(at_high) == start)
       return true;  // two roots, or none but for roundoff
     found = root;

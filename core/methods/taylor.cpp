@@ -112,7 +112,8 @@ void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, doub
   if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
 }
 
-/// Σ c_k θ^k
+}  // namespace
+
 void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
   if (n == 0) return;
   const double* c = data + (size - n);
@@ -122,8 +123,6 @@ void power_series(const double* data, std::size_t size, std::size_t n, double th
     for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
   }
 }
-
-}  // namespace
 
 Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool projected)
     : Step(f, weights),
@@ -167,9 +166,12 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
 Status Taylor::look_ahead(double t, const Expansion& expansion, double length) {
   h_ = free_ = std::abs(length);
   if (find_cut(t, expansion, length) == Status::stop) return Status::stop;
-  close_ = cut_ <= shortly * free_ + (hmin_ulps + beyond) * ulp(t) ? close_ + 1 : 0;
-  if (close_ > 1) cut_ = std::max(cut_, std::ldexp(hmin_ulps * ulp(t), close_));  // it is on the same side as before
-  if (close_ > most_close) cut_ = std::numeric_limits<double>::infinity();        // the acceptance test limits h
+  const bool close = cut_ <= shortly * free_ + (hmin_ulps + beyond) * ulp(t), slides = close_ > most_close;
+  close_ = slides ? (cut_ < free_ ? close_ : 0) : close ? close_ + 1 : 0;
+  if (close_ > most_close)
+    cut_ = std::numeric_limits<double>::infinity();  // the acceptance test limits h
+  else if (close_ > 1)
+    cut_ = std::max(cut_, std::ldexp(hmin_ulps * ulp(t), close_));  // it is on the same side as before
   h_ = std::min(free_, cut_);
   return Status::ok;
 }
@@ -180,7 +182,7 @@ Status Taylor::find_cut(double t, const Expansion& expansion, double length) {
   if (!conditions_.any()) return Status::ok;
   std::optional<double> root;
   const Status status = conditions_.first(t, expansion.unit, expansion.c.data(), length / expansion.unit, root);
-  if (root) cut_ = std::max(hmin_ulps * ulp(t), *root * searched_ + beyond * ulp(t + length));
+  if (root) cut_ = std::max(hmin_ulps * ulp(t), *root * searched_ + beyond * ulp(std::abs(t) + *root * searched_));
   return status;
 }
 
@@ -213,11 +215,13 @@ double Taylor::norm(const double* v) const {
 }
 
 /// The |h| for which the last two coefficients that do not vanish are small enough, in the weights: ‖c_k‖ |h|^k ≤
-/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where all vanish.
+/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where the last two of all vanish: the solution may be a polynomial, and the acceptance
+/// test tells.
 double Taylor::reach(const Expansion& expansion) const {
   double rate = -std::numeric_limits<double>::infinity();
   int seen = 0;
   for (std::size_t k = order_; k > 0 && seen < 2; --k) {
+    if (seen == 0 && k + 2 == order_) break;
     const double size = norm(row(expansion, k));
     if (size < std::numeric_limits<double>::min()) continue;
     rate = std::max(rate, logarithm(size) * reciprocals[k]);
@@ -308,7 +312,7 @@ Outcome Taylor::accept(const double* y1) {
     if (expand(t1_, y1, next_) == Status::stop) return Outcome::stop;
   }
   if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
-  const double longest = crosses_ ? largest_growth * free_ : failed_ ? h_ : largest_growth * h_;
+  const double longest = crosses_ ? free_ : failed_ ? h_ : largest_growth * h_;
   const double length = next_.finite ? std::min(reach(next_), longest) : h_;
   if (look_ahead(t1_, next_, std::copysign(length, length_)) == Status::stop) return Outcome::stop;
   if (moved_onto_bounds_)
