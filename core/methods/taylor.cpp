@@ -112,6 +112,9 @@ void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, doub
   if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
 }
 
+/// The shortest step that a condition is given: roundoff of t, also where t is 0.
+double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
+
 }  // namespace
 
 void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
@@ -145,7 +148,7 @@ Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool p
 Outcome Taylor::start(double t, const double* y, const Span& span) {
   t_ = t;
   std::copy(y, y + n(), y_.begin());
-  accepted_ = failed_ = false;
+  accepted_ = failed_ = crosses_ = false;
   remainder_.clear();
   undefined_ = {};
   if (f_(t, y, end_f_) == Status::stop) return Outcome::stop;
@@ -165,13 +168,15 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
 /// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
 Status Taylor::look_ahead(double t, const Expansion& expansion, double length) {
   h_ = free_ = std::abs(length);
+  if (!conditions_.any()) return Status::ok;
   if (find_cut(t, expansion, length) == Status::stop) return Status::stop;
-  const bool close = cut_ <= shortly * free_ + (hmin_ulps + beyond) * ulp(t), slides = close_ > most_close;
+  const double least = shortest(t, free_);
+  const bool close = cut_ <= shortly * free_ + least, slides = close_ > most_close;
   close_ = slides ? (cut_ < free_ ? close_ : 0) : close ? close_ + 1 : 0;
   if (close_ > most_close)
     cut_ = std::numeric_limits<double>::infinity();  // the acceptance test limits h
   else if (close_ > 1)
-    cut_ = std::max(cut_, std::ldexp(hmin_ulps * ulp(t), close_));  // it is on the same side as before
+    cut_ = std::max(cut_, std::ldexp(least, close_));  // it is on the same side as before
   h_ = std::min(free_, cut_);
   return Status::ok;
 }
@@ -179,18 +184,19 @@ Status Taylor::look_ahead(double t, const Expansion& expansion, double length) {
 Status Taylor::find_cut(double t, const Expansion& expansion, double length) {
   searched_ = std::abs(length);
   cut_ = std::numeric_limits<double>::infinity();
-  if (!conditions_.any()) return Status::ok;
   std::optional<double> root;
   const Status status = conditions_.first(t, expansion.unit, expansion.c.data(), length / expansion.unit, root);
-  if (root) cut_ = std::max(hmin_ulps * ulp(t), *root * searched_ + beyond * ulp(std::abs(t) + *root * searched_));
+  if (!root) return status;
+  const double at = *root * searched_;
+  cut_ = std::max(shortest(t, searched_), at + beyond * ulp(std::abs(t) + at));
   return status;
 }
 
-/// The expansion at (t, y), in a unit of time near h. (Beside a singularity that is much closer than h coefficients
-/// overflow: the unit becomes shorter then.)
+/// The expansion at (t, y), in a unit of time near h, that without a condition. (Beside a singularity that is much
+/// closer than h coefficients overflow: the unit becomes shorter then.)
 Status Taylor::expand(double t, const double* y, Expansion& into) {
   undefined_ = {};
-  for (double unit = unit_near(h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
+  for (double unit = unit_near(crosses_ ? free_ : h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
     if (series_(t, unit, y, into.c.data()) == Status::stop) return Status::stop;
     into.unit = unit;
     into.finite = all_finite(row(into, order_ - 1), 2 * n());  // what is not finite makes all after it so too
@@ -215,8 +221,8 @@ double Taylor::norm(const double* v) const {
 }
 
 /// The |h| for which the last two coefficients that do not vanish are small enough, in the weights: ‖c_k‖ |h|^k ≤
-/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where the last two of all vanish: the solution may be a polynomial, and the acceptance
-/// test tells.
+/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where the last two of all vanish: the solution may be a polynomial, and the
+/// acceptance test tells.
 double Taylor::reach(const Expansion& expansion) const {
   double rate = -std::numeric_limits<double>::infinity();
   int seen = 0;

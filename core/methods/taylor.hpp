@@ -3,6 +3,7 @@
 // integration of ODEs by means of high-order Taylor methods, Exp. Math. 14 (2005) 99-117).
 
 #include <cstddef>
+#include <limits>
 #include <optional>
 #include <vector>
 
@@ -97,13 +98,14 @@ class Taylor final : public Step {
   double length_ = 0;                       // t₁ − t
   double per_unit_ = 1, per_end_unit_ = 1;  // 1 / unit
   double unit_of_error_ = 0;
-  double free_ = 0;        // |h|, were it not for conditions
-  double searched_ = 0;    // up to this |h| from the point reached, conditions were looked for
-  double cut_ = 0;         // just before this |h| the first of them changes its sign; infinite: none does
-  int close_ = 0;          // so many steps in a row were cut shortly after their start
-  bool crosses_ = false;   // the attempt ends there
-  bool expanded_ = false;  // next_ is the expansion at the candidate
-  bool failed_ = false;    // an attempt of this step failed
+  double free_ = 0;      // |h|, were it not for conditions
+  double searched_ = 0;  // up to this |h| from the point reached, conditions were looked for
+  double cut_ = std::numeric_limits<double>::infinity();  // just before this |h| the first of them changes its sign;
+                                                          // infinite: none does
+  int close_ = 0;                                         // so many steps in a row were cut shortly after their start
+  bool crosses_ = false;                                  // the attempt ends there
+  bool expanded_ = false;                                 // next_ is the expansion at the candidate
+  bool failed_ = false;                                   // an attempt of this step failed
   bool accepted_ = false;
   Undefined undefined_;
 };
