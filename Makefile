@@ -146,6 +146,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/native.py --write
 	$(BIN)/python benchmarks/compiled.py --write
 	$(BIN)/python benchmarks/peers.py --write
+	$(BIN)/python benchmarks/taylor.py --write
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/lanes.py --write
 	$(BIN)/python benchmarks/many.py --write

@@ -30,8 +30,8 @@ TOLERANCES = tuple(10.0**-k for k in range(4, 17))
 ERRORS = tuple(10.0**-k for k in range(6, 14))
 #: Of what is timed: shorter runs are repeated.
 SHORTEST = 2e-3
-#: The long orbit, its eccentricity, and the tolerance.
-ORBITS, ECCENTRICITY, TIGHT = 10_000, 0.9, 1e-15
+#: The long orbit, its eccentricity, and the tolerance; a looser one, at which code is compiled too.
+ORBITS, ECCENTRICITY, TIGHT, LOOSE = 10_000, 0.9, 1e-15, 1e-9
 #: Zeros of the events, and distances of pairs of them in units of √ε h.
 CROSSINGS, APART = 10_000, (10.0, 3.0, 1.0)
 #: Around a zero that was found, the sign is compared.
@@ -123,6 +123,27 @@ def one_trajectory(repetitions: int) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------------------------
+# Compilation
+
+
+def compiled_in(make: Callable[[], object]) -> float:
+    """Processor time, in milliseconds, of what is done once."""
+    start = process_time()
+    make()
+    return 1e3 * (process_time() - start)
+
+
+def compilation() -> str:
+    """Before the first step, in a process that has compiled something before."""
+    ours(PROBLEMS["kepler"], TOLERANCES[0])()
+    rows = []
+    for p in PROBLEMS.values():
+        times = [compiled_in(lambda p=p, tolerance=tolerance: ours(p, tolerance)()) for tolerance in (LOOSE, TIGHT)]
+        rows.append([p.title, *(f"{one:.0f}" for one in times)])
+    return table(["ms to prepare, and for the first run", f"at {LOOSE:.0e}", f"at {TIGHT:.0e}"], rows)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
 # A long orbit
 
 
@@ -204,7 +225,8 @@ def events(repetitions: int) -> str:
 
 
 def report(repetitions: int) -> str:
-    parts = [one_trajectory(repetitions), long_orbit(repetitions), events(repetitions)]
+    first = compilation()  # before anything else has compiled the same
+    parts = [one_trajectory(repetitions), first, long_orbit(repetitions), events(repetitions)]
     return "\n\n".join([machine("invariode", "heyoka", "llvmlite"), *parts])
 
 

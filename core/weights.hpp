@@ -2,9 +2,11 @@
 // Tolerances, the weights they define, and the norm of the error test (docs/algorithms.md, 'Tolerances').
 
 #include <algorithm>
+#include <bit>
 #include <cassert>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -18,10 +20,10 @@ inline constexpr double cbrt_eps =
 /// |y_i| and tolerances below this give no scale for increments: 1e-40 of it, a complex step, must not underflow.
 inline constexpr double smallest_scale = 1e-250;
 
-/// Spacing of doubles at |t|.
+/// Spacing of doubles at |t|. (The next one has the next bits.)
 inline double ulp(double t) {
   const double a = std::abs(t);
-  return std::nextafter(a, std::numeric_limits<double>::infinity()) - a;
+  return std::bit_cast<double>(std::bit_cast<std::uint64_t>(a) + 1) - a;
 }
 
 /// Whether all n values are finite: 0 · x is 0 for those, NaN for the others. (Four sums, so that none

@@ -108,6 +108,7 @@ void evaluate_beside(const double* c, std::size_t n, std::size_t order, double s
 void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, double s, double* rise, double* slope) {
   std::size_t i = 0;
   for (; i + 4 <= n; i += 4) evaluate_beside<4>(c + i, n, order, s, rise + i, slope + i);
+  if (i + 3 == n) return evaluate_beside<3>(c + i, n, order, s, rise + i, slope + i);
   for (; i + 2 <= n; i += 2) evaluate_beside<2>(c + i, n, order, s, rise + i, slope + i);
   if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
 }
@@ -141,7 +142,7 @@ Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool p
       values_(5 * weights.size()) {
   assert(lowest_order <= series_.order() && series_.order() <= highest_order);
   double* next = values_.data();
-  for (double** v : {&candidate_, &end_slope_, &end_f_, &inverse_weight_, &slope_})
+  for (double** v : {&candidate_, &end_slope_, &f_value_, &inverse_weight_, &slope_})
     *v = std::exchange(next, next + n());
 }
 
@@ -151,13 +152,13 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
   accepted_ = failed_ = crosses_ = false;
   remainder_.clear();
   undefined_ = {};
-  if (f_(t, y, end_f_) == Status::stop) return Outcome::stop;
-  if (!all_finite(end_f_, n())) {
-    undefined_.component = first_undefined(end_f_);
+  if (f_(t, y, f_value_) == Status::stop) return Outcome::stop;
+  if (!all_finite(f_value_, n())) {
+    undefined_.component = first_undefined(f_value_);
     return Outcome::not_finite;
   }
   for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y[i]);
-  h_ = initial_step(norm(end_f_), t, span);
+  h_ = initial_step(norm(f_value_), t, span);
   if (expand(t, y, current_) == Status::stop) return Outcome::stop;
   if (!current_.finite) return Outcome::not_finite;
   h_ = initial_step(1 / reach(current_), t, span);
@@ -199,6 +200,7 @@ Status Taylor::expand(double t, const double* y, Expansion& into) {
   for (double unit = unit_near(crosses_ ? free_ : h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
     if (series_(t, unit, y, into.c.data()) == Status::stop) return Status::stop;
     into.unit = unit;
+    into.per_unit = 1 / unit;
     into.finite = all_finite(row(into, order_ - 1), 2 * n());  // what is not finite makes all after it so too
     if (into.finite || !all_finite(row(into, 1), n())) break;
   }
@@ -251,13 +253,13 @@ Step::Attempt Taylor::attempt(double h, double t1) {
   if (h_ > cut_) return {Outcome::ok, std::numeric_limits<double>::max(), candidate_};
   crosses_ = h_ == cut_;
   error_ = std::numeric_limits<double>::quiet_NaN();
-  per_unit_ = 1 / current_.unit;
+  per_unit_ = current_.per_unit;
   unit_of_error_ = h_ * exponent_ * std::min(1.0, weights_.rtol() / least_tested);
   evaluate_polynomial(current_.c.data(), n(), order_, length_ * per_unit_, candidate_, end_slope_);
   for (std::size_t i = 0; i < n(); ++i) candidate_[i] = remainder_.propose(i, y_[i], candidate_[i]);
   if (!all_finite(candidate_, n())) return {Outcome::not_finite, error_, candidate_};
-  if (evaluate_at_candidate() == Status::stop) return {Outcome::stop, error_, candidate_};
   for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y_[i], candidate_[i]);
+  if (evaluate_at_candidate() == Status::stop) return {Outcome::stop, error_, candidate_};
   if (crosses_)
     error_ = norm(row(current_, order_)) * std::pow(h_ * per_unit_, order());
   else
@@ -270,14 +272,15 @@ Status Taylor::evaluate_at_candidate() {
   if (projected_) {
     per_end_unit_ = 1;
     undefined_ = {};
-    const Status status = f_(t1_, candidate_, end_f_);
+    end_f_ = f_value_;
+    const Status status = f_(t1_, candidate_, f_value_);
     if (status == Status::ok) undefined_.component = first_undefined(end_f_);
     return status;
   }
   expanded_ = true;
   const Status status = expand(t1_, candidate_, next_);
-  per_end_unit_ = 1 / next_.unit;
-  std::copy_n(row(next_, 1), n(), end_f_);
+  per_end_unit_ = next_.per_unit;
+  end_f_ = row(next_, 1);
   return status;
 }
 
@@ -338,6 +341,7 @@ void Taylor::state(Archive& archive) {
   Expansion& expansion = at_point_reached();
   archive(expansion.c, expansion.unit, expansion.finite, remainder_, free_, searched_, cut_, close_, failed_);
   archive.require(expansion.unit > 0);
+  expansion.per_unit = 1 / expansion.unit;
 }
 
 Interpolate Taylor::interpolate() const { return power_series; }

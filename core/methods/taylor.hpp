@@ -55,7 +55,7 @@ class Taylor final : public Step {
   /// Coefficients (order + 1, n) in s = (t − t_k) / unit.
   struct Expansion {
     std::vector<double> c;
-    double unit = 1;
+    double unit = 1, per_unit = 1;  // and its reciprocal
     bool finite = true;
   };
   [[nodiscard]] const double* row(const Expansion& expansion, std::size_t k) const {
@@ -88,9 +88,10 @@ class Taylor final : public Step {
   Expansion current_, next_;
   Remainder remainder_;
   std::vector<double> values_;
-  double* candidate_ = nullptr;  // y*
-  double* end_slope_ = nullptr;  // of the polynomial, in the unit of its expansion
-  double* end_f_ = nullptr;      // f(t₁, y*), times 1 / `per_end_unit_`
+  double* candidate_ = nullptr;    // y*
+  double* end_slope_ = nullptr;    // of the polynomial, in the unit of its expansion
+  double* f_value_ = nullptr;      // where f writes
+  const double* end_f_ = nullptr;  // f(t₁, y*), times 1 / `per_end_unit_`
   double* inverse_weight_ = nullptr;
   double* slope_ = nullptr;
   double t1_ = 0;

@@ -320,6 +320,69 @@ TEST(what_fails_leaves_no_trace) {
   }
 }
 
+/// y' = a sign y, with y as its condition.
+struct Switching {
+  explicit Switching(double rate)
+      : f([rate](double, const double* y, double* out) { out[0] = y[0] > 0   ? rate
+                                                                  : y[0] < 0 ? -rate
+                                                                             : 0; }),
+        solution([this](double, double unit, const double* y, double* out) {
+          std::fill(out, out + order + 1, 0);
+          out[0] = y[0];
+          f(0, y, out + 1);
+          out[1] *= unit;
+        }),
+        condition([](double, double, const double* c, double* out) { std::copy(c, c + order + 1, out); }),
+        series{as_series(solution, order), as_series(condition, order), 1} {}
+
+  static constexpr std::size_t order = 8;
+  test::Function f;
+  Coefficients solution, condition;
+  SystemSeries series;
+};
+
+TEST(a_step_ends_just_beyond_the_root_of_a_condition_and_longer_attempts_fail_without_a_trace) {
+  for (const double start : {1.0, -1.0}) {
+    const check::Case label("from ", start);
+    Switching system(-1);
+    const Weights weights(1e-8, {1.0}, {});
+    Callback f = as_callback(system.f);
+    Taylor step(f, weights, system.series, false);
+    CHECK(step.start(0, &start, {.tf = 20, .hmax = 20, .hmin = 0}) == Outcome::ok);
+    const double root = 1, h = step.h();
+    CHECK(h > root && h < root + 100 * eps);
+    const std::int64_t calls = system.series.solution.calls();
+    CHECK(step.attempt(2, 2).error > weights.rtol());
+    CHECK(step.reject(Cause::error, 0) && step.h() == h && system.series.solution.calls() == calls);
+    const Step::Attempt proposal = step.attempt(h, h);
+    CHECK(proposal.outcome == Outcome::ok && proposal.error <= weights.rtol());
+    CHECK(start * proposal.y[0] < 0);
+    CHECK(step.accept(proposal.y) == Outcome::ok && step.t() == h);
+    CHECK_CLOSE(start * step.slope()[0], 1, 0);  // of the other branch
+  }
+}
+
+TEST(where_the_solution_slides_along_a_condition_the_acceptance_test_limits_steps) {
+  Switching system(-1);
+  Problem problem;
+  problem.n = 1;
+  problem.f = as_callback(system.f);
+  problem.series.emplace(system.series);
+  const Weights weights(1e-3, {1.0}, {});
+  Settings settings;
+  settings.tf = 1.5;
+  settings.hmax = 1;
+  settings.max_steps = 100000;
+  const Solver solver(*find_method("taylor"), std::move(problem), weights, settings, MethodOptions{});
+  Run run(solver);
+  const double start = 1;
+  CHECK(run.integration().start(&start) == State::running);
+  CHECK(run.integration().run() == State::reached_end);
+  const RunResult result = run.take_result();
+  CHECK(std::abs(*result.end()) < 0.1);
+  CHECK(result.counts.steps < 20000);
+}
+
 TEST(each_linear_law_of_f_vanishes_on_the_directions_and_errors_are_given_by_component) {
   System sum = oscillator(9);  // of the oscillator and a copy that mirrors it: the sums are zero
   sum.y0 = {1, 0, -1, 0};
