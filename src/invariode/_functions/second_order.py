@@ -10,22 +10,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .compiled import CompiledFunction, CoreFunction, as_python, is_native, native_parameters, to_native
-
-
-class FirstOrderForm:
-    """(v, f(t, q, \\*args)) of a Python function f."""
-
-    def __init__(self, fun: Callable[..., Any]) -> None:
-        self.fun = fun
-        self.__name__ = call_name(fun, "f")
-        self.__wrapped__ = fun  # whose signature it has
-
-    def __call__(self, t: Any, y: Any, *args: Any) -> Any:
-        half = len(y) // 2
-        return np.concatenate([y[half:], np.atleast_1d(self.fun(t, y[:half], *args))])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return FirstOrderForm, (self.fun,)
+from .first_order import FirstOrderForm
 
 
 class SecondOrder(CoreFunction):
@@ -78,8 +63,7 @@ class SecondOrder(CoreFunction):
 
     def __call__(self, t: float, y: Array, *args: Any) -> Array:
         if not is_native(self.fun) or isinstance(self.fun, CompiledFunction):
-            values: Array = FirstOrderForm(self.fun)(t, y, *args)
-            return values
+            return np.asarray(FirstOrderForm(self.fun)(t, y, *args))
         half = len(y) // 2
         p = native_parameters(args, [self.fun])
         call = as_python(to_native("fun", self.fun, half, half, p), half)
