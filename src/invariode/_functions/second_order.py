@@ -16,19 +16,20 @@ from .first_order import FirstOrderForm
 class SecondOrder(CoreFunction):
     """Second-order equations q'' = f(t, q): the `fun` of a problem with y = (q, v), positions before velocities.
 
-    The methods rkn64, rkn86 and rkn1210 are for such problems alone; every other one integrates them as
-    (q, v)' = (v, f(t, q)).
+    The methods rkn64, rkn86 and rkn1210 are for such problems alone, and evaluate f about half as often as others at the
+    same error. Every other method integrates them as (q, v)' = (v, f(t, q)).
 
     Parameters
     ----------
     fun : callable
-        ``f(t, q, *args)``, the accelerations: q is an array of shape (n/2,), where y0 has n components, and so is what
-        is returned. Native functions have the signature of any f, with n/2 values. It cannot depend on the velocities.
+        ``f(t, q, *args)``, the accelerations, which cannot depend on the velocities. If y0 has n components, q has the
+        shape (n/2,), and so has what it returns. Native functions have the signature of any f, with n/2 values.
 
     Notes
     -----
-    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``. `invariode.compile`
-    takes a SecondOrder, and SecondOrder what it returns.
+    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``, which tests that f does
+    not depend on v: at the start, and in the middle and at the end of a run. Invariants, events and outputs take the
+    whole y. `invariode.compile` takes a SecondOrder, and SecondOrder what it returns.
 
     Examples
     --------
