@@ -63,7 +63,7 @@ def same(a, b):
 
 def written(method):
     """The numbers in the header of a tableau."""
-    text = (CORE / f"{method}.hpp").read_text()
+    text = re.sub(r" *//.*\n", "\n", (CORE / f"{method}.hpp").read_text())
     found = {}
     for key, block in re.findall(r"\.(\w+) = (\{.*?\}),\n(?=    \.|\};)", text, re.DOTALL):
         rows = json.loads(re.sub(r"\s+", "", block).replace("{", "[").replace("}", "]"))
