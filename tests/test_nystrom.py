@@ -341,6 +341,11 @@ def test_velocities_that_matter_later_are_refused(method):
         assert not many.success[1]
 
 
+def test_an_f_without_a_value_is_not_said_to_depend_on_velocities():
+    nowhere = iv.solve_ivp(lambda t, y: [y[1], np.nan], (0, 1), [1.0, 0.0], "rkn64", second_order=True)
+    assert nowhere.message.startswith("fun is not finite at the start")
+
+
 @pytest.mark.parametrize(
     ("fun", "options", "message"),
     [

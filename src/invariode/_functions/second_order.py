@@ -16,8 +16,8 @@ from .first_order import FirstOrderForm
 class SecondOrder(CoreFunction):
     """Second-order equations q'' = f(t, q): the `fun` of a problem with y = (q, v), positions before velocities.
 
-    The methods rkn64, rkn86 and rkn1210 are for such problems alone, and evaluate f about half as often as others at the
-    same error. Every other method integrates them as (q, v)' = (v, f(t, q)).
+    The methods rkn64, rkn86 and rkn1210 are for such problems alone, and evaluate f about half as often as others of
+    their order at the same error. Every other method integrates them as (q, v)' = (v, f(t, q)).
 
     Parameters
     ----------

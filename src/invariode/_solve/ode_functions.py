@@ -17,7 +17,6 @@ from .._problem.options import AllOptions, table_of
 from .._results.solution import Solution
 from .ivp import solve_ivp
 
-
 #: What is particular about f.
 _FUNCTIONS = {
     "any": "",
