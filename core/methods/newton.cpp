@@ -595,8 +595,8 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
   return newton_result(matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b));
 }
 
-/// The factors are those for another c': for stiff components the solution is too large by c/c', for others it is right;
-/// the factor between, which is that of CVODE, leaves the same part of either in error.
+/// The factors are those for another c': for stiff components the solution is too large by c/c', for others it is
+/// right; the factor between, which is that of CVODE, leaves the same part of either in error.
 void Newton::correct_for_c(double* b) const {
   const double factor = 2 / (1 + place_.c / factored_for());
   for (std::size_t i = 0; i < extent().n; ++i) b[i] *= factor;
