@@ -71,8 +71,8 @@ def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) 
     points = np.concatenate([y, y], axis=1)
     points[half:, k:] += _OTHER * _irregular(half)[:, None] * _largest(y[half:])
     slopes = problem.slope(np.concatenate([t, t]), points)
-    finite = np.isfinite(slopes).all(axis=0)  # where it is not, the run says so
-    if (slopes[:half] != points[half:])[:, finite].any():
+    finite = np.logical_and.reduce(np.isfinite(slopes))  # where it is not, the run says so
+    if not np.array_equal(slopes[:half, finite], points[half:, finite]):
         raise ValueError(
             f"second_order: the first {half} values of fun are not the velocities y[{half}:]: fun must return "
             "(v, f(t, q)) of y = (q, v), or use invariode.SecondOrder(f)"
