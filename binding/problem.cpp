@@ -207,7 +207,11 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.n = spec.n;
   problem_.complex = spec.complex;
   if (!spec.fun.is_none()) problem_.f = functions_.exchangeable(spec.fun, "fun(t, y)");
-  if (spec.series) problem_.series = functions_.series(*spec.series);
+  if (spec.series) problem_.series.emplace().solution = functions_.series(*spec.series);
+  if (spec.series && spec.conditions) {
+    problem_.series->conditions = functions_.series(*spec.conditions);
+    problem_.series->count = spec.condition_count;
+  }
   if (nb::isinstance<MotionPart>(spec.fun))
     problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
   if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
@@ -240,7 +244,8 @@ int ProblemSpec::visit(visitproc visit, void* arg) const {
   int stop = visit_all(visit, arg, {fun, args, callback});
   if (stop == 0 && linear) stop = linear->visit(visit, arg);
   if (stop == 0 && variations) stop = variations->visit(visit, arg);
-  if (stop == 0 && series) stop = series->visit(visit, arg);
+  for (const std::optional<SeriesSpec>* one : {&series, &conditions})
+    if (stop == 0 && *one) stop = (*one)->visit(visit, arg);
   const auto visit_each = [&](const auto& specs) {
     for (const auto& one : specs)
       if (stop == 0) stop = one.visit(visit, arg);
@@ -354,7 +359,8 @@ void define_description(nb::module_& module) {
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
              std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
              const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper,
-             std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series) {
+             std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
+             std::optional<SeriesSpec> conditions, std::size_t condition_count) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -369,13 +375,18 @@ void define_description(nb::module_& module) {
                                    lower ? to_vector(*lower) : std::vector<double>{},
                                    upper ? to_vector(*upper) : std::vector<double>{},
                                    std::move(variations),
-                                   std::move(series)};
+                                   std::move(series),
+                                   std::move(conditions),
+                                   condition_count};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
           nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
           nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
-          nb::arg("variations") = nb::none(), nb::arg("series") = nb::none());
+          nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(),
+          nb::arg("condition_count") = 0,
+          "conditions: condition_count values along a polynomial, of which one changes its sign where f changes its "
+          "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

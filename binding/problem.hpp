@@ -103,7 +103,9 @@ struct ProblemSpec {
   std::vector<double> value;
   std::vector<double> lower, upper;  // bounds of y; empty: none
   std::optional<VariationsSpec> variations;
-  std::optional<SeriesSpec> series;  // of the solution
+  std::optional<SeriesSpec> series;      // of the solution
+  std::optional<SeriesSpec> conditions;  // of f, along it
+  std::size_t condition_count;
 
   int visit(visitproc visit, void* arg) const;
 };

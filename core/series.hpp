@@ -40,4 +40,12 @@ class Series {
   std::int64_t calls_ = 0;
 };
 
+/// The series of a system y' = f(t, y), whose f may change from one branch to another: there one of the conditions, a
+/// function of (t, y) with `count` values, changes its sign.
+struct SystemSeries {
+  Series solution;
+  Series conditions{};
+  std::size_t count = 0;
+};
+
 }  // namespace invariode

@@ -25,7 +25,11 @@ FAMILIES = sorted((_FIRST | {METHODS["ode45"].family: "ode45"}).values(), key=li
 IMPLICIT = [name for name in METHODS if implicit(name) and not switching(name)]
 ALGEBRAIC = [name for name, about in METHODS.items() if about.mass == "any"]
 
+#: The methods by Taylor series, for the laws whose f can be traced.
+SERIES = [name for name, about in iv.METHODS.items() if about.equations == "graph"]
+
 families = pytest.mark.parametrize("method", FAMILIES)
+families_and_series = pytest.mark.parametrize("method", [*FAMILIES, *SERIES])
 explicit_and_implicit = pytest.mark.parametrize("method", ["ode45", "ode15s"])
 
 #: Fixtures that look up what a name stands for.

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import Bounds
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import PROBLEMS
 
 IMPLICIT = [name for name, method in METHODS.items() if "jac" in method.options]
@@ -129,7 +129,7 @@ def between(sol, points=7):
 # Signs
 
 
-@families
+@families_and_series
 def test_an_asymptote_at_the_bound_is_stable(method):
     sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, dense_output=True)
     assert sol.success
@@ -151,7 +151,7 @@ def test_the_knee(method):
     assert abs(kept.y[0, -1]) < 1e-3
 
 
-@families
+@families_and_series
 def test_both_bounds_are_kept(method):
     """A logistic overshoot: y' = 5 cos t, held within [-1, 2]."""
     sol = iv.solve_ivp(lambda t, y: [5 * np.cos(t)], (0, 12), [0.0], method, bounds=(-1, 2), dense_output=True)
@@ -266,7 +266,7 @@ def test_bounds_that_are_never_reached_change_nothing(problem, method):
     np.testing.assert_array_equal(plain.sol(t), far.sol(t))
 
 
-@families
+@families_and_series
 def test_a_mirrored_problem_has_the_mirrored_solution(method):
     down = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     up = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, 40), [-1.0], method, bounds=(None, 0))
@@ -277,7 +277,7 @@ def test_a_mirrored_problem_has_the_mirrored_solution(method):
     np.testing.assert_array_equal(down.y, -up.y)
 
 
-@families
+@families_and_series
 def test_a_reversed_problem_has_the_reversed_solution(method):
     forwards = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     backwards = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, -40), [1.0], method, nonnegative=True)
@@ -285,7 +285,7 @@ def test_a_reversed_problem_has_the_reversed_solution(method):
     np.testing.assert_array_equal(forwards.y, backwards.y)
 
 
-@families
+@families_and_series
 def test_units_by_powers_of_two_change_nothing(method):
     unit = 2.0**40
     here = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
@@ -313,7 +313,7 @@ def test_the_same_by_index_label_mask_and_bounds(method):
         np.testing.assert_array_equal(y, solutions[0])
 
 
-@families
+@families_and_series
 def test_the_whole_is_the_sum_of_its_parts(method):
     whole = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     parts = iv.solve_ivp(sink, (0, 20), [1.0], method, nonnegative=True).extend(40)

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import PROBLEMS, slack
 
 KEPLER = PROBLEMS["Kepler"]
@@ -222,7 +222,7 @@ def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(me
     assert sol.y[0, 2] == 1
 
 
-@families
+@families_and_series
 def test_invariants_are_held_at_their_new_values(method):
     """A kick changes the energy; a demanded value has to be kept by the action."""
 
@@ -248,7 +248,7 @@ def test_invariants_are_held_at_their_new_values(method):
     assert "After the action at t = 1" in sol.message
 
 
-@families
+@families_and_series
 def test_invariants_may_have_kinks_at_breakpoints(method):
     """y' = ramp'(t): y - ramp(t) is kept, and its derivative with respect to t jumps, without a false conviction."""
 
@@ -328,7 +328,7 @@ def add_one(t, y):
     return [y[0] + 1.0]
 
 
-@families
+@families_and_series
 def test_pieces_may_be_as_narrow_as_they_like(method):
     points = [1.0, np.nextafter(1.0, 2), np.nextafter(1.0, 2) + 4e-16, 1 + 1e-12, 1 + 1e-12]
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, 2), [0.0], method, breakpoints=points)
@@ -478,7 +478,7 @@ def test_breakpoints_between_which_no_step_fits_are_one(method, t0):
     np.testing.assert_allclose(sol.y[0, -1], 5 + 2 + 5, rtol=1e-9)
 
 
-@families
+@families_and_series
 def test_a_breakpoint_at_the_smallest_double_is_passed(method):
     """The step to it would be so short that h times a coefficient is 0."""
     tiny = 5e-324

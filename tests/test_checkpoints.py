@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
 
 SEED = 18
@@ -52,7 +52,7 @@ def test_a_killed_run_is_not_lost(tmp_path):
         assert killed(seed, tmp_path / f"{seed}.checkpoint", rng) in ("whole", "not begun")
 
 
-@families
+@families_and_series
 def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     case = random_case(SEED + 7, method)
     whole = case.solve()
@@ -99,7 +99,7 @@ def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
     assert sizes[1][1] < sizes[0][1] + 200  # digits of the counts
 
 
-@families
+@families_and_series
 def test_an_extension_goes_on_writing(method, tmp_path):
     path = tmp_path / "run.checkpoint"
     first = problem().solve(method, checkpoint=path, dense_output=True)

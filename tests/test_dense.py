@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import PROBLEMS, long_steps
 
 MODES = ["projected", "corrected", "raw"]
@@ -100,7 +100,7 @@ def test_scalars_arrays_and_order_of_times(method):
         sol([[1.0]])
 
 
-@families
+@families_and_series
 def test_backwards(method):
     problem = PROBLEMS["Kepler"]
     sol = iv.solve_ivp(problem.fun, (0, -20), problem.y0, method, dense_output=True, invariants=problem.invariants())
@@ -112,7 +112,7 @@ def test_backwards(method):
     np.testing.assert_allclose(again.y, sol.sol(t), rtol=1e-13, atol=1e-13)
 
 
-@families
+@families_and_series
 def test_dense_output_outlives_the_run_and_may_be_used_in_threads(method):
     from concurrent.futures import ThreadPoolExecutor
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS
 
 
@@ -28,7 +28,7 @@ def run(method, events, t_span=(0, 10), **options):
     return iv.solve_ivp(clock, t_span, [t_span[0], 1.0], method, events=events, rtol=1e-6, **options)
 
 
-@families
+@families_and_series
 def test_roots_are_found_to_a_few_ulp(method):
     times = [0.3, 1.7, 4.00001, 9.99]
     sol = run(method, [at(s) for s in times])
@@ -46,7 +46,7 @@ def test_several_roots_in_one_step_are_all_found_in_order(method):
     np.testing.assert_allclose(sol.t_events[0], times, rtol=1e-14)
 
 
-@families
+@families_and_series
 def test_root_exactly_at_the_end_of_a_step_is_reported_once(method):
     sol = iv.solve_ivp(clock, (0, 10), [0, 0], method, events=lambda t, y: t - 4, max_step=1, first_step=1)
     assert 4.0 in sol.t
@@ -155,7 +155,7 @@ def test_event_states_are_on_the_manifold(method, problem):
     assert np.abs(terminal.residual[:, -1]).max() <= 1.01 * np.abs(sol.residual).max() + 1e-12
 
 
-@families
+@families_and_series
 def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
     problem = PROBLEMS["Kepler"]
     for mode in ("corrected", "raw"):
@@ -165,7 +165,7 @@ def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
             np.testing.assert_allclose(sol.sol(t), y, rtol=1e-12, atol=1e-12)
 
 
-@families
+@families_and_series
 def test_no_event_is_lost_or_doubled_over_a_long_run(method):
     """sin t crosses zero at every multiple of π."""
     sol = iv.solve_ivp(
@@ -302,7 +302,7 @@ def test_cubic_of_scipys_issue_9228(method):
         np.testing.assert_allclose(sol.t_events[0], [-6, -2, 2], atol=1e-3)
 
 
-@families
+@families_and_series
 def test_adaptive_samples_on_the_manifold(method):
     """Events are located on the projected solution, backwards and with actions too."""
     kepler = PROBLEMS["Kepler"]

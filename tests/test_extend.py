@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import PROBLEMS, blow_up, slack
 
 TIGHT = {"rtol": 1e-8, "atol": 1e-10}
@@ -47,7 +47,7 @@ def test_two_parts_are_one_run(method, end):
     assert first.t[-1] == 5  # is as it was
 
 
-@families
+@families_and_series
 def test_three_parts_are_two(method):
     first = solve(method, (0, 3))
     sol = first.extend(4).extend(7)
@@ -83,7 +83,7 @@ def test_invariants_keep_their_old_values(method, problem):
     np.testing.assert_allclose(np.abs(sol.residual).max(), problem.drift(sol), atol=1e-14)
 
 
-@families
+@families_and_series
 def test_the_start_of_the_second_part_is_the_end_of_the_first_to_the_bit(method):
     """It is not projected again, and f and g are not asked again whether g is an invariant."""
     raw = solve(method, (0, 5), rtol=1e-3, atol=1e-6, invariants=KEPLER.invariants(), interpolation="raw",
@@ -93,7 +93,7 @@ def test_the_start_of_the_second_part_is_the_end_of_the_first_to_the_bit(method)
     np.testing.assert_array_equal(sol.sol(raw.t[-1]), raw.y[:, -1])
 
 
-@families
+@families_and_series
 def test_backwards(method):
     end = 0.5  # t = 0 is a crossing
     sol = solve(method, (20, 13), KEPLER.solution(20.0), events=crossing, dense_output=True).extend(end)
@@ -113,7 +113,7 @@ def test_complex_states(method):
     np.testing.assert_allclose(np.abs(sol.y), 1, atol=1e-12)
 
 
-@families
+@families_and_series
 def test_an_event_that_ended_the_run_is_not_found_again(method):
     """Whichever side of the root the final state lies on, and however often."""
     event = iv.Event(crossing, terminal=True)
@@ -150,7 +150,7 @@ def bounce(**more):
     return iv.Event(lambda t, y: y[0], direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]], **more)
 
 
-@families
+@families_and_series
 def test_jumps_go_on_and_each_piece_keeps_its_value(method):
     def ball(t, y):
         return [y[1], -1.0]
@@ -169,7 +169,7 @@ def test_jumps_go_on_and_each_piece_keeps_its_value(method):
     np.testing.assert_allclose(sol.impose().sol(t), sol.sol(t), atol=1e-7)
 
 
-@families
+@families_and_series
 def test_a_jump_at_the_very_end(method):
     """The action is taken there, and the extension starts behind it."""
     event = iv.Event(lambda t, y: t - 2, action=lambda t, y: [y[0] + 1])

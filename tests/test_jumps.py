@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import slack
 
 RESTITUTION = 0.9
@@ -71,7 +71,7 @@ def test_ball_bounces_thirty_times(method, rtol, project):
         assert np.ptp([energy(0, y) for y in sol.y.T]) > 0.2  # which falls
 
 
-@families
+@families_and_series
 def test_the_solution_has_both_values_and_sol_the_later_one(method):
     hit = iv.Event(floor, direction=-1, terminal=4, action=bounce)
     sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, dense_output=True, refine=3)
@@ -98,7 +98,7 @@ def test_output_at_given_times_gives_one_value_each(method):
     assert np.abs(sol.residual).max() < 1e-6
 
 
-@families
+@families_and_series
 def test_dosing(method):
     """A linear decay to which 1 is added each time that a clock strikes."""
     doses = [iv.Event(lambda t, y, s=s: t - s, action=lambda t, y: y + 1) for s in (1.0, 2.0, 3.0)]
@@ -155,7 +155,7 @@ def test_values_that_are_demanded_or_not_reheld_stay(method):
     assert np.hypot(*sol.y[:, -1]) == pytest.approx(2, rel=1e-5)
 
 
-@families
+@families_and_series
 def test_backwards(method):
     hit = iv.Event(lambda t, y: y[0] - 1, action=lambda t, y: [3.0])
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, -6), [2.0], method, events=hit, dense_output=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import families
+from cases import families_and_series
 
 
 def swing(t, y):
@@ -40,7 +40,7 @@ def test_every_method_keeps_all_levels_to_roundoff(method):
     assert np.abs(sol.residual).max() < 1e-13
 
 
-@families
+@families_and_series
 def test_points_between_steps_are_on_the_manifold_too(method):
     sol = iv.solve_ivp(swing, (0, 5), START, method, rtol=1e-5, atol=1e-7, invariants=LEVELS, dense_output=True)
     t = np.linspace(0, 5, 301)
@@ -58,7 +58,7 @@ def test_errors_of_velocities_do_not_move_positions():
     assert np.abs(joint.y[:2] - rough[:2]).max() > 0.1
 
 
-@families
+@families_and_series
 def test_level_0_that_moves_all_is_the_default_to_the_last_bit(method):
     held = [iv.Invariants(rod, value=0), iv.Invariants(across, value=0)]
     named = [iv.Invariants(rod, value=0, level=0, moves=None), iv.Invariants(across, value=0, level=0)]
@@ -114,7 +114,7 @@ def dumbbell(metric):
 TUMBLING = np.array([0, 0, 1, 0, 0, -2.0, 0, 1.0])
 
 
-@families
+@families_and_series
 def test_corrections_in_the_metric_of_the_mass_change_no_momentum(method):
     """They are what forces along the rod do. Plain methods keep linear functions of y, joint projection does not."""
     momentum = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import METHODS, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 
@@ -98,7 +98,7 @@ def test_redundant_invariant_is_dropped_with_one_warning(method):
     np.testing.assert_allclose(sol.y, two.y, rtol=1e-5, atol=1e-5)
 
 
-@families
+@families_and_series
 def test_circular_orbit_where_invariants_are_redundant_everywhere(method):
     if iv.METHODS[method].order == 2:
         pytest.skip("its orbits are less circular than rtol, and the invariants independent")

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import invariode as iv
-from cases import METHODS
+from cases import METHODS, SERIES
 from problems import implicit, kepler, kepler_invariants, kepler_jacobian
 
-METHOD = st.sampled_from(list(METHODS))
+METHOD = st.sampled_from([*METHODS, *SERIES])
 ECCENTRICITY = st.floats(0.05, 0.8)
 LIMITS = settings(max_examples=25, deadline=None, derandomize=True)
 

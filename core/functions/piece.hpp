@@ -37,6 +37,7 @@ class Piece {
   }
 
   Series within(const Series& series) {
+    if (!series) return {};
     return {&Piece::series_entry, &series_.emplace_back(*this, series), series.order()};
   }
   Callback within(const Callback& function) {

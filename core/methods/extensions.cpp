@@ -6,6 +6,7 @@
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
 #include "methods/runge_kutta.hpp"
+#include "methods/taylor.hpp"
 #include "methods/trbdf2.hpp"
 
 namespace invariode {
@@ -22,7 +23,8 @@ constexpr NamedExtension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomia
                                    {"Adams", integrate_polynomial, rows_and_steps},
                                    {"NDF", newton_backward, rows_of_n},
                                    {"TR-BDF2", two_hermite_cubics, two_cubics},
-                                   {"numbered", numbered_extension, numbered}};
+                                   {"numbered", numbered_extension, numbered},
+                                   {"power series", power_series, rows_of_n}};
 
 /// The extension with that number; null if the number is unknown, or names a numbered extension.
 const NamedExtension* of_number(double number) {

@@ -18,24 +18,24 @@ namespace {
 
 template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                const LinearAlgebra&, Series*) {
+                                const LinearAlgebra&, SystemSeries*) {
   using namespace runge_kutta;
   return (weights.size() <= small_system ? steps_of_small_systems : steps_of_any_system)[I](f, weights, given.fsal);
 }
 
 template <std::size_t I>
 std::unique_ptr<Step> make_nystrom(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                   const LinearAlgebra&, Series*) {
+                                   const LinearAlgebra&, SystemSeries*) {
   return nystrom::steps[I](f, weights, given.fsal, given.state > 0 ? given.state : weights.size());
 }
 
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra&, Series*) {
+                                 const LinearAlgebra&, SystemSeries*) {
   return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order);
 }
 
 std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                               const LinearAlgebra& linear, Series*) {
+                               const LinearAlgebra& linear, SystemSeries*) {
   const Ndf::Options options{.max_order = given.max_order > 0 ? given.max_order : method.order,
                              .bdf = given.bdf,
                              .renew_on_error = given.projected};
@@ -43,14 +43,14 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 }
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
-                                 const LinearAlgebra& linear, Series*) {
+                                 const LinearAlgebra& linear, SystemSeries*) {
   const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
   return std::make_unique<Radau>(f, weights, linear, given.max_order > 0 ? given.max_order : own);
 }
 
 template <class Implicit>
 std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
-                                    const LinearAlgebra& linear, Series*) {
+                                    const LinearAlgebra& linear, SystemSeries*) {
   return std::make_unique<Implicit>(f, weights, linear);
 }
 
@@ -69,7 +69,7 @@ double calls_per_jacobian(const Jacobian& jacobian) {
 
 /// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
 std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                     const LinearAlgebra& linear, Series* series) {
+                                     const LinearAlgebra& linear, SystemSeries* series) {
   const auto [explicit_one, implicit_one] = members(given);
   MethodOptions own = given;
   own.max_order = 0;  // each goes up to its own
@@ -86,7 +86,7 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
 }
 
 std::unique_ptr<Step> make_taylor(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
-                                  const LinearAlgebra&, Series* series) {
+                                  const LinearAlgebra&, SystemSeries* series) {
   return std::make_unique<Taylor>(f, weights, *series, given.projected);
 }
 

@@ -57,10 +57,10 @@ struct Method {
   MassMatrices mass = MassMatrices::none;
   Equations equations = Equations::any;
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
-                                const LinearAlgebra& linear, Series* series);
+                                const LinearAlgebra& linear, SystemSeries* series);
 
   [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& given = {},
-                                           const LinearAlgebra& linear = {}, Series* series = nullptr) const {
+                                           const LinearAlgebra& linear = {}, SystemSeries* series = nullptr) const {
     return make(*this, f, weights, given, linear, series);
   }
   [[nodiscard]] bool takes(std::string_view option) const;

@@ -10,6 +10,7 @@
 #include <numbers>
 #include <utility>
 
+#include "aim.hpp"
 #include "methods/initial_step.hpp"
 
 namespace invariode {
@@ -20,6 +21,9 @@ constexpr double safety = 0.8;  // of the predicted optimal step, after a failur
 constexpr double floor_after_failure = 0.1;  // of h
 constexpr double halved = 0.5;               // after further failures
 constexpr double largest_growth = 5;         // of h: the last coefficients may be small by chance, where one vanishes
+constexpr double shortly = 0x1p-20;          // of h: the solution may slide along a condition that is zero so soon
+constexpr int most_close = 8;                // cuts in a row so shortly after the start, each twice as far as the last
+constexpr double beyond = 4;                 // ulp of t, from the root of a condition to the end of the step
 constexpr double least_tested = 4 * eps;     // rtol of the acceptance test: smaller errors of the slope are roundoff
 constexpr double shortened = 0x1p-32;        // the unit of time, where coefficients overflow
 
@@ -108,7 +112,11 @@ void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, doub
   if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
 }
 
-/// Σ c_k θ^k
+/// The shortest step that a condition is given: roundoff of t, also where t is 0.
+double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
+
+}  // namespace
+
 void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
   if (n == 0) return;
   const double* c = data + (size - n);
@@ -119,20 +127,19 @@ void power_series(const double* data, std::size_t size, std::size_t n, double th
   }
 }
 
-}  // namespace
-
-Taylor::Taylor(Callback& f, const Weights& weights, Series& series, bool projected)
+Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool projected)
     : Step(f, weights),
-      series_(series),
+      series_(series.solution),
+      conditions_(series),
       projected_(projected),
-      order_(static_cast<std::size_t>(series.order())),
-      exponent_(1.0 / (series.order() + 1)),
-      factor_(std::exp((std::log(weights.rtol()) - margin) / (series.order() - 1))),
+      order_(static_cast<std::size_t>(series_.order())),
+      exponent_(1.0 / (series_.order() + 1)),
+      factor_(std::exp((std::log(weights.rtol()) - margin) / (series_.order() - 1))),
       current_{.c = std::vector<double>((order_ + 1) * weights.size())},
       next_{.c = std::vector<double>((order_ + 1) * weights.size())},
       remainder_(weights.size()),
       values_(5 * weights.size()) {
-  assert(lowest_order <= series.order() && series.order() <= highest_order);
+  assert(lowest_order <= series_.order() && series_.order() <= highest_order);
   double* next = values_.data();
   for (double** v : {&candidate_, &end_slope_, &end_f_, &inverse_weight_, &slope_})
     *v = std::exchange(next, next + n());
@@ -141,7 +148,7 @@ Taylor::Taylor(Callback& f, const Weights& weights, Series& series, bool project
 Outcome Taylor::start(double t, const double* y, const Span& span) {
   t_ = t;
   std::copy(y, y + n(), y_.begin());
-  accepted_ = failed_ = false;
+  accepted_ = failed_ = crosses_ = false;
   remainder_.clear();
   undefined_ = {};
   if (f_(t, y, end_f_) == Status::stop) return Outcome::stop;
@@ -154,14 +161,42 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
   if (expand(t, y, current_) == Status::stop) return Outcome::stop;
   if (!current_.finite) return Outcome::not_finite;
   h_ = initial_step(1 / reach(current_), t, span);
-  return Outcome::ok;
+  close_ = 0;
+  return look_ahead(t, current_, span.tf >= t ? h_ : -h_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
-/// The expansion at (t, y), in a unit of time near h. (Beside a singularity that is much closer than h coefficients
-/// overflow: the unit becomes shorter then.)
+/// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
+Status Taylor::look_ahead(double t, const Expansion& expansion, double length) {
+  h_ = free_ = std::abs(length);
+  if (!conditions_.any()) return Status::ok;
+  if (find_cut(t, expansion, length) == Status::stop) return Status::stop;
+  const double least = shortest(t, free_);
+  const bool close = cut_ <= shortly * free_ + least, slides = close_ > most_close;
+  close_ = slides ? (cut_ < free_ ? close_ : 0) : close ? close_ + 1 : 0;
+  if (close_ > most_close)
+    cut_ = std::numeric_limits<double>::infinity();  // the acceptance test limits h
+  else if (close_ > 1)
+    cut_ = std::max(cut_, std::ldexp(least, close_));  // it is on the same side as before
+  h_ = std::min(free_, cut_);
+  return Status::ok;
+}
+
+Status Taylor::find_cut(double t, const Expansion& expansion, double length) {
+  searched_ = std::abs(length);
+  cut_ = std::numeric_limits<double>::infinity();
+  std::optional<double> root;
+  const Status status = conditions_.first(t, expansion.unit, expansion.c.data(), length / expansion.unit, root);
+  if (!root) return status;
+  const double at = *root * searched_;
+  cut_ = std::max(shortest(t, searched_), at + beyond * ulp(std::abs(t) + at));
+  return status;
+}
+
+/// The expansion at (t, y), in a unit of time near h, that without a condition. (Beside a singularity that is much
+/// closer than h coefficients overflow: the unit becomes shorter then.)
 Status Taylor::expand(double t, const double* y, Expansion& into) {
   undefined_ = {};
-  for (double unit = unit_near(h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
+  for (double unit = unit_near(crosses_ ? free_ : h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
     if (series_(t, unit, y, into.c.data()) == Status::stop) return Status::stop;
     into.unit = unit;
     into.finite = all_finite(row(into, order_ - 1), 2 * n());  // what is not finite makes all after it so too
@@ -186,11 +221,13 @@ double Taylor::norm(const double* v) const {
 }
 
 /// The |h| for which the last two coefficients that do not vanish are small enough, in the weights: ‖c_k‖ |h|^k ≤
-/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where all vanish.
+/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where the last two of all vanish: the solution may be a polynomial, and the
+/// acceptance test tells.
 double Taylor::reach(const Expansion& expansion) const {
   double rate = -std::numeric_limits<double>::infinity();
   int seen = 0;
   for (std::size_t k = order_; k > 0 && seen < 2; --k) {
+    if (seen == 0 && k + 2 == order_) break;
     const double size = norm(row(expansion, k));
     if (size < std::numeric_limits<double>::min()) continue;
     rate = std::max(rate, logarithm(size) * reciprocals[k]);
@@ -209,6 +246,10 @@ Step::Attempt Taylor::attempt(double h, double t1) {
   t1_ = t1;
   length_ = t1 - t_;
   expanded_ = false;
+  if (conditions_.any() && h_ > searched_ && find_cut(t_, current_, length_) == Status::stop)
+    return {Outcome::stop, error_, candidate_};
+  if (h_ > cut_) return {Outcome::ok, std::numeric_limits<double>::max(), candidate_};
+  crosses_ = h_ == cut_;
   error_ = std::numeric_limits<double>::quiet_NaN();
   per_unit_ = 1 / current_.unit;
   unit_of_error_ = h_ * exponent_ * std::min(1.0, weights_.rtol() / least_tested);
@@ -217,7 +258,10 @@ Step::Attempt Taylor::attempt(double h, double t1) {
   if (!all_finite(candidate_, n())) return {Outcome::not_finite, error_, candidate_};
   if (evaluate_at_candidate() == Status::stop) return {Outcome::stop, error_, candidate_};
   for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y_[i], candidate_[i]);
-  error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
+  if (crosses_)
+    error_ = norm(row(current_, order_)) * std::pow(h_ * per_unit_, order());
+  else
+    error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
   return {Outcome::ok, error_, candidate_};
 }
 
@@ -238,11 +282,14 @@ Status Taylor::evaluate_at_candidate() {
 }
 
 /// y − P = c_{p+1} h^{p+1} + … and h (y′ − P′) = (p + 1) c_{p+1} h^{p+1} + …, where f(t₁, y*) is y′ but for what is
-/// smaller by another factor h: the error is h / (p + 1) of this.
+/// smaller by another factor h: the error is h / (p + 1) of this. (Where f has changed its branch at the end of the
+/// step, y′ is not that of the polynomial: its last term is taken for the error.)
 double Taylor::defect(std::size_t i) const { return end_f_[i] * per_end_unit_ - end_slope_[i] * per_unit_; }
 
 bool Taylor::errors(double* out) const {
-  for (std::size_t i = 0; i < n(); ++i) out[i] = length_ * exponent_ * defect(i);
+  const double last = crosses_ ? std::pow(length_ * per_unit_, order()) : 0;
+  for (std::size_t i = 0; i < n(); ++i)
+    out[i] = crosses_ ? last * row(current_, order_)[i] : length_ * exponent_ * defect(i);
   return true;
 }
 
@@ -253,6 +300,10 @@ std::size_t Taylor::directions(const double** vectors) const {
 
 bool Taylor::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
+  if (cause == Cause::error && h_ > cut_) {
+    h_ = cut_;
+    return true;
+  }
   double factor = halved;
   if (!failed_ && cause == Cause::error)
     factor = std::max(floor_after_failure, safety * std::pow(weights_.rtol() / error_, exponent_));
@@ -267,13 +318,15 @@ Outcome Taylor::accept(const double* y1) {
     if (expand(t1_, y1, next_) == Status::stop) return Outcome::stop;
   }
   if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
+  const double longest = crosses_ ? free_ : failed_ ? h_ : largest_growth * h_;
+  const double length = next_.finite ? std::min(reach(next_), longest) : h_;
+  if (look_ahead(t1_, next_, std::copysign(length, length_)) == Status::stop) return Outcome::stop;
   if (moved_onto_bounds_)
     remainder_.clear();
   else
     remainder_.accept();
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
-  if (next_.finite) h_ = std::min(reach(next_), failed_ ? h_ : largest_growth * h_);
   accepted_ = true;
   failed_ = false;
   return Outcome::ok;
@@ -283,7 +336,7 @@ void Taylor::state(Archive& archive) {
   Step::state(archive);
   if (archive.reading()) accepted_ = false;
   Expansion& expansion = at_point_reached();
-  archive(expansion.c, expansion.unit, expansion.finite, remainder_, failed_);
+  archive(expansion.c, expansion.unit, expansion.finite, remainder_, free_, searched_, cut_, close_, failed_);
   archive.require(expansion.unit > 0);
 }
 

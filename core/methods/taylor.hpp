@@ -3,24 +3,27 @@
 // integration of ODEs by means of high-order Taylor methods, Exp. Math. 14 (2005) 99-117).
 
 #include <cstddef>
+#include <limits>
 #include <optional>
 #include <vector>
 
 #include "compensated.hpp"
+#include "methods/conditions.hpp"
 #include "series.hpp"
 #include "step.hpp"
 
 namespace invariode {
 
 /// y(t + unit s) = Σ c_k s^k up to the order of the series. The expansion at the end of a step is the next one's, and
-/// its first coefficient, against the slope of the polynomial, tells the error of the step.
+/// its first coefficient, against the slope of the polynomial, tells the error of the step. A step ends where a
+/// condition of f changes its sign: the polynomial is that of one branch.
 class Taylor final : public Step {
  public:
   static constexpr int lowest_order = 3, highest_order = 40;
 
   /// `series` outlives this. `projected`: candidates will be moved, so that an expansion there would be of no use; f is
   /// evaluated instead.
-  Taylor(Callback& f, const Weights& weights, Series& series, bool projected);
+  Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool projected);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
@@ -63,6 +66,8 @@ class Taylor final : public Step {
 
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
+  Status look_ahead(double t, const Expansion& expansion, double length);
+  Status find_cut(double t, const Expansion& expansion, double length);
   [[nodiscard]] double reach(const Expansion& expansion) const;
   [[nodiscard]] double norm(const double* v) const;
   [[nodiscard]] double defect(std::size_t i) const;
@@ -75,6 +80,7 @@ class Taylor final : public Step {
   };
 
   Series& series_;
+  Conditions conditions_;
   bool projected_;
   std::size_t order_;
   double exponent_;  // 1 / (p + 1)
@@ -92,10 +98,19 @@ class Taylor final : public Step {
   double length_ = 0;                       // t₁ − t
   double per_unit_ = 1, per_end_unit_ = 1;  // 1 / unit
   double unit_of_error_ = 0;
-  bool expanded_ = false;  // next_ is the expansion at the candidate
-  bool failed_ = false;    // an attempt of this step failed
+  double free_ = 0;      // |h|, were it not for conditions
+  double searched_ = 0;  // up to this |h| from the point reached, conditions were looked for
+  double cut_ = std::numeric_limits<double>::infinity();  // just before this |h| the first of them changes its sign;
+                                                          // infinite: none does
+  int close_ = 0;                                         // so many steps in a row were cut shortly after their start
+  bool crosses_ = false;                                  // the attempt ends there
+  bool expanded_ = false;                                 // next_ is the expansion at the candidate
+  bool failed_ = false;                                   // an attempt of this step failed
   bool accepted_ = false;
   Undefined undefined_;
 };
+
+/// Its extension, an `Interpolate`: Σ c_k θ^k.
+void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 }  // namespace invariode

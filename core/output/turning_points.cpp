@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "output/root.hpp"
+#include "output/bernstein.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -11,7 +11,6 @@ namespace {
 
 constexpr std::size_t deepest = 6;     // halvings of a step: beside a singularity the rest is left to signs there
 constexpr double narrowest = 0x1p-26;  // √ε, of the step: roots of the slope that are closer are not told apart
-constexpr double roundoff = 64 * eps;  // of the coefficients, in units of the sum of their sizes
 constexpr double converged = 0x1p-30;  // the last coefficients in these units: turning points are known to √ε then
 constexpr double located = 0x1p-34;    // width of a turning point, of the part
 constexpr double level = 0x1p-30;      // the slope at the end of the step, in units of its largest coefficient
@@ -28,43 +27,6 @@ void shift(double* c, std::size_t rows, std::size_t n) {
   for (std::size_t low = 0; low + 1 < rows; ++low)
     for (std::size_t k = rows - 1; k-- > low;)
       for (std::size_t i = 0; i < n; ++i) c[k * n + i] += c[(k + 1) * n + i];
-}
-
-/// Σ a_k θ^k = Σ b_j (p over j) θ^j (1 − θ)^{p−j}, b_j = Σ_k (j over k) / (p over k) a_k
-void to_bernstein(const std::vector<double>& a, std::vector<double>& b) {
-  const std::size_t p = a.size() - 1;
-  double binomial = 1;  // (p over k)
-  for (std::size_t k = 0; k <= p; ++k) {
-    b[k] = a[k] / binomial;
-    binomial = binomial * static_cast<double>(p - k) / static_cast<double>(k + 1);
-  }
-  for (std::size_t r = 1; r <= p; ++r)
-    for (std::size_t j = p; j >= r; --j) b[j] += b[j - 1];
-}
-
-/// Those on the two halves, by de Casteljau's algorithm: the second ones take the place of b.
-void halve_box(double* b, std::size_t count, double* first) {
-  for (std::size_t r = 0; r < count; ++r) {
-    first[r] = b[0];
-    for (std::size_t j = 0; j + r + 1 < count; ++j) b[j] = 0.5 * (b[j] + b[j + 1]);
-  }
-}
-
-/// Whether all are on one side of zero, and farther from it than `margin`.
-bool on_one_side(const double* b, std::size_t count, double margin) {
-  const auto [low, high] = std::minmax_element(b, b + count);
-  return *low > margin || *high < -margin;
-}
-
-/// Changes of sign, zeros left out.
-int variations(const double* b, std::size_t count) {
-  int changes = 0, last = 0;
-  for (std::size_t j = 0; j < count; ++j) {
-    const int sign = sign_of(b[j]);
-    changes += sign * last < 0;
-    if (sign != 0) last = sign;
-  }
-  return changes;
 }
 
 double largest(const double* b, std::size_t count) {
@@ -102,12 +64,12 @@ Status TurningPoints::examine(const Part& part) {
   for (const double a : g_) size += std::abs(a);
   size_ = std::max(size_, size);
   const double tail = std::abs(g_[p - 1]) + std::abs(g_[p]);
-  to_bernstein(g_, bernstein_);
-  if (on_one_side(bernstein_.data(), p + 1, tail + roundoff * size)) return Status::ok;
+  bernstein::from_powers(g_, bernstein_);
+  if (bernstein::on_one_side(bernstein_.data(), p + 1, tail + bernstein::roundoff * size)) return Status::ok;
   for (std::size_t j = 0; j < p; ++j) bernstein_[j] = bernstein_[j + 1] - bernstein_[j];  // p times these: of the slope
   if (part.start + part.width == 1)
     turns_at_end_ = std::abs(bernstein_[p - 1]) <= level * largest(bernstein_.data(), p);
-  if (on_one_side(bernstein_.data(), p, tail)) return Status::ok;
+  if (bernstein::on_one_side(bernstein_.data(), p, tail)) return Status::ok;
   if (tail > converged * size && part.depth < deepest) return halve(part);
   take_apart(part);
   return Status::ok;
@@ -130,31 +92,15 @@ Status TurningPoints::halve(const Part& part) {
 /// The roots of the slope, whose Bernstein coefficients on the part are there.
 void TurningPoints::take_apart(const Part& part) {
   const std::size_t count = order_;
-  const double flat = roundoff * largest(bernstein_.data(), count);
-  boxes_.assign(bernstein_.begin(), bernstein_.begin() + static_cast<std::ptrdiff_t>(count));
-  struct Box {
-    double low, high;
-  };
-  std::vector<Box> left{{0, 1}};
-  while (!left.empty()) {
-    const auto [low, high] = left.back();
-    double* b = boxes_.data() + (left.size() - 1) * count;
-    const int changes = variations(b, count);
-    const bool unresolved = changes > 1 && ((high - low) * part.width <= narrowest || largest(b, count) <= flat);
-    if (changes <= 1 || unresolved) {
-      if (changes == 1) take_root(part, low, high);
-      if (unresolved) points_->push_back(part.start + part.width * 0.5 * (low + high));
-      left.pop_back();
-      continue;
-    }
-    boxes_.resize((left.size() + 1) * count);
-    b = boxes_.data() + (left.size() - 1) * count;
-    halve_box(b, count, b + count);
-    const double middle = 0.5 * (low + high);
-    if (b[0] == 0) points_->push_back(part.start + part.width * middle);
-    left.back() = {middle, high};
-    left.push_back({low, middle});
-  }
+  const double flat = bernstein::roundoff * largest(bernstein_.data(), count);
+  bernstein::isolate(bernstein_.data(), count, narrowest / part.width, flat, boxes_,
+                     [&](const bernstein::Isolated& found) {
+                       if (found.unresolved || found.low == found.high)
+                         points_->push_back(part.start + part.width * 0.5 * (found.low + found.high));
+                       else
+                         take_root(part, found.low, found.high);
+                       return true;
+                     });
 }
 
 /// The one root of the slope between two places of the part. (Where roundoff has moved it beyond them: the nearer one.)

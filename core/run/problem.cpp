@@ -39,10 +39,12 @@ void require_variations(const Problem& problem) {
 void require_series(const Method& method, const Problem& problem) {
   const std::string name = method.name;
   require(problem.series.has_value(), name + " needs the Taylor coefficients of the solution");
-  const int order = problem.series->order();
+  const int order = problem.series->solution.order();
   require(method.min_order <= order && order <= method.order, name + " has orders " + std::to_string(method.min_order) +
                                                                   " to " + std::to_string(method.order) + ", not " +
                                                                   std::to_string(order));
+  require(problem.series->count == 0 || problem.series->conditions.order() == order,
+          "conditions are expanded to another order than the solution");
 }
 
 bool takes_mass(const Method& method, const Problem& problem) {

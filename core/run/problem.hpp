@@ -37,9 +37,9 @@ struct Problem {
   std::size_t n = 0;     ///< doubles in a state
   bool complex = false;  ///< these are pairs: n / 2 complex numbers
   Callback f;
-  std::optional<Series> series;  ///< of the solution, with its sensitivities if there are any
-  double f_error = 0;            ///< of f, relative: of derivatives that it is made of; 0: roundoff
-  Callback callback;             ///< asked after each accepted step whether to stop; may be empty
+  std::optional<SystemSeries> series;  ///< of the solution, with its sensitivities if there are any
+  double f_error = 0;                  ///< of f, relative: of derivatives that it is made of; 0: roundoff
+  Callback callback;                   ///< asked after each accepted step whether to stop; may be empty
   std::vector<EventFunction> events;
   std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   std::vector<InvariantBlock> invariants;

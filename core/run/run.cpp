@@ -52,7 +52,10 @@ void Run::wrap_functions() {
 
 void Run::wrap_in_pieces(Problem& problem) {
   problem.f = piece_.within(problem.f);
-  if (problem.series) problem.series = piece_.within(*problem.series);
+  if (problem.series) {
+    problem.series->solution = piece_.within(problem.series->solution);
+    problem.series->conditions = piece_.within(problem.series->conditions);
+  }
   for (InvariantBlock& block : problem.invariants) {
     block.g = piece_.within(block.g);
     block.jacobian = piece_.within(block.jacobian);
@@ -333,7 +336,7 @@ void Run::state(Archive& archive) {
   f_.state(archive);
   bounded_f_.state(archive);
   augmented_f_.state(archive);
-  if (series_) series_->state(archive);
+  if (series_) series_->solution.state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);
   if (slope_) slope_->state(archive);
   if (algebraic_) algebraic_->state(archive);

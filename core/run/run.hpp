@@ -87,7 +87,7 @@ class Run {
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
   /// Evaluations of f by the method; an expansion is one.
   [[nodiscard]] std::int64_t evaluations() const {
-    return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->calls() : 0);
+    return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->solution.calls() : 0);
   }
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
@@ -137,7 +137,7 @@ class Run {
   std::optional<Problem> wrapped_;
   Callback users_f_;  // within bounds: f before it is confined to them
   Callback f_;
-  std::optional<Series> series_;
+  std::optional<SystemSeries> series_;
 
   // Of its own, since evaluating them changes them.
   std::optional<Jacobian> jacobian_;

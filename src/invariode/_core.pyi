@@ -118,7 +118,10 @@ class Variations:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
+        """
+        conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
+        """
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""

@@ -110,7 +110,7 @@ struct Bench {
     Problem problem;
     problem.n = n;
     problem.f = as_callback(system.f);
-    problem.series = as_series(system.series, static_cast<int>(system.order));
+    problem.series.emplace(as_series(system.series, static_cast<int>(system.order)));
     problem.events = std::move(events);
     if (system.m > 0) {
       problem.invariants = {
@@ -146,7 +146,7 @@ Errors march(System system, double t, double tf, int count) {
   const std::size_t n = system.y0.size();
   const Weights weights(1e-3, std::vector<double>(n, 1), {});
   Callback f = as_callback(system.f);
-  Series series = as_series(system.series, static_cast<int>(system.order));
+  SystemSeries series{as_series(system.series, static_cast<int>(system.order))};
   Taylor step(f, weights, series, false);
   std::vector<double> data(step.extension_size()), y(n), exact(n);
   Errors errors;
@@ -285,7 +285,7 @@ TEST(what_fails_leaves_no_trace) {
     };
     const Weights weights(1e-10, std::vector<double>(4, 1e-3), {});
     Callback f = as_callback(system.f);
-    Series series = as_series(system.series, 15);
+    SystemSeries series{as_series(system.series, 15)};
     Taylor step(f, weights, series, projected), plain(f, weights, series, projected);
     const auto candidate = [](Taylor& one) {
       const Step::Attempt proposal = one.attempt(h, one.t() + h);
@@ -333,7 +333,7 @@ TEST(each_linear_law_of_f_vanishes_on_the_directions_and_errors_are_given_by_com
   };
   const Weights weights(1e-6, std::vector<double>(4, 1), {});
   Callback f = as_callback(sum.f);
-  Series series = as_series(sum.series, 9);
+  SystemSeries series{as_series(sum.series, 9)};
   Taylor step(f, weights, series, true);
   CHECK(step.start(0, sum.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
   const Step::Attempt proposal = step.attempt(1, 1);

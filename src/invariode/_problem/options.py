@@ -89,6 +89,11 @@ def to_members(name: str, value: Any) -> tuple[str, str]:
         raise ValueError(
             f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {shown(value)}"
         )
+    if explicit_one.equations != "any":
+        raise ValueError(
+            f"{name}: {explicit_one.name} does not take any fun, and cannot take turns with another method; use "
+            f"'dop853' or 'ode89', or method={explicit_one.name!r} alone"
+        )
     return explicit_one.name, implicit_one.name
 
 
@@ -182,7 +187,8 @@ class MethodOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Highest order of the formulas; those of radau have order 5, 9 and 13. Default: the method's highest.",
+            "Highest order of the formulas; those of radau have order 5, 9 and 13. The series of taylor have exactly "
+            "this order, from 3 to 40, by default ⌈1 − ½ ln rtol⌉. Default of the others: the method's highest.",
             positive_integer,
             every_method=False,
         ),

@@ -184,6 +184,8 @@ class Expansion(NamedTuple):
         Of the solution, and of its sensitivities.
     conditions : _core.Series or None
         Along the solution, of what changes its sign where f changes its branch: a step ends there.
+    condition_count : int
+        How many these are.
     events : list of EventSpec
         Those of the problem with their series.
     problem : Description
@@ -192,12 +194,13 @@ class Expansion(NamedTuple):
 
     series: _core.Series
     conditions: _core.Series | None
+    condition_count: int
     events: list[EventSpec]
     problem: Description
 
     def for_core(self) -> dict[str, Any]:
         """What the core's problem takes, besides its events."""
-        return {"series": self.series}
+        return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
 
 
 def make_expansion(
@@ -217,6 +220,7 @@ def make_expansion(
     return Expansion(
         series=makes.series(outputs, along=False),
         conditions=conditions,
+        condition_count=len(system.conditions),
         events=[*given, *events[len(given) :]],
         problem=problem,
     )

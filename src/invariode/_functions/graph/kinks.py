@@ -65,11 +65,11 @@ def kinks(outputs: Sequence[Node], t0: float, tf: float) -> Kinks:
 
 
 class _Crossing(NamedTuple):
-    """A difference that changes its sign where a branch changes: at 0, or, of sin π x, at every integer x."""
+    """A difference that changes its sign where a branch changes; `whole`: what is an integer there, at any of them."""
 
     difference: Node
     pair: tuple[Node, Node] | None = None
-    periodic: Node | None = None
+    whole: Node | None = None
 
 
 def _crossings(node: Node) -> list[_Crossing]:
@@ -80,7 +80,8 @@ def _crossings(node: Node) -> list[_Crossing]:
         return [_Crossing(*((a, None) if a.op != "subtract" else (a, a.arguments)))]
     if node.op in ("floor", "ceil", "modulo"):
         x = a / b if node.op == "modulo" else a
-        return [_Crossing(x.graph.elementary("sin", x * math.pi), periodic=x)]
+        below = x.graph.make("floor", x)
+        return [_Crossing(x - end, (x, end), x) for end in (below, below + 1.0)]
     if node.op == "piece":
         return [_Crossing(a - one, (a, a.graph.node(one))) for one in node.value]
     return []
@@ -92,7 +93,7 @@ def _moves(difference: Node) -> bool:
 
 def _times(crossing: _Crossing, t0: float, tf: float) -> list[float] | None:
     """The times at which it changes its sign; None: they depend on y or on parameters, or are not equally spaced."""
-    line = crossing.periodic or crossing.difference
+    line = crossing.whole or crossing.difference
     if any(node.op in ("y", "p") for node in in_order([line])) or not math.isfinite(t0 + tf):
         return None
     formula = Formula("line", lambda: [line], (1,))
@@ -101,7 +102,7 @@ def _times(crossing: _Crossing, t0: float, tf: float) -> list[float] | None:
     straight = abs(ends[0] - 2 * ends[1] + ends[2]) <= _STRAIGHT * size
     if not straight or any(node.op not in _AFFINE for node in in_order([line])) or ends[0] == ends[2]:
         return None
-    if crossing.periodic is None:
+    if crossing.whole is None:
         wanted = [0.0]
     else:
         low, high = math.ceil(min(ends)), math.floor(max(ends))
