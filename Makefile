@@ -10,7 +10,7 @@ CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o 
 # What `make stubs` makes, and `make lint` compares.
 STUBS := _core.pyi _base/method_names.pyi _problem/accepted.pyi _solve/ode_functions.pyi scipy.pyi
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
-CTEST := $(BIN)/ctest --output-on-failure -j 2
+CTEST := $(BIN)/ctest --output-on-failure -j 2 --timeout 600
 WHEEL := build/wheel
 # Lint and the other compilers do without, so that each file still has to include what it uses.
 PRECOMPILE := -DINVARIODE_PRECOMPILE=ON
@@ -22,7 +22,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest test-threads test-bridges test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
@@ -37,8 +37,11 @@ test: $(VENV)/.installed-test native  ## every test: the core's own, then Python
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
 	$(LOWEST)/bin/python $(PYTEST) -W ignore::DeprecationWarning
 
-test-bridges: $(VENV)/.installed-test-jax-torch  ## the tests of what is for JAX and PyTorch, skipped where these are missing
-	$(BIN)/python -m pytest -q tests/test_jax.py tests/test_torch.py
+test-jax: $(VENV)/.installed-test-jax  ## the tests of invariode.jax
+	$(BIN)/python -m pytest -q tests/test_jax.py
+
+test-torch: $(VENV)/.installed-test-torch  ## the tests of invariode.torch; PyTorch takes several gigabytes where it comes with CUDA
+	$(BIN)/python -m pytest -q tests/test_torch.py
 
 # Tests that need no extra, and share nothing but the package and its problems.
 THREAD_TESTS := $(patsubst %,tests/test_%.py,counts callbacks events projection dense order)
@@ -138,6 +141,8 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/jacobians.py --write
 	$(BIN)/python benchmarks/work.py --write
+	$(BIN)/python benchmarks/second_order.py --write
+	$(BIN)/python benchmarks/long_runs.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
 	$(BIN)/python benchmarks/links.py --write

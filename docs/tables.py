@@ -75,10 +75,15 @@ def details(method: Method) -> Iterator[str]:
     if method.stages is not None:
         yield f"{method.stages} evaluations of f per step"
     if method.equations != "any":
-        yield f"f: {method.equations}"
+        yield EQUATIONS[method.equations]
     if method.options:
         yield f"options of its own: {', '.join(f'`{one}`' for one in method.options)}"
 
+
+EQUATIONS = {
+    "graph": "needs an f that can be traced, as by `invariode.compile`",
+    "second-order": "needs y'' = f(t, y), as `invariode.SecondOrder(f)` or with `second_order=True`",
+}
 
 MADE = {"% options": options, "% methods": methods}
 

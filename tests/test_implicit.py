@@ -57,6 +57,35 @@ def test_every_form_of_the_jacobian_gives_the_same_run(method, form):
     np.testing.assert_allclose(sol.y, expected.y, rtol=1e-5, atol=1e-8)
 
 
+def wide_diffusion(t, u):
+    padded = np.concatenate([u[:1], u, u[-1:]])
+    return 40 * len(u) * np.diff(padded, 2) + u * (1 - u)
+
+
+WIDE = iv.Problem(
+    wide_diffusion,
+    (0, 5),
+    np.sin(np.linspace(0, 3, 250)) ** 2,
+    jac_sparsity=sparse.diags_array([1.0, 1, 1], offsets=[-1, 0, 1], shape=(250, 250)),
+)
+
+
+def test_sparse_factors_serve_while_h_changes_little():
+    """Fewer than of a banded J, for the same steps and the same solution."""
+    kept = WIDE.solve("ode15s", rtol=1e-6)
+    renewed = WIDE.replace(jac_sparsity=None, lband=1, uband=1).solve("ode15s", rtol=1e-6)
+    assert kept.nlu < renewed.nlu
+    assert abs(kept.stats.steps - renewed.stats.steps) <= renewed.stats.steps / 20
+    np.testing.assert_allclose(kept.y[:, -1], renewed.y[:, -1], rtol=1e-5)
+
+
+def test_a_run_with_kept_factors_goes_on_as_if_it_had_not_been_interrupted():
+    whole = WIDE.solve("ode15s", rtol=1e-6)
+    for steps in (5, 20, 40):
+        part = WIDE.solve("ode15s", rtol=1e-6, max_steps=steps, on_failure="return")
+        assert part.extend(5, max_steps=None).y.tobytes() == whole.y.tobytes()
+
+
 def test_grouped_differences_cost_as_many_f_as_there_are_groups():
     one = iv.ode15s(diffusion, (0, 5), U0, jac=diffusion_jacobian)
     for options, groups in (({}, N), (FORMS["banded differences"], 3), (FORMS["pattern"], 3), (FORMS["wider band"], 6)):

@@ -63,7 +63,7 @@ def same(a, b):
 
 def written(method):
     """The numbers in the header of a tableau."""
-    text = (CORE / f"{method}.hpp").read_text()
+    text = re.sub(r" *//.*\n", "\n", (CORE / f"{method}.hpp").read_text())
     found = {}
     for key, block in re.findall(r"\.(\w+) = (\{.*?\}),\n(?=    \.|\};)", text, re.DOTALL):
         rows = json.loads(re.sub(r"\s+", "", block).replace("{", "[").replace("}", "]"))
@@ -268,14 +268,82 @@ def test_ensembles_and_prepared_solvers():
     assert all(np.array_equal(solver(y0=y0).y[:, -1], one) for y0, one in zip(starts, single, strict=True))
 
 
+def until_it_converges(t, q, p):
+    """-E of Kepler's equation E - p sin E = q, by a loop that cannot be traced."""
+    E, change = q[0], q[0] / q[0]
+    while abs(change) > 1e-15:
+        change = (E - p[0] * np.sin(E) - q[0]) / (1 - p[0] * np.cos(E))
+        E = E - change
+    return [-E]
+
+
+def test_what_cannot_be_traced_is_compiled_by_numba():
+    """Of the accelerations too, in both orders of compile and SecondOrder."""
+
+    def solve(fun):
+        return iv.solve_ivp(fun, (0, 1), [1.0, 0.0], "rkn86", args=(0.1,), **TOLERANCES)
+
+    python = solve(iv.SecondOrder(lambda t, q, p: until_it_converges(t, q, [p])))
+    for compiled in (iv.compile(iv.SecondOrder(until_it_converges)), iv.SecondOrder(iv.compile(until_it_converges))):
+        assert np.abs(solve(compiled).y[:, -1] - python.y[:, -1]).max() < 1e-13
+
+
+@pairs
+def test_the_gradient_by_a_run_backwards(method):
+    """λ has no second-order equation; its run has another method."""
+    sol = iv.solve_ivp(
+        iv.SecondOrder(spring), (0, 4), [1.0, 0.0], method, args=(2.0, 0.5), sensitivities=True, dense_output=True,
+        **TOLERANCES,
+    )  # fmt: skip
+    assert np.abs(sol.gradient([1.0, 2.0]) - np.array([1.0, 2.0]) @ sol.sensitivities[:, :, -1]).max() < 1e-6
+
+
+def test_taylor_takes_accelerations():
+    for fun in (iv.SecondOrder(spring), iv.SecondOrder(iv.compile(spring))):
+        sol = iv.solve_ivp(fun, (0, 4), [1.0, 0.0], "taylor", args=(2.0, 0.0), **TOLERANCES)
+        assert np.abs(sol.y[:, -1] - [np.cos(8), -2 * np.sin(8)]).max() < 1e-7
+
+
 def test_inputs_complex_states_and_pickles():
     force = iv.Input([0, 1, 2], [0.0, 1.0, 1.0], "linear")
     sol = iv.Problem(iv.SecondOrder(lambda t, q, u: [u]), (0, 2), [0.0, 0.0], inputs=force).solve("rkn64", **TOLERANCES)
     assert np.allclose(sol.y[:, -1], [1 / 6 + 0.5 + 0.5, 1.5], rtol=1e-9)
-    wave = iv.solve_ivp(iv.SecondOrder(lambda t, q: -q), (0, np.pi), [1j, 1.0 + 0j], "rkn1210", **TOLERANCES)
-    assert np.allclose(wave.y[:, -1], [-1j, -1.0], atol=1e-8)
+    for fun in (lambda t, q: -q, iv.compile(lambda t, q: [-q[0]]), iv.compile(lambda t, q: -q)):
+        wave = iv.solve_ivp(iv.SecondOrder(fun), (0, np.pi), [1j, 1.0 + 0j], "rkn1210", **TOLERANCES)
+        assert np.allclose(wave.y[:, -1], [-1j, -1.0], atol=1e-8)
     again = pickle.loads(pickle.dumps(iv.SecondOrder(attraction)))
     assert same(orbit("rkn64"), iv.solve_ivp(again, SPAN, START, "rkn64", **TOLERANCES))
+
+
+def damped(t, y, c):
+    return [y[1], -y[0] - c * y[1]]
+
+
+def damped_later(t, y):
+    return damped(t, y, max(0.0, t - 1))
+
+
+@pairs
+def test_velocities_that_matter_later_are_refused(method):
+    """A drag that begins after the start, or with other arguments than those tested there."""
+    stated = {"y0": [1.0, 0.0], "second_order": True}
+    later = iv.Problem(damped_later, (0, 1), **stated)
+    with pytest.raises(ValueError, match=r"component 1 of fun depends on the velocities.*the solution is wrong"):
+        later.solve(method, **TOLERANCES).extend(3)
+    for fun in (damped, iv.compile(damped)):
+        problem = iv.Problem(fun, (0, 3), args=(0.0,), **stated)
+        with pytest.raises(ValueError, match="with other parameters: the sensitivities do too"):
+            problem.replace(sensitivities=["c"]).solve(method)
+        with pytest.raises(ValueError, match=r"at t = 0\.0\. rkn64"):
+            problem.prepare(method)(args=(0.1,))
+        many = problem.solve_ensemble([[1.0, 0.0]] * 2, method, args=[(0.0,), (0.1,)], on_failure="return")
+        assert many.status.tolist() == [0, many.status[1]]
+        assert not many.success[1]
+
+
+def test_an_f_without_a_value_is_not_said_to_depend_on_velocities():
+    nowhere = iv.solve_ivp(lambda t, y: [y[1], np.nan], (0, 1), [1.0, 0.0], "rkn64", second_order=True)
+    assert nowhere.message.startswith("fun is not finite at the start")
 
 
 @pytest.mark.parametrize(
@@ -297,6 +365,14 @@ def test_what_is_refused(fun, options, message):
     y0 = options.pop("y0", START)
     with pytest.raises(ValueError, match=message):
         iv.solve_ivp(fun, SPAN, y0, "rkn86", **options)
+
+
+@pairs
+def test_columns_and_a_tolerance_for_each_component(method):
+    """f of columns of positions; SciPy's arrays of tolerances."""
+    columns = iv.SecondOrder(lambda t, q: -q / np.hypot(q[:1], q[1:]) ** 3)
+    assert same(orbit(method), iv.solve_ivp(columns, SPAN, START, method, vectorized=True, **TOLERANCES))
+    assert same(orbit(method), orbit(method, rtol=[1e-9] * 4))
 
 
 def test_second_order_of_no_function():

@@ -61,6 +61,7 @@ Ndf::Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const
       options_(options),
       differences_(static_cast<std::size_t>(options.max_order + 2) * weights.size()) {
   provide({&slope_, &predictor_, &psi_, &d_, &scratch_});
+  solver_.keep_factors();
 }
 
 double Ndf::error_constant(int k) const {
@@ -173,7 +174,7 @@ bool Ndf::misleading_jacobian() {
 }
 
 bool Ndf::reject(Cause cause, double hmin) {
-  if (cause == Cause::newton) return retry_newton(hmin, newton_cut);
+  if (cause == Cause::newton) return solver_.forget_other_factors() || retry_newton(hmin, newton_cut);
   if (h_ <= hmin) return false;
   const double h = !failed_ && cause == Cause::error ? retry_order_and_h() : 0.5 * h_;
   if (cause == Cause::error && misleading_jacobian()) solver_.renew();

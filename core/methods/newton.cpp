@@ -30,7 +30,8 @@ const double part_of_y = std::sqrt(eps);  // in which missing entries are sought
 constexpr double suspicious_growth = 10;  // of the size of J
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
-constexpr double tolerated_change = 0.3;  // of c, with a preconditioner for the old one
+constexpr double tolerated_change = 0.3;  // of c, with a preconditioner, or sparse factors, for the old one
+constexpr std::size_t fewest_kept = 200;  // rows of such factors: those of smaller matrices cost no more than a step
 constexpr int old_preconditioner = 20;    // steps
 
 }  // namespace
@@ -441,6 +442,17 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
       sum_(weights.size()),
       sensitivity_weight_(linear.state ? weights.size() : 0) {}
 
+void Newton::keep_factors() {
+  const Structure& J = jacobian().structure;
+  keeps_factors_ = !matrix_free() && extent().k == 0 && J.kind == Structure::Kind::sparse && J.n >= fewest_kept;
+}
+
+bool Newton::forget_other_factors() {
+  if (!keeps_factors_ || !has_factors() || factored_for() == place_.c) return false;
+  forget_factors();
+  return true;
+}
+
 void Newton::restart() {
   forget();
   convergence_.forget();
@@ -454,12 +466,15 @@ Outcome Newton::prepare(double c, double t1) {
     last_c_ = c;
     return prepare_preconditioner(c, t1);
   }
-  return AgingJacobian::prepare(c, t1, [&] {
+  if (keeps_factors_ && c != last_c_) convergence_.forget();
+  last_c_ = c;
+  const auto factor = [&] {
     count_factorization();
     convergence_.forget();
     sensitivity_convergence_.forget();
     return lu_->factor(mass_matrix(), c, jacobian());
-  });
+  };
+  return AgingJacobian::prepare(c, t1, factor, keeps_factors_ ? tolerated_change : 0);
 }
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
@@ -573,17 +588,25 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
   if (!matrix_free()) {
     assert(has_factors());
     lu_->solve(b);
+    if (keeps_factors_) correct_for_c(b);
     return Result::converged;
   }
   matrix_free()->product().at(place_.t, place_.y, f_value_.data());
   return newton_result(matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b));
 }
 
+/// The factors are those for another c': for stiff components the solution is too large by c/c', for others it is
+/// right; the factor between, which is that of CVODE, leaves the same part of either in error.
+void Newton::correct_for_c(double* b) const {
+  const double factor = 2 / (1 + place_.c / factored_for());
+  for (std::size_t i = 0; i < extent().n; ++i) b[i] *= factor;
+}
+
 void Newton::state(Archive& archive) {
   convergence_.state(archive);
   sensitivity_convergence_.state(archive);
   archive(looked_at_);
-  if (matrix_free()) archive(last_c_);
+  if (matrix_free() || keeps_factors_) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
     return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());
   });

@@ -87,6 +87,7 @@ class AgingJacobian {
   bool set_up_again(double c, Archive& archive);
 
   [[nodiscard]] bool has_factors() const { return factored_.has_value(); }
+  [[nodiscard]] double factored_for() const { return *factored_; }
   void forget_factors() { factored_.reset(); }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
   template <class Factor>
@@ -272,8 +273,13 @@ class Newton : public AgingJacobian {
 
   /// Memory as it is before any step.
   void restart();
+  /// From now on factors of sparse matrices, of which each costs as much as many steps, serve while c changes little
+  /// (CVODE's rule). Not with sensitivities, nor for `damp`.
+  void keep_factors();
   /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
+  /// After an iteration that failed: whether it had factors for another c. The next one has new ones.
+  bool forget_other_factors();
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
@@ -295,12 +301,14 @@ class Newton : public AgingJacobian {
   [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
   Result solve_linear(double tolerance, double* b);
   Outcome precondition(double* b);
+  void correct_for_c(double* b) const;
 
   const Weights& weights_;
   std::unique_ptr<Factorization> lu_;  // null: matrix-free
   Convergence convergence_, sensitivity_convergence_;
   Place place_{};
-  std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
+  bool keeps_factors_ = false;
+  std::optional<double> last_c_;  // for which the rate of convergence is known
   double looked_at_ = 0;          // the residual at the last look at this J, in the norm
   std::vector<double> f_value_, residual_, sum_;
   std::vector<double> sensitivity_weight_;  // of the attempt

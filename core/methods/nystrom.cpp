@@ -169,7 +169,7 @@ class NystromStep final : public Step {
 
   /// Σ_j w(j) k_j[v] over the stages j < Count whose weight, known at compile time, is not zero.
   template <std::size_t Count, class W>
-  double dot(W w, std::size_t v) const {
+  [[nodiscard]] double dot(W w, std::size_t v) const {
     return [&]<std::size_t... J>(std::index_sequence<J...>) {
       double sum = 0;
       const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {

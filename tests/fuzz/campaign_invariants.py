@@ -22,8 +22,8 @@ import invariode as iv
 
 EXPONENTS = (2, 3, 4, 5, 6, 7, 8, 9)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
-#: Of pairs of low order and of the implicit one: below, they take too many steps.
-LEAST = {"ode23": 1e-8, "ode15s": 1e-9}
+#: Of methods of low order: below, they take too many steps.
+LEAST = {"ode23": 1e-8, "ode15s": 1e-9, "ode23s": 1e-8, "ode23t": 1e-8, "ode23tb": 1e-8}
 #: Relative accuracy of the reference, and of what is compared with it.
 REFERENCE, RESOLVED = 1e-13, 1e-11
 

@@ -20,6 +20,7 @@ from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
 from .._run.call_errors import wrong_length
 from .._run.plan import Plan, solver
+from .._run.second_order import fits_any_args
 from .outcomes import Outcomes, in_order, travelling
 from .solution import EnsembleEvents
 from .sources import rows_of
@@ -75,9 +76,14 @@ def attempted(
 
 def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
     core, workers = solver(plan), min(workers, len(task.y0))
-    if core.native and plan.varied is None:
+    if core.native and plan.varied is None and _fits_all(task):
         return _on_threads(task, plan, core, workers, report)
     return _in_processes(task, plan, workers, report)
+
+
+def _fits_all(task: Task) -> bool:
+    """Whether a problem that fits the method with the arguments of one row does with all."""
+    return isinstance(task.args, tuple) or fits_any_args(task.problem, task.method)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .first_order import FirstOrderForm
 from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
@@ -207,10 +208,11 @@ class CompiledFunction:
 
         numba = numba_or_say_so()
         jitted = self._jit(shape.is_complex)
+        half = shape.size // 2 if isinstance(self.fun, FirstOrderForm) else 0
         names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
         names += ["p"] if shape.parameters else []
         self._check_call(names)
-        call = f"f({', '.join(names)})"
+        call = f"f({', '.join(f'y[:{half}]' if half and name == 'y' else name for name in names)})"
         body = [*shape.unpacked(), *([f"p = given(carray(p_, ({shape.parameters},)))"] if shape.parameters else [])]
         if shape.event:
             head = "def code(t, y_, p_):"
@@ -219,7 +221,8 @@ class CompiledFunction:
             head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
-            body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size)
+            body += [f"out[:{half}] = y[{half}:]", f"out = out[{half}:]"] if half else []
+            body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size - half)
         text = "\n    ".join([head, *body])
         given = copied if copies else read_only
         namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan}
@@ -234,17 +237,19 @@ class CompiledFunction:
         return numba.cfunc(signature, error_model="numpy")(namespace["code"])
 
     def _jit(self, is_complex: bool) -> Any:
-        """For numba; 1/0 is inf: no exceptions."""
+        """For numba; 1/0 is inf: no exceptions. Of the form of first order, the accelerations."""
         numba = numba_or_say_so()
+        fun = self.fun.fun if isinstance(self.fun, FirstOrderForm) else self.fun
+        fun = getattr(fun, "py_func", fun)
         if is_complex:
             if self._jitted_complex is None:
                 from .numba_additions import ComplexCompiler
 
                 options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
-                self._jitted_complex = numba.njit(**options)(_with_complex_math(self.fun))
+                self._jitted_complex = numba.njit(**options)(_with_complex_math(fun))
             return self._jitted_complex
         if self._jitted is None:
-            self._jitted = numba.njit(self.fun, error_model="numpy")
+            self._jitted = numba.njit(fun, error_model="numpy")
         return self._jitted
 
     def _check_call(self, names: list[str]) -> None:

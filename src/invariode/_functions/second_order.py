@@ -10,40 +10,26 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .compiled import CompiledFunction, CoreFunction, as_python, is_native, native_parameters, to_native
-
-
-class FirstOrderForm:
-    """(v, f(t, q, \\*args)) of a Python function f."""
-
-    def __init__(self, fun: Callable[..., Any]) -> None:
-        self.fun = fun
-        self.__name__ = call_name(fun, "f")
-        self.__wrapped__ = fun  # whose signature it has
-
-    def __call__(self, t: Any, y: Any, *args: Any) -> Any:
-        half = len(y) // 2
-        return np.concatenate([y[half:], np.atleast_1d(self.fun(t, y[:half], *args))])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return FirstOrderForm, (self.fun,)
+from .first_order import FirstOrderForm
 
 
 class SecondOrder(CoreFunction):
     """Second-order equations q'' = f(t, q): the `fun` of a problem with y = (q, v), positions before velocities.
 
-    The methods rkn64, rkn86 and rkn1210 are for such problems alone; every other one integrates them as
-    (q, v)' = (v, f(t, q)).
+    The methods rkn64, rkn86 and rkn1210 are for such problems alone, and evaluate f about half as often as others of
+    their order at the same error. Every other method integrates them as (q, v)' = (v, f(t, q)).
 
     Parameters
     ----------
     fun : callable
-        ``f(t, q, *args)``, the accelerations: q is an array of shape (n/2,), where y0 has n components, and so is what
-        is returned. Native functions have the signature of any f, with n/2 values. It cannot depend on the velocities.
+        ``f(t, q, *args)``, the accelerations, which cannot depend on the velocities. If y0 has n components, q has the
+        shape (n/2,), and so has what it returns. Native functions have the signature of any f, with n/2 values.
 
     Notes
     -----
-    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``. `invariode.compile`
-    takes a SecondOrder, and SecondOrder what it returns.
+    A first-order function that returns ``(v, f(t, q))`` is as good with ``second_order=True``, which tests that f does
+    not depend on v: at the start, and in the middle and at the end of a run. Invariants, events and outputs take the
+    whole y. `invariode.compile` takes a SecondOrder, and SecondOrder what it returns.
 
     Examples
     --------
@@ -78,8 +64,7 @@ class SecondOrder(CoreFunction):
 
     def __call__(self, t: float, y: Array, *args: Any) -> Array:
         if not is_native(self.fun) or isinstance(self.fun, CompiledFunction):
-            values: Array = FirstOrderForm(self.fun)(t, y, *args)
-            return values
+            return np.asarray(FirstOrderForm(self.fun)(t, y, *args))
         half = len(y) // 2
         p = native_parameters(args, [self.fun])
         call = as_python(to_native("fun", self.fun, half, half, p), half)

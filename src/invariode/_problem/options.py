@@ -467,7 +467,8 @@ class DescribingOptions(TypedDict, total=False):
             False,
             "bool",
             "Whether y is (q, v) and f returns ``(v, a(t, q))``: the accelerations do not depend on the velocities. "
-            "The methods rkn64, rkn86 and rkn1210 need it, and test it at the start. `SecondOrder` says so too.",
+            "The methods rkn64, rkn86 and rkn1210 need it, and evaluate f with other velocities to test it, at the "
+            "start and after the run. `SecondOrder` says so too, and needs no test.",
             flag,
         ),
     ]

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, quietly, real_numbers, shown, warn
+from .._base.arguments import LEAST_RTOL, Array, quietly, real_numbers, shown, warn
 from .._base.types import MethodName
 from .._functions.directional import Directional, Given, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
@@ -46,6 +46,8 @@ from .variations import Switching, followed, given_derivatives, require_possible
 
 #: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
 _POINTS = 5
+#: The method of λ, where that of y takes some f only.
+_OF_ANY: MethodName = "dop853"
 #: Of the largest tolerance of λ, so that components on which nothing depends have one.
 _LEAST_PART = 1e-8
 
@@ -377,7 +379,10 @@ class _Adjoint:
             mu, sizes = solved @ mu, np.abs(solved) @ sizes
             costs = {t: np.linalg.lstsq(singular.M.T, cost, rcond=None)[0] for t, cost in costs.items()}
         method, rtol = self._run.method, np.max(self._sol._rtol)
-        implicit = "jac" in find_method(method)[0].options
+        about = find_method(method)[0]
+        if about.equations != "any":  # λ has neither a graph nor an equation of second order
+            method, rtol = _OF_ANY, max(rtol, LEAST_RTOL)
+        implicit = "jac" in about.options
         adjoint = Description(
             rate,
             (0.0, piece.end - piece.begin),

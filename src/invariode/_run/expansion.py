@@ -19,6 +19,7 @@ from .._functions.graph.kinks import is_analytic, kinks, substituted
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.tables import looked_up
 from .._functions.layout import Parameters, count_of
+from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec
@@ -78,7 +79,9 @@ def _traceable(fun: Any, method: Method) -> Any:
     needs = f"method={method.name!r} needs the expression graph of fun, "
     if isinstance(fun, OnGraph):
         return fun
-    if isinstance(fun, CoreFunction):
+    if isinstance(fun, SecondOrder) and not fun.native:
+        return compile(fun, by="trace")
+    if isinstance(fun, CoreFunction) and not isinstance(fun, SecondOrder):
         raise TypeError(
             f"{needs}and the equations of a MechanicalSystem, which the core forms, have none: {_INSTEAD}, or "
             "write the equations with invariode.symbolic"

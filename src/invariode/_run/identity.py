@@ -16,8 +16,8 @@ import numpy as np
 from .._base.arguments import Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.first_order import FirstOrderForm
 from .._functions.graph.python import Formula
-from .._functions.second_order import FirstOrderForm
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.grouped import GMRES, Checkpoint, Limits

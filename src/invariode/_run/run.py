@@ -54,6 +54,7 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
+from .second_order import require_no_velocities
 from .template import plan_and_template
 
 if TYPE_CHECKING:
@@ -246,6 +247,8 @@ def _carried_out(
         run = _integrated(core, plan, source.problem.name, resumed, keep)
     sol = presented(run, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _work(core, source.problem.fun)
+    if find_method(source.method)[0].equations == "second-order":
+        require_no_velocities(source.problem, sol)
     return _examined(sol, source.problem)
 
 
@@ -254,7 +257,7 @@ def _examined(sol: Solution, problem: Description) -> Solution:
     if not isinstance(problem.fun, CoreFunction) or not sol.success:
         return sol
     y = np.asarray(sol.y)
-    weights = np.maximum(sol._rtol * np.abs(y), np.reshape(sol._atol, (-1, 1)))
+    weights = np.maximum(np.reshape(sol._rtol, (-1, 1)) * np.abs(y), np.reshape(sol._atol, (-1, 1)))
     objection = problem.fun.objection(sol.t, y, problem.args, weights)
     if objection is None:
         return sol

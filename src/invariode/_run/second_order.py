@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._base.arguments import Array
+from .._base.arguments import Array, reals
+from .._base.types import MethodName
+from .._functions.graph.derived import derived
+from .._functions.graph.nodes import in_order
+from .._functions.layout import Parameters, count_of
 from .._functions.second_order import states_second_order
 from .._problem.description import Description
-from .._problem.methods import Method
+from .._problem.methods import Method, find_method
+from .._problem.parameters import Y0, values_of, with_values
+from .._results.solution import Solution
 
-#: By what the velocities of the test differ from those at the start, in units of the largest; irregular, so that no
+#: By what the velocities of the test differ from those of the solution, in units of the largest; irregular, so that no
 #: function of them is the same by chance.
 _OTHER = 0.6180339887498949
+#: By what a parameter differs with which accelerations may begin to depend on velocities.
+_CHANGE = 1e-3
 
 
 def require_second_order(problem: Description, method: Method) -> None:
@@ -33,29 +41,76 @@ def require_second_order(problem: Description, method: Method) -> None:
         raise ValueError(f"{method.name} needs as many velocities as positions: y0 has {n} components")
     if problem.bounds is not None:
         raise ValueError(f"{method.name} does not take bounds, which change y' of positions; use dop853 or ode89")
-    if not states_second_order(problem.fun):
-        _require_no_velocities(problem, method)
+    if states_second_order(problem.fun):
+        return
+    t, y = np.array([problem.t_span[0]]), problem.y0[:, None]
+    _require_no_velocities(problem, t, y, "")
+    if problem.parameters():
+        _require_no_velocities(
+            _with_other_parameters(problem), t, y, " with other parameters: the sensitivities do too"
+        )
 
 
-def _require_no_velocities(problem: Description, method: Method) -> None:
-    """Evaluates f twice, with other velocities."""
-    t0, y0 = problem.t_span[0], problem.y0
-    half = len(y0) // 2
-    y = np.array([y0, y0])
-    y[1, half:] += _OTHER * _irregular(half) * (np.abs(y0[half:]).max(initial=0) or 1.0)
-    slopes = problem.slope(np.array([t0, t0]), y.T).T
-    if not np.array_equal(slopes[:, :half], y[:, half:]):
+def require_no_velocities(problem: Description, sol: Solution) -> None:
+    """That accelerations do not depend on velocities in the middle and at the end of a solution either: a drag may have
+    begun after the start.
+
+    Raises
+    ------
+    ValueError
+        They do.
+    """
+    if not states_second_order(problem.fun) and len(sol.t):
+        some = [len(sol.t) // 2, -1]
+        _require_no_velocities(problem, sol.t[some], np.asarray(sol.y)[:, some], ": the solution is wrong")
+
+
+def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) -> None:
+    """At points y (n, n_t), at each of which f is evaluated with two velocities."""
+    half, k = len(y) // 2, len(t)
+    points = np.concatenate([y, y], axis=1)
+    points[half:, k:] += _OTHER * _irregular(half)[:, None] * _largest(y[half:])
+    slopes = problem.slope(np.concatenate([t, t]), points)
+    finite = np.logical_and.reduce(np.isfinite(slopes))  # where it is not, the run says so
+    if not np.array_equal(slopes[:half, finite], points[half:, finite]):
         raise ValueError(
             f"second_order: the first {half} values of fun are not the velocities y[{half}:]: fun must return "
             "(v, f(t, q)) of y = (q, v), or use invariode.SecondOrder(f)"
         )
-    differ = np.flatnonzero(slopes[0, half:] != slopes[1, half:])
-    if len(differ):
-        i = half + int(differ[0])
+    one, other = slopes[half:, :k], slopes[half:, k:]
+    differ = (one != other) & finite[:k] & finite[k:]
+    if differ.any():
+        i, at = np.argwhere(differ)[0].tolist()
         raise ValueError(
-            f"second_order: component {i} of fun depends on the velocities: it is {slopes[0, i]} and {slopes[1, i]} "
-            f"for two of them at t = {t0}. {method.name} integrates y'' = f(t, y) only; use dop853 or ode89"
+            f"second_order: component {half + i} of fun depends on the velocities: it is {one[i, at]} and "
+            f"{other[i, at]} for two of them at t = {t[at]}{more}. rkn64, rkn86 and rkn1210 integrate y'' = f(t, y) "
+            "only; use dop853 or ode89"
         )
+
+
+def fits_any_args(problem: Description, method: MethodName) -> bool:
+    """Whether a problem that fits the method does so with other args: accelerations are known not to depend on
+    velocities, since that is stated or seen in their graph; and not only tested."""
+    if find_method(method)[0].equations != "second-order" or states_second_order(problem.fun):
+        return True
+    n = reals(problem.y0)
+    found = derived(problem.slope.fun, n, n, count_of(Parameters.of(problem.args)))
+    if found is None:
+        return False
+    return not any(node.op == "y" and node.value >= n // 2 for node in in_order(found.outputs[n // 2 :]))
+
+
+def _with_other_parameters(problem: Description) -> Description:
+    own = [one for one in problem.parameters() if one.kind != Y0]
+    values = values_of(problem.args, problem.y0, own)
+    others = np.where(values != 0, values * (1 + _CHANGE), _CHANGE)
+    return problem.replace(args=with_values(problem.args, problem.y0, own, others)[0])
+
+
+def _largest(velocities: Array) -> Array:
+    """The largest component of each, or 1 where all are zero."""
+    found = np.abs(velocities).max(axis=0, initial=0)
+    return np.where(found > 0, found, 1.0)
 
 
 def _irregular(count: int) -> Array:

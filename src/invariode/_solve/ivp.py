@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, Unpack
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import flag, function
 from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
+from .._functions.second_order import SecondOrder
 from .._problem.accepted import solve_options
 from .._problem.docstrings import documented
 from .._problem.options import (
@@ -111,14 +112,18 @@ def solve_ivp(
     """
     describing, running = parted(solve_options(**options), DescribingOptions)
     unused(method, describing)
-    alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
+    alone = one_column(fun) if flag("vectorized", vectorized) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
     running["t_eval"], running["dense_output"] = t_eval, dense_output
     return solve(problem, method, running)
 
 
-def one_column(fun: Any) -> Callable[..., Any]:
-    """A function of columns y (n, k) as a function of one y, with its name."""
+def one_column(fun: Any) -> Any:
+    """A function of columns y (n, k) as a function of one y, with its name. Machine code is one already."""
+    if is_native(fun):
+        return fun
+    if isinstance(fun, SecondOrder):
+        return SecondOrder(one_column(fun.fun))
     function("fun", fun, "f(t, y)")
 
     @functools.wraps(fun)

@@ -17,6 +17,13 @@ from .._problem.options import AllOptions, table_of
 from .._results.solution import Solution
 from .ivp import solve_ivp
 
+#: What is particular about f.
+_FUNCTIONS = {
+    "any": "",
+    "graph": "; `fun` must be a function that can be traced: see `compile`",
+    "second-order": "; `fun` must be a `SecondOrder`, or ``(v, f(t, q))`` of y = (q, v) with `second_order`",
+}
+
 
 def _function_of(method: Method) -> Callable[..., Solution]:
     """`solve_ivp` with the method, its own largest step, and its own number of points per step unless other options
@@ -35,7 +42,7 @@ def _function_of(method: Method) -> Callable[..., Solution]:
     Parameters
     ----------
     fun, t_span, y0
-        As in `solve_ivp`.
+        As in `solve_ivp`{_FUNCTIONS[method.equations]}.
     {{options}}
 
     Returns

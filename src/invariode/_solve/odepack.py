@@ -258,17 +258,19 @@ def _highest_order(method: MethodName, limits: dict[OwnName, int]) -> Options:
 
 
 class _Times(NamedTuple):
-    """The requested times: without repetitions, and the index of each in that list."""
+    """The requested times: without repetitions, and where each is in that list."""
 
     times: Array
-    place: Array
+    place: Array | slice
 
 
 def _times(t: ArrayLike) -> _Times:
     given = np.atleast_1d(real_numbers("t", t))
     if not given.size:  # nothing to integrate, and no output: SciPy's shape, (0, n)
         return _Times(np.zeros(1), np.zeros(0, dtype=np.intp))
-    steps = np.diff(given)
+    steps = given[1:] - given[:-1]
+    if given.ndim == 1 and ((steps > 0).all() or (steps < 0).all()):
+        return _Times(given, slice(None))
     if given.ndim != 1 or not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
     new = np.concatenate([[True], steps != 0])
@@ -314,13 +316,16 @@ def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None)
     if calls is None and tfirst:
         return fun
 
-    @functools.wraps(fun)
+    counts = calls or []
+
     def ordered(t: float, y: Array, *args: Any) -> Any:
-        if calls is not None:
-            calls[0] += 1
+        return fun(y, t, *args)
+
+    def counted(t: float, y: Array, *args: Any) -> Any:
+        counts[0] += 1
         return fun(t, y, *args) if tfirst else fun(y, t, *args)
 
-    return ordered
+    return functools.wraps(fun)(ordered if calls is None else counted)
 
 
 def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> Any:
@@ -349,8 +354,9 @@ def _critical_points(tcrit: ArrayLike, times: Array) -> Array:
 
 def _rows(sol: Solution, asked: _Times) -> Array:
     """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
-    rows = np.full((len(asked.times), len(sol.y)), np.nan, dtype=sol.y.dtype)
-    rows[: len(sol.t)] = sol.y.T
+    rows = np.ascontiguousarray(sol.y.T)
+    if missing := len(asked.times) - len(rows):
+        rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])
     return rows[asked.place]
 
 

@@ -23,6 +23,7 @@ from .._results.messages import MESSAGES
 from .._results.solution import Solution
 from .._run.plan import Plan, longest_step, make_plan, solver
 from .._run.run import Solved, concluded, presented, solve
+from .._run.second_order import fits_any_args
 
 Cover: TypeAlias = tuple[float, float, float]
 """t0, tf and the largest step."""
@@ -58,7 +59,7 @@ class PreparedSolver:
         self._complex = plan.functions.complex
         # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
-        self._any_args = self._any_y0 and core.native and _may_vary(problem, plan)
+        self._any_args = self._any_y0 and core.native and _may_vary(problem, plan) and fits_any_args(problem, method)
         free = not problem.inputs and not any(plan.bound.senses)  # what is dissipated depends on the direction of time
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 

@@ -11,7 +11,6 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from .._base.arguments import ATOL, RTOL, Array, flag
 from .._base.types import LargestStep, MethodName, Numbers
-from .._functions.compiled import is_native
 from .._problem.accepted import stepper_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
@@ -106,7 +105,7 @@ class Stepper(OdeSolver):
             raise ValueError(f"{type(self).__name__} steps y alone: sensitivities are those of solve_ivp and Problem")
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
-        alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
+        alone = one_column(fun) if flag("vectorized", vectorized) else fun
         problem = Description(alone, (t0, t_bound), y0, **describing)
         super().__init__(alone, t0, problem.y0, t_bound, False, support_complex=True)
         given: Options = stepping
