@@ -44,7 +44,7 @@ class Series {
 /// function of (t, y) with `count` values, changes its sign.
 struct SystemSeries {
   Series solution;
-  Series conditions{};
+  Series conditions{};  // NOLINT(readability-redundant-member-init): those without conditions leave it out
   std::size_t count = 0;
 };
 

@@ -57,7 +57,7 @@ constexpr int bias = 1023;  // of exponents
 double logarithm(double x) {
   constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
   constexpr std::uint64_t one = std::uint64_t{bias} << 52U;
-  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  const auto bits = std::bit_cast<std::uint64_t>(x);
   const double f = std::bit_cast<double>((bits & mantissa_bits) | one) - 1;
   return static_cast<double>(static_cast<int>(bits >> 52U) - bias) + f * ((1 + parabola) - parabola * f);
 }
@@ -79,7 +79,7 @@ double power_of_two(double x) {
 /// The power of two nearest to h, in ratio.
 double unit_near(double h) {
   assert(h > 0);
-  const std::uint64_t bits = std::bit_cast<std::uint64_t>(h * std::numbers::sqrt2);
+  const auto bits = std::bit_cast<std::uint64_t>(h * std::numbers::sqrt2);
   return exact_power(static_cast<int>(bits >> 52U) - bias);
 }
 
@@ -197,13 +197,15 @@ Status Taylor::find_cut(double t, const Expansion& expansion, double length) {
 /// closer than h coefficients overflow: the unit becomes shorter then.)
 Status Taylor::expand(double t, const double* y, Expansion& into) {
   undefined_ = {};
-  for (double unit = unit_near(crosses_ ? free_ : h_); unit >= std::numeric_limits<double>::min(); unit *= shortened) {
+  double unit = unit_near(crosses_ ? free_ : h_);
+  do {
     if (series_(t, unit, y, into.c.data()) == Status::stop) return Status::stop;
     into.unit = unit;
     into.per_unit = 1 / unit;
     into.finite = all_finite(row(into, order_ - 1), 2 * n());  // what is not finite makes all after it so too
     if (into.finite || !all_finite(row(into, 1), n())) break;
-  }
+    unit *= shortened;
+  } while (unit >= std::numeric_limits<double>::min());
   for (std::size_t k = 1; k <= order_ && !into.finite && undefined_.component < 0; ++k)
     undefined_ = {.component = first_undefined(row(into, k)), .coefficient = static_cast<int>(k)};
   return Status::ok;
