@@ -118,6 +118,7 @@ def test_values_of_invariants_are_refused_in_every_method(method, name):
         (dict(fun=energy, iterations=2**31), ValueError, "iterations must be at most 2147483647"),
         (dict(fun=energy, value=[]), ValueError, r"of shape \(m,\) with m >= 1, got \[\]"),
         (dict(fun=energy, names=[]), ValueError, "names of an invariant must be one str for each of its values"),
+        (dict(fun=energy, level=2**64), ValueError, "level of an invariant must be an integer from 0 to 2147483647"),
         (dict(fun=energy, value=[1, [2, 3]]), ValueError, "value of an invariant must be .* rows of equal length"),
     ],
 )

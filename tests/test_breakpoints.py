@@ -492,3 +492,10 @@ def test_a_breakpoint_at_the_smallest_double_is_passed(method):
         )
         sol = problem.solve(method, breakpoints=about.get("breakpoints"))
         np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-2)
+
+
+def test_breakpoints_may_be_given_by_an_iterator():
+    """Which can be read once only."""
+    sols = [iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], breakpoints=given) for given in ([0.3, 0.6], iter([0.3, 0.6]))]
+    assert sols[0].t.tolist() == sols[1].t.tolist()
+    assert sols[1].extend(2).t[-1] == 2

@@ -63,6 +63,8 @@ def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
 
 def test_where_no_checkpoint_can_be(tmp_path):
     case = random_case(SEED, "ode45")
+    with pytest.raises(IsADirectoryError, match=r"checkpoint: .* is a folder: give the name of a file in it"):
+        problem().solve(checkpoint=tmp_path)
     with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
         case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
 

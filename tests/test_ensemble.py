@@ -470,3 +470,11 @@ def test_ctrl_c_ends_all_at_once(tmp_path, native, progress):
     assert time.monotonic() - sent < 10
     assert errors.rstrip().endswith("KeyboardInterrupt")
     assert "SystemError" not in errors
+
+
+def test_invariants_have_as_many_values_in_every_row():
+    def g(t, y):
+        return y if y[0] < 1 else [*y, 0.0]
+
+    with pytest.raises(ValueError, match="the invariants have 2 values in row 1 of y0, and 1 in the first one"):
+        iv.solve_ensemble(lambda t, y: 0 * y, (0, 1), [[0.5], [1.5]], invariants=g, workers=1)

@@ -1,6 +1,7 @@
 """Wrong calls: each is a right one with one or two of its arguments replaced, or a function that returns nonsense.
 
-The oracle: whatever was given, the call returns, or it raises a ValueError or a TypeError in words of our own.
+The oracle: whatever was given, the call returns, or it raises a ValueError, a TypeError, or an IsADirectoryError for a
+checkpoint, in words of our own.
 """
 
 from __future__ import annotations
@@ -244,7 +245,7 @@ def _complaint(refused: Exception, name: str, given: dict[str, Any]) -> str | No
     innermost = traceback.extract_tb(refused.__traceback__)[-1]
     if innermost.filename == __file__ or innermost.name == "__bool__":  # an object's, that a callback returned
         return None
-    ours = isinstance(refused, (ValueError, TypeError)) and innermost.filename.startswith(PACKAGE)
+    ours = isinstance(refused, (ValueError, TypeError, IsADirectoryError)) and innermost.filename.startswith(PACKAGE)
     return None if ours and not FOREIGN.search(str(refused)) else _told(refused, name, given)
 
 

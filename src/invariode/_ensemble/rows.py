@@ -309,6 +309,11 @@ def _keep(found: Outcomes, one: _Outcome) -> None:
         found.messages[i] = one.message
     if one.error is not None and (found.error is None or i < found.error[0]):
         found.error = i, one.error
+    if "value" in one.row and one.row["value"].shape != found.value[i].shape:
+        raise ValueError(
+            f"the invariants have {one.row['value'].size} values in row {i} of y0, and {found.value[i].size} in the "
+            "first one: return as many everywhere"
+        )
     for name, value in one.row.items():
         getattr(found, name)[i] = value
 

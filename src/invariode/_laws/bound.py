@@ -19,6 +19,7 @@ from .._base.arguments import (
     distinct,
     real_numbers,
     reals,
+    shown,
     tolerances,
 )
 from .._functions.compiled import (
@@ -316,7 +317,9 @@ def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
     """The reals of y that the correction of an invariant may move."""
     moves = one.moves or ()
     if moves and max(moves) >= len(y):
-        raise ValueError(f"moves of invariant {name} must be indices of the {len(y)} components of y, got {moves}")
+        raise ValueError(
+            f"moves of invariant {name} must be indices of the {len(y)} components of y, got {shown(moves)}"
+        )
     if y.dtype.kind != "c":
         return moves
     return [part for index in moves for part in (2 * index, 2 * index + 1)]

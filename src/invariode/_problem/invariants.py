@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import (
+    LARGEST_INT,
     Array,
     call_name,
     choice,
@@ -175,8 +176,8 @@ def _level(level: object) -> int:
         result = operator.index(level)  # type: ignore[arg-type]  # anything but an integer is caught here
     except TypeError:
         result = -1
-    if result < 0:
-        raise ValueError(f"level of an invariant must be an integer from 0 on, got {shown(level)}")
+    if not 0 <= result <= LARGEST_INT:
+        raise ValueError(f"level of an invariant must be an integer from 0 to {LARGEST_INT}, got {shown(level)}")
     return result
 
 

@@ -95,12 +95,14 @@ class Checkpoint:
     def of_new_run(cls, path: PathLike, begin: Callable[[Any], Result]) -> Checkpoint:
         """Files for a run that begins, and the lock on them; `begin` adds to the first part of its output. A ValueError
         where there is a run that has not ended, or something else; a FileNotFoundError where there is no such
-        folder."""
+        folder, an IsADirectoryError where the path is one."""
         self = cls(path, os.urandom(_TOKEN).hex())
         if not self._path.parent.is_dir():
             raise FileNotFoundError(
                 f"checkpoint: there is no folder {self._path.parent}: make it, or give another file"
             )
+        if self._path.is_dir():
+            raise IsADirectoryError(f"checkpoint: {self._path} is a folder: give the name of a file in it")
         with self._taking() as left:
             if left is not None and left["running"]:
                 raise ValueError(

@@ -343,7 +343,7 @@ def _require_fitting(problem: Description, method: Method) -> None:
     if method.equations == "second-order":
         require_second_order(problem, method)
     if method.equations != "graph" and any(event.touching for event in problem.events):
-        warn(f"touching of events has no effect on {method.name}, whose steps are no polynomials in t of f: use taylor")
+        warn(f"touching=True has no effect with {method.name}: only the steps of taylor are polynomials that can tell")
 
 
 def _with_sensitivities(plan: Plan, problem: Description, options: Options, breakpoints: list[Breakpoint]) -> Plan:
