@@ -337,7 +337,7 @@ def test_touching_zeros_are_reported_where_they_are_asked_for():
 def test_touching_that_has_no_effect_is_told():
     with pytest.warns(UserWarning, match="touching of event .* has no effect: its function has branches, such as abs"):
         solve(circle, (0, 1), [0.0, 1.0], events=iv.Event(lambda t, y: abs(y[0]), touching=True))
-    with pytest.warns(UserWarning, match="touching of events has no effect on dop853"):
+    with pytest.warns(UserWarning, match="touching=True has no effect with dop853"):
         iv.solve_ivp(circle, (0, 1), [0.0, 1.0], "dop853", events=iv.Event(lambda t, y: y[0], touching=True))
 
 
