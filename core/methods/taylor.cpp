@@ -76,6 +76,13 @@ double power_of_two(double x) {
   return ((1 + u) + u * u * (1. / 2 + u * (1. / 6))) * exact_power(whole);
 }
 
+/// A length of at most 25 bits below h, whose square is exact. Squares of s = (t₁ − t) / unit are rounded otherwise,
+/// and where t is so large that t₁ − t has 27 or 28 bits, with a bias: energies drift by it.
+double with_exact_square(double h) {
+  constexpr std::uint64_t last_28 = (std::uint64_t{1} << 28U) - 1;
+  return std::bit_cast<double>(std::bit_cast<std::uint64_t>(h) & ~last_28);
+}
+
 /// The power of two nearest to h, in ratio.
 double unit_near(double h) {
   assert(h > 0);
@@ -158,10 +165,10 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
     return Outcome::not_finite;
   }
   for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y[i]);
-  h_ = initial_step(norm(f_value_), t, span);
+  h_ = with_exact_square(initial_step(norm(f_value_), t, span));
   if (expand(t, y, current_) == Status::stop) return Outcome::stop;
   if (!current_.finite) return Outcome::not_finite;
-  h_ = initial_step(1 / reach(current_), t, span);
+  h_ = with_exact_square(initial_step(1 / reach(current_), t, span));
   close_ = 0;
   return look_ahead(t, current_, span.tf >= t ? h_ : -h_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
@@ -312,7 +319,7 @@ bool Taylor::reject(Cause cause, double hmin) {
   double factor = halved;
   if (!failed_ && cause == Cause::error)
     factor = std::max(floor_after_failure, safety * std::pow(weights_.rtol() / error_, exponent_));
-  h_ = std::max(hmin, h_ * factor);
+  h_ = std::max(hmin, with_exact_square(h_ * factor));
   failed_ = true;
   return true;
 }
@@ -324,7 +331,7 @@ Outcome Taylor::accept(const double* y1) {
   }
   if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
   const double longest = crosses_ ? free_ : failed_ ? h_ : largest_growth * h_;
-  const double length = next_.finite ? std::min(reach(next_), longest) : h_;
+  const double length = next_.finite ? with_exact_square(std::min(reach(next_), longest)) : h_;
   if (look_ahead(t1_, next_, std::copysign(length, length_)) == Status::stop) return Outcome::stop;
   if (moved_onto_bounds_)
     remainder_.clear();
