@@ -141,7 +141,10 @@ Outcome Events::find(std::size_t event) {
     roots_.push_back({event, root, direction});
   }
   if (turns) join_close_roots();
-  if (turns && functions_[event].touching && (outcome = find_touching(event)) != Outcome::ok) return outcome;
+  if (turns && functions_[event].touching) {
+    outcome = find_touching(event);
+    if (outcome != Outcome::ok) return outcome;
+  }
   for (const Occurrence& root : roots_)
     if (root.direction == 0 ? is_new_touching(root) : asked == 0 || asked == root.direction)
       occurrences_.push_back(root);
