@@ -38,9 +38,9 @@ struct LoopFunctions {
   std::vector<EventFunction> events;
   std::vector<Breakpoint> breakpoints;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
-  /// Moves y at t onto the algebraic equations. Empty if there are none.
+  /// Moves y at t onto the algebraic equations. An empty function if M is regular.
   std::function<Consistency(double t, double* y)> consistent;
-  /// Moves the sensitivities of such a y likewise. Empty without either.
+  /// Moves the sensitivities of such a y likewise. An empty function if there are no sensitivities, or M is regular.
   std::function<Status(double t, double* Y)> consistent_tangent;
   Callback callback;  ///< after each step; may be empty
 };

@@ -494,8 +494,14 @@ def test_a_breakpoint_at_the_smallest_double_is_passed(method):
         np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-2)
 
 
-def test_breakpoints_may_be_given_by_an_iterator():
-    """Which can be read once only."""
-    sols = [iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], breakpoints=given) for given in ([0.3, 0.6], iter([0.3, 0.6]))]
-    assert sols[0].t.tolist() == sols[1].t.tolist()
-    assert sols[1].extend(2).t[-1] == 2
+def test_an_iterator_of_breakpoints_is_refused_at_every_way_in():
+    """A second run, or row, would have none."""
+    problem = iv.Problem(lambda t, y: -y, (0, 1), [1.0])
+    ways = [
+        problem.solve,
+        problem.prepare,
+        lambda breakpoints: problem.solve_ensemble([[1.0], [2.0]], workers=1, breakpoints=breakpoints),
+    ]
+    for way in ways:
+        with pytest.raises(TypeError, match=r"breakpoints are read more than once.*give list\(breakpoints\)"):
+            way(breakpoints=iter([0.3, 0.6]))

@@ -17,7 +17,7 @@ from invariode._functions.graph.python import as_text
 machine = pytest.importorskip("invariode._functions.graph.machine")
 
 from invariode._functions.graph import series  # noqa: E402  # needs what was just imported
-from invariode._functions.graph.series_writer import SeriesForm  # noqa: E402
+from invariode._functions.graph.series_writer import SeriesForm  # noqa: E402  # likewise
 
 EPS = np.finfo(float).eps
 ORDER = 9

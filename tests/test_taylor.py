@@ -118,7 +118,10 @@ def test_invariants_that_fun_does_not_keep_are_refused():
 
 def test_unless_something_is_moved_invariants_change_nothing():
     """A sum that f keeps exactly, term by term, is kept by its coefficients: nothing is left to project."""
-    exchange = lambda t, y: [y[0] * y[1], -y[0] * y[1]]  # noqa: E731
+
+    def exchange(t, y):
+        return [y[0] * y[1], -y[0] * y[1]]
+
     plain = solve(exchange, (0, 3), [0.25, 0.75])
     held = solve(exchange, (0, 3), [0.25, 0.75], invariants=lambda t, y: y[0] + y[1])
     np.testing.assert_array_equal(held.t, plain.t)
@@ -212,7 +215,7 @@ def test_f_is_that_of_its_branch_from_a_start_on_the_condition():
     np.testing.assert_allclose(sol.y[:, -1], [0.5, 0.0], atol=1e-13)
 
 
-@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # which says that it slides
 def test_where_the_solution_slides_along_a_jump_steps_have_the_size_of_the_tolerance():
     sol = solve(lambda t, y: [-np.sign(y[0])], (0, 1.5), [1.0], rtol=1e-3, atol=1e-3, keep="end")
     assert sol.success

@@ -18,9 +18,9 @@ class Conditions {
 
   [[nodiscard]] bool any() const { return series_.count > 0; }
 
-  /// The first root of one of them between 0 and `length` (in units of the polynomial's s, and signed), in `root`, as
-  /// a part of the length; 0 where one is zero at the start and does not stay so, nothing where there is none. A root
-  /// without a change of sign is none. c: coefficients of y(t + unit s).
+  /// Sets `root` to the first change of sign of any condition on s from 0 to `length` (signed), as a fraction of the
+  /// length: 0 if a condition vanishes at the start but not beyond, empty if no condition changes its sign.
+  /// c: coefficients of y(t + unit s).
   Status first(double t, double unit, const double* c, double length, std::optional<double>& root);
 
  private:

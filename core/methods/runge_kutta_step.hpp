@@ -237,7 +237,7 @@ class RungeKuttaStep final : public Step {
   double* start_ = nullptr;        // y at the start of the accepted step
   double* stage_ = nullptr;        // argument of the stage in work
   double* candidate_ = nullptr;    // y*
-  double* reevaluated_ = nullptr;  // f(t₁, y₁), where it is asked for
+  double* reevaluated_ = nullptr;  // f(t₁, y₁), with Fsal::evaluate or within bounds
   std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;

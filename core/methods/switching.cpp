@@ -17,7 +17,7 @@ constexpr double fast = 0.2;                 // what a step limited by stability
 constexpr double strongest = 20;             // so much more than one that just hardly changes y may a step count
 constexpr double low_order = 0.7;            // interval of stability below which a lower order would do instead
 constexpr int end_of_streak = 2;             // steps that stability does not limit
-constexpr std::int64_t first_steps = 16;     // of a turn, of which each is looked at
+constexpr std::int64_t first_steps = 16;     // of a turn, each of which is tested
 constexpr std::int64_t look_every = 8;       // afterwards, until one is limited
 constexpr double stable_part = 0.9;          // of the |h| ρ(J) with which it handed over, for the way back
 constexpr double explicit_gain = 0.5;        // the explicit member's steps are at most this times their cost longer
@@ -30,7 +30,7 @@ constexpr double room = 100;                 // of the first |h| above hmin: it 
 constexpr int most_failures = 8;             // attempts of a first step before the other member goes on
 constexpr double remembered = 0.9;           // of the average cost of a step
 constexpr int powers = 12, first_power = 6;  // of J, and the first one from which growth is averaged
-constexpr std::int64_t new_radius = 25;      // implicit steps, after which ρ(J) is looked at again if J has no matrix
+constexpr std::int64_t new_radius = 25;      // implicit steps, after which ρ(J) is estimated again if J has no matrix
 
 void average(double& mean, double value) { mean = mean == 0 ? value : remembered * mean + (1 - remembered) * value; }
 

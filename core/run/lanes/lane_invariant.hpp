@@ -218,7 +218,7 @@ class LaneInvariant {
     return asked & odd;
   }
 
-  /// The looks of `Guard::rate` at g_t. (An invariant that changes with t is asked for it in each step there.)
+  /// The tests of g_t in `Guard::rate`. (There g_t is evaluated in each step if the invariant depends on t.)
   M changes_with_time(unsigned looking, const LaneStep<W>& made, const P& steps) {
     P increment(0);
     for_each_lane(looking, [&](int l) {

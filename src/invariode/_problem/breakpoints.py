@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +21,8 @@ class Breakpoint(NamedTuple):
 
 def to_breakpoints(name: str, given: object) -> list[Breakpoint]:
     """Breakpoints from times and pairs (t, action), or from a dict of such pairs, checked."""
+    if isinstance(given, Iterator):
+        raise TypeError(f"{name} are read more than once, and an iterator cannot be: give list({name})")
     listed = items(given.items() if isinstance(given, Mapping) else given)
     if listed is None:
         raise TypeError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, TypedDict, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -391,18 +391,6 @@ def default_labels(size: int) -> list[str]:
     return [f"y{i}" for i in range(size)]
 
 
-class Private(TypedDict):
-    """What a result has besides its items."""
-
-    _invariants: BoundInvariants
-    _rtol: ArrayLike
-    _atol: ArrayLike
-    _drift: BeforeProjection
-    _names: Names
-    _sensitivities: SensitivityData | None
-    _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
-
-
 #: Marks a field that was not given, since None is a value.
 _ABSENT: Any = object()
 
@@ -438,14 +426,14 @@ class Result(dict[str, Any]):
     _sensitivities: SensitivityData | None
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
-    def __init__(self, private: Private, /, **fields: Any) -> None:
+    def __init__(self, private: Mapping[str, Any], /, **fields: Any) -> None:
         super().__init__(fields)
         self.__dict__.update(private)  # past __setattr__
 
     def changed(self, **changes: Any) -> Self:
         """A copy with other values of some fields, and with what the user has added."""
         private = {**self.__dict__, **{name: changes.pop(name) for name in [*changes] if name.startswith("_")}}
-        return type(self)(cast("Private", private), **{**self, **changes})
+        return type(self)(private, **{**self, **changes})
 
     if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
 

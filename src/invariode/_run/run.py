@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -185,8 +185,6 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
 
 
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
-    if isinstance(options.get("breakpoints"), Iterator):  # they are read more than once
-        options = {**options, "breakpoints": list(cast("Iterator[Any]", options["breakpoints"]))}
     plan, template = plan_and_template(problem, method, options)
     given = options.copy()
     given.pop("progress", None)
