@@ -38,14 +38,15 @@ def jet(outputs, **form):
     form = SeriesForm(**{"n": 3, "order": ORDER, **form})
     code = series.series_code(outputs, form)
     number = ctypes.c_double if form.lanes == 1 else ctypes.c_void_p
-    call = ctypes.CFUNCTYPE(None, number, number, *[ctypes.c_void_p] * 3)(code.address)
+    unused = [] if form.lanes == 1 else [None]
+    call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(unused), number, number, *[ctypes.c_void_p] * 3)(code.address)
 
     def evaluate(t, unit, y, p=ARGS):
         y, p = (np.ascontiguousarray(one, dtype=float) for one in (y, p))
         out = np.full((form.order + 1, len(outputs), *y.shape[1 if not form.along else 2 :]), np.nan)
         rows = [np.ascontiguousarray(one, dtype=float) for one in (t, unit)]
         numbers = (t, unit) if form.lanes == 1 else (one.ctypes.data for one in rows)
-        call(*numbers, y.ctypes.data, out.ctypes.data, p.ctypes.data)
+        call(*unused, *numbers, y.ctypes.data, out.ctypes.data, p.ctypes.data)
         assert code.owner is not None
         return out
 

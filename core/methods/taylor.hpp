@@ -9,6 +9,7 @@
 
 #include "compensated.hpp"
 #include "methods/conditions.hpp"
+#include "methods/taylor_kernel.hpp"
 #include "series.hpp"
 #include "step.hpp"
 
@@ -19,7 +20,7 @@ namespace invariode {
 /// condition of f changes its sign: the polynomial is that of one branch.
 class Taylor final : public Step {
  public:
-  static constexpr int lowest_order = 3, highest_order = 40;
+  static constexpr int lowest_order = 3, highest_order = taylor::highest_order;
 
   /// `series` outlives this. `projected`: candidates will be moved, so that an expansion there would be of no use; f is
   /// evaluated instead.
@@ -111,7 +112,11 @@ class Taylor final : public Step {
   Undefined undefined_;
 };
 
-/// Its extension, an `Interpolate`: Σ c_k θ^k.
+namespace taylor {
+
+/// `power_series` of output/polynomial.hpp, as an `Interpolate`.
 void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+
+}  // namespace taylor
 
 }  // namespace invariode

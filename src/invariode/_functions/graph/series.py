@@ -4,7 +4,7 @@
 
 Row k of out, of order + 1, has the coefficients of s^k: of the solution through (t, y) at t + unit s, of shape
 (order + 1, n); or of a function with m values along a polynomial whose coefficients are y, (order + 1, n), of shape
-(order + 1, m). In lanes every number, t and unit too, is a row of that many.
+(order + 1, m). In lanes every number, t and unit too, is a row of that many, and a pointer that is not used comes first.
 
 A product and a sum are rounded once, by fma: the bits are the same on every processor, even where the library has to
 compute it.
