@@ -23,6 +23,7 @@ from peers import Reference, finished, invariants, power, reference, with_heyoka
 from peers import taylor as heyoka_integrator
 
 import invariode as iv
+from invariode._functions import lanes as choice
 
 Array = NDArray[np.float64]
 Run = Callable[[], Array]
@@ -33,7 +34,7 @@ ERRORS = tuple(10.0**-k for k in range(6, 14))
 SHORTEST = 2e-3
 #: Trajectories of an ensemble, and by how much their initial values differ, in parts of them; for what is compared.
 MANY, SPREAD = 1024, 0.01
-FEW_TOLERANCES = tuple(10.0**-k for k in range(6, 17))
+FEW_TOLERANCES = tuple(10.0**-k for k in range(5, 18, 2))
 FEW_ERRORS = (1e-6, 1e-8, 1e-10, 1e-12)
 REFERENCE = 1e-17
 #: The long orbit, its eccentricity, and the tolerance; a looser one, at which code is compiled too.
@@ -199,6 +200,7 @@ def compared_many(p: Problem, repetitions: int) -> tuple[list[str], list[float]]
 
 
 def many_trajectories(repetitions: int) -> str:
+    choice.FEWEST = MANY // choice.FEWEST_BY_SERIES
     rows, ratios = [], []
     for p in PROBLEMS.values():
         row, found = compared_many(p, max(repetitions // 5, 2))

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "archive.hpp"
+#include "number.hpp"
 
 namespace invariode {
 
@@ -17,7 +18,7 @@ struct Sum {
   Real value, lost;
 };
 template <class Real>
-Sum<Real> two_sum(const Real& a, const Real& b) {
+INVARIODE_EACH Sum<Real> two_sum(const Real& a, const Real& b) {
   const Real value = a + b, part = value - a;
   return {value, (a - (value - part)) + (b - part)};
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import invariode as iv
 from cases import METHODS, SERIES, dealt
 from invariode import _core
 from invariode._functions import lanes
+from invariode._functions.graph import machine
 from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
@@ -83,7 +85,7 @@ ENERGY = iv.Invariants(iv.compile(energy), iv.compile(energy_slope), names="ener
 
 @pytest.fixture(autouse=True)
 def small_ensembles_too(monkeypatch):
-    monkeypatch.setattr(lanes, "FEWEST", 1)
+    monkeypatch.setattr(lanes, "FEWEST", 0)
 
 
 def rows():
@@ -295,6 +297,14 @@ def test_branches_of_f_end_the_steps_of_series_one_at_a_time():
     assert "changes its branch" in solve(COMPILED["branches, in place"], "taylor").stats.lanes
 
 
+def test_series_in_loops_are_solved_one_at_a_time():
+    """They fill the vector registers with the members of one trajectory."""
+    fun = iv.compile(lambda t, y, p: [-p[0] * sum(y[j] * y[i] / (j + 1) for j in range(30)) for i in range(30)])
+    y0 = np.random.default_rng(2).uniform(0, 1, (5, 30))
+    found = iv.solve_ensemble(fun, (0, 1), y0, "taylor", args=(0.1,), workers=1)
+    assert "fills the vector registers" in found.stats.lanes
+
+
 def growing(t, y, p):
     total = 0.0
     while total < p[0]:
@@ -317,6 +327,8 @@ def test_functions_without_a_form_for_lanes_say_why(fun, by):
 def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
     monkeypatch.setattr(lanes, "FEWEST", 1000)
     assert "fewer than 1000" in solve(iv.compile(lotka_volterra)).stats.lanes
+    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    assert "fewer trajectories than 4000" in solve(iv.compile(lotka_volterra), "taylor", rtol=1e-7).stats.lanes
 
 
 @pytest.mark.parametrize("wrong", [2, True, "all", None])

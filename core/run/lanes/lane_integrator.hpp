@@ -399,9 +399,10 @@ template <int W, bool Alone, class Tableaux>
 struct KernelTable;
 template <int W, bool Alone, const auto&... T>
 struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
-  // Coefficients of series fill the first cache, and are compiled in half the time, with half as many lanes.
+  // Coefficients of series fill the first cache; their code is no faster in more lanes, and takes longer to compile.
+  static constexpr int of_series = native < 4 ? 4 : native;
   static constexpr Kernel kernels[] = {kernel<LanePair<T, W>, LanePair<T, 1>, Alone>()...,
-                                       kernel<LaneTaylor<W / 2>, LaneTaylor<1>, Alone>()};
+                                       kernel<LaneTaylor<of_series>, LaneTaylor<1>, Alone>()};
 };
 
 template <int W, bool Alone>

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: With fewer trajectories the form, which takes ten to a hundred milliseconds to compile, is not made.
 FEWEST = 1000
+#: That of Taylor coefficients takes this many times as long.
+FEWEST_BY_SERIES = 4
 #: The name of the instruction set to use; None: the best that this processor has.
 FORCED: str | None = None
 
@@ -68,12 +70,12 @@ _making = threading.Lock()
 def choose_lanes(
     solver: _core.Solver,
     functions: Mapping[str, Any],
-    series: Callable[[int], MachineCode] | None,
+    series: Callable[[int, bool], MachineCode | str] | None,
     size: int,
 ) -> Lanes:
     """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
-    by what they are called in reasons: f, then those of an invariant that is held. `series` makes the code of the
-    Taylor coefficients in so many lanes, if the method takes them."""
+    by what they are called in reasons: f, then those of an invariant that is held. `series` has the code of the
+    Taylor coefficients in so many lanes, if the method takes them, and makes it if it is told to."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:
         return Lanes(reason=obstacle)
@@ -83,6 +85,13 @@ def choose_lanes(
             return Lanes(reason=f"{called} is not made by invariode.compile, or has inputs")
     name = next(name for name, *_ in _core.LANES if FORCED in (None, name))
     width = solver.lanes(name)
+    expansion: list[MachineCode] = []
+    if series is not None:
+        with _making:
+            found = series(width, size >= FEWEST * FEWEST_BY_SERIES)
+        if isinstance(found, str):
+            return Lanes(reason=found.format(f="f", most=FEWEST * FEWEST_BY_SERIES))
+        expansion = [found]
     codes = []
     for called, one in made.items():
         assert one is not None
@@ -96,9 +105,7 @@ def choose_lanes(
         if isinstance(code, str):
             return Lanes(reason=code.format(f=called))
         codes.append(code)
-    if series is not None:
-        codes.insert(1, series(width))
-    return Lanes(name, width, tuple(codes))
+    return Lanes(name, width, (codes[0], *expansion, *codes[1:]))
 
 
 def _lane_code(made: Compiled, width: int) -> MachineCode | str:

@@ -212,11 +212,11 @@ class Expansion(NamedTuple):
         """What the core's problem takes, besides its events."""
         return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
 
-    def in_lanes(self, lanes: int) -> MachineCode:
-        """Code of the series of so many solutions side by side."""
-        from .._functions.graph.series import series_code
+    def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
+        """Code of the series of so many solutions side by side, or why there is none."""
+        from .._functions.graph.series import lane_code
 
-        return series_code(self.outputs, self.form._replace(lanes=lanes))
+        return lane_code(self.outputs, self.form._replace(lanes=lanes), make=make)
 
 
 def make_expansion(
