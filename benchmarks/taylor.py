@@ -315,7 +315,13 @@ def events(repetitions: int) -> str:
 
 def report(repetitions: int) -> str:
     first = compilation()  # before anything else has compiled the same
-    parts = [one_trajectory(repetitions), many_trajectories(repetitions), first, long_orbit(repetitions), events(repetitions)]
+    parts = [
+        one_trajectory(repetitions),
+        many_trajectories(repetitions),
+        first,
+        long_orbit(repetitions),
+        events(repetitions),
+    ]
     return "\n\n".join([machine("invariode", "heyoka", "llvmlite"), *parts])
 
 

@@ -24,7 +24,7 @@ constexpr NamedExtension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomia
                                    {"NDF", newton_backward, rows_of_n},
                                    {"TR-BDF2", two_hermite_cubics, two_cubics},
                                    {"numbered", numbered_extension, numbered},
-                                   {"power series", taylor::power_series, rows_of_n}};
+                                   {"power series", power_series, rows_of_n}};
 
 /// The extension with that number; null if the number is unknown, or names a numbered extension.
 const NamedExtension* of_number(double number) {

@@ -8,8 +8,6 @@
 
 #include "aim.hpp"
 #include "methods/initial_step.hpp"
-#include "methods/taylor_kernel.hpp"
-#include "output/polynomial.hpp"
 
 namespace invariode {
 
@@ -17,18 +15,24 @@ using namespace taylor;
 
 namespace {
 
-constexpr double shortly = 0x1p-20;          // of h: the solution may slide along a condition that is zero so soon
-constexpr int most_close = 8;                // cuts in a row so shortly after the start, each twice as far as the last
-constexpr double beyond = 4;                 // ulp of t, from the root of a condition to the end of the step
-constexpr double shortened = 0x1p-32;        // the unit of time, where coefficients overflow
+constexpr double shortly = 0x1p-20;    // of h: the solution may slide along a condition that is zero so soon
+constexpr int most_close = 8;          // cuts in a row so shortly after the start, each twice as far as the last
+constexpr double beyond = 4;           // ulp of t, from the root of a condition to the end of the step
+constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients overflow
 
 /// The shortest step that a condition is given: roundoff of t, also where t is 0.
 double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
 
 }  // namespace
 
-void taylor::power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
-  invariode::power_series(data, size, n, theta, out);
+void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  if (n == 0) return;
+  const double* c = data + (size - n);
+  for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
+  while (c != data) {
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
+  }
 }
 
 Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool projected)
@@ -232,7 +236,7 @@ void Taylor::state(Archive& archive) {
   expansion.per_unit = 1 / expansion.unit;
 }
 
-Interpolate Taylor::interpolate() const { return taylor::power_series; }
+Interpolate Taylor::interpolate() const { return power_series; }
 
 Status Taylor::extension(double* data) {
   scale_coefficients(current_.c.data(), n(), order_, length_ / current_.unit, data);

@@ -112,11 +112,7 @@ class Taylor final : public Step {
   Undefined undefined_;
 };
 
-namespace taylor {
-
-/// `power_series` of output/polynomial.hpp, as an `Interpolate`.
+/// Its extension, an `Interpolate`: Σ c_k θ^k.
 void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out);
-
-}  // namespace taylor
 
 }  // namespace invariode

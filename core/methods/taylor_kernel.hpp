@@ -16,12 +16,14 @@
 namespace invariode::taylor {
 
 inline constexpr int highest_order = 40;
-inline constexpr double margin = 0.7;  // h is e^{−0.7/(p−1)} of the length that the last coefficients allow (Jorba, Zou)
-inline constexpr double safety = 0.8;  // of the predicted optimal step, after a failure
+inline constexpr double margin =
+    0.7;  // h is e^{−0.7/(p−1)} of the length that the last coefficients allow (Jorba, Zou)
+inline constexpr double safety = 0.8;               // of the predicted optimal step, after a failure
 inline constexpr double floor_after_failure = 0.1;  // of h
 inline constexpr double halved = 0.5;               // after further failures
-inline constexpr double largest_growth = 5;     // of h: the last coefficients may be small by chance, where one vanishes
-inline constexpr double least_tested = 4 * eps;  // rtol of the acceptance test: smaller errors of the slope are roundoff
+inline constexpr double largest_growth = 5;  // of h: the last coefficients may be small by chance, where one vanishes
+inline constexpr double least_tested =
+    4 * eps;  // rtol of the acceptance test: smaller errors of the slope are roundoff
 
 /// Where 1 − x + x²/2 − … ± x^p/p! leaves [−1, 1] for x > 0, by the order p.
 inline constexpr auto real_limits = [] {
@@ -61,11 +63,10 @@ INVARIODE_EACH Real logarithm(const Real& x) {
 /// 2^x, to 2e-4, of an x for which it is a normal number.
 template <class Real>
 INVARIODE_EACH Real power_of_two(const Real& x) {
-  const Real inside = larger(Real(1 - bias), smaller(Real(bias), x)), shifted = inside + Real(bias + 0.5);
-  const Real nearest = (shifted + Real(0x1p52)) - Real(0x1p52);
-  const Real exponent = choose(shifted < nearest, nearest - Real(1), nearest);  // with the bias
-  const Real u = std::numbers::ln2 * (inside - (exponent - Real(bias)));
-  const Real power = on_bits(exponent + Real(0x1p52), [](auto word) { return word << 52U; });
+  const Real inside = larger(Real(1 - bias), smaller(Real(bias), x));
+  const Real rounded = inside + Real(0x1p52 + bias);  // to the nearest integer, with the bias: the exponent
+  const Real u = std::numbers::ln2 * (inside - (rounded - Real(0x1p52 + bias)));
+  const Real power = on_bits(rounded, [](auto word) { return word << 52U; });
   return ((Real(1) + u) + u * u * (Real(1. / 2) + (1. / 6) * u)) * power;
 }
 

@@ -1,8 +1,8 @@
 #pragma once
 // The loop for trajectories side by side, each in a lane of its own: its own t, h, error, acceptance. The arithmetic,
 // and the order of its operations, is that of a single run (methods/runge_kutta_kernel.hpp, taylor_kernel.hpp, aim.hpp,
-// integrate.cpp), so that each lane has its bits. Whatever a lane meets that is rare (something not finite, a step at hmin) is left to
-// that code, from the start. (INVARIODE_LANES: see pack.hpp.)
+// integrate.cpp), so that each lane has its bits. Whatever a lane meets that is rare (something not finite, a step at
+// hmin) is left to that code, from the start. (INVARIODE_LANES: see pack.hpp.)
 
 #include <bit>
 #include <cmath>
@@ -30,8 +30,6 @@ class LaneIntegrator {
   using M = Mask<W>;
   using Series = FailedSeries<P>;
   static constexpr unsigned every_lane = one_lane(W) - 1;
-  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
-  static constexpr int fewest_lanes = W / 8 + 1;
   static constexpr unsigned cancellation_interval = 64;  // attempts between two checks
   // Of the limits of `StepLook`: with room for roundoff, so that no limited step is missed.
   static constexpr double nearly = 0.99;
@@ -58,7 +56,7 @@ class LaneIntegrator {
   void run() {
     for (unsigned free = every_lane;;) {
       fill(free);
-      if (empty_ && std::popcount(occupied_) < fewest_lanes) break;
+      if (empty_ && std::popcount(occupied_) < Stepper::fewest_lanes) break;
       if (cancelled()) return;
       attempt();
       free = settle();
@@ -76,7 +74,6 @@ class LaneIntegrator {
   void go_on(const Suspended& from) {
     trajectory_[0] = from.lane.trajectory;
     for (std::size_t r = 0; r < rows_.size; ++r) now_[r].lanes()[0] = from.lane[r];
-    stepper_.go_on();
     outputs_.go_on(0, from.output);
     checks_[0] = from.checks;
     series_[0].go_on(from.series);
@@ -387,13 +384,12 @@ void go_on(const Job& job, const Suspended& from, Host& host) {
 }
 
 /// `Alone`: with the code for trajectories that have no neighbours.
-template <class Stepper, class OfOne, bool Alone>
-constexpr Kernel kernel() {
-  constexpr std::size_t lanes = Stepper::width;
+template <const auto& T, int W, bool Alone>
+constexpr Kernel kernel_of_pair() {
   if constexpr (Alone)
-    return {Stepper::name, lanes, run<Stepper>, go_on<OfOne>};
+    return {T.name, W, run<LanePair<T, W>>, go_on<LanePair<T, 1>>};
   else
-    return {Stepper::name, lanes, run<Stepper>, nullptr};
+    return {T.name, W, run<LanePair<T, W>>, nullptr};
 }
 template <int W, bool Alone, class Tableaux>
 struct KernelTable;
@@ -401,8 +397,9 @@ template <int W, bool Alone, const auto&... T>
 struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
   // Coefficients of series fill the first cache; their code is no faster in more lanes, and takes longer to compile.
   static constexpr int of_series = native < 4 ? 4 : native;
-  static constexpr Kernel kernels[] = {kernel<LanePair<T, W>, LanePair<T, 1>, Alone>()...,
-                                       kernel<LaneTaylor<of_series>, LaneTaylor<1>, Alone>()};
+  using Taylor = LaneTaylor<of_series>;
+  static constexpr Kernel kernels[] = {kernel_of_pair<T, W, Alone>()...,
+                                       {Taylor::name, of_series, run<Taylor>, nullptr}};
 };
 
 template <int W, bool Alone>

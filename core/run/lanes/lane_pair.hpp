@@ -29,8 +29,9 @@ class LanePair {
 
  public:
   static constexpr int width = W;
+  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
+  static constexpr int fewest_lanes = W / 8 + 1;
   static constexpr std::string_view name = T.name;
-  static constexpr double real_limit = Kernel::real_limit;
 
   LanePair(const Job& job, const Rows& rows, P* now, P* ready, Host& host)
       : job_(job),
@@ -59,8 +60,6 @@ class LanePair {
   /// The memory of a trajectory that was made ready, or is in another lane, beside its rows.
   void adopt(int /*lane*/, int /*from*/) {}
   void keep_defined(int /*lane*/, int /*from*/) {}
-  /// The rows have been set.
-  void go_on() {}
 
   /// The candidates and their errors. `odd`: where something is not finite.
   P attempt(const LaneStep<W>& at, P* candidate, M& odd) {

@@ -13,7 +13,6 @@
 #include "compensated.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/taylor_kernel.hpp"
-#include "output/polynomial.hpp"
 #include "run/lanes/lane_output.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
@@ -30,6 +29,7 @@ class LaneTaylor {
 
  public:
   static constexpr int width = W;
+  static constexpr int fewest_lanes = 1;  // series in a whole register take no longer than one alone
   static constexpr std::string_view name = "taylor";
 
   LaneTaylor(const Job& job, const Rows& rows, P* now, P* ready, Host& host)
@@ -51,7 +51,12 @@ class LaneTaylor {
         slope_(take<W>(host, job.n)) {}
 
   [[nodiscard]] static std::size_t degree(const Job& job) { return job.order; }
-  static constexpr auto evaluate_extension = power_series<P>;
+  /// Σ c_k θ^k, as `power_series` of a single run has it.
+  static void evaluate_extension(const P* c, std::size_t size, std::size_t n, const P& theta, P* out) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[size - n + i];
+    for (std::size_t k = size - n; k > 0; k -= n)
+      for (std::size_t i = 0; i < n; ++i) out[i] = c[k - n + i] + theta * out[i];
+  }
 
   /// |h| of the first steps, as `Taylor::start` chooses it. Sets where f or its series is not defined.
   P start(const P& t0, const P* y, const P* p, M& undefined) {
@@ -74,8 +79,6 @@ class LaneTaylor {
   /// The memory of a trajectory that was made ready, or is in another lane, beside its rows.
   void adopt(int lane, int from) { copy(current_, lane, ready_, from); }
   void keep_defined(int lane, int from) { copy(current_, lane, current_, from); }
-  /// The rows have been set.
-  void go_on() { expand(now_[Rows::t], *unit_, now_ + Rows::y, current_, p_); }
 
   /// The candidates and their errors. `odd`: where something is not finite.
   P attempt(const LaneStep<W>& at, P* candidate, M& odd) {

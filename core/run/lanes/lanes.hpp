@@ -1,6 +1,6 @@
 #pragma once
-// Many trajectories of an explicit Runge-Kutta pair or of Taylor series side by side, one in each lane of vector registers: what the
-// kernels, compiled once per instruction set, are asked for and what they ask for.
+// Many trajectories of an explicit Runge-Kutta pair or of Taylor series side by side, one in each lane of vector
+// registers: what the kernels, compiled once per instruction set, are asked for and what they ask for.
 
 #include <cstddef>
 #include <cstdint>
@@ -73,8 +73,9 @@ struct Job {
 };
 
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
-/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); what the method
-/// remembers, such as f there (n,); its parameters; of each event its value and sign, and how often it has occurred; then what belongs to the invariant.
+/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); what the
+/// method remembers, such as f there (n,); its parameters; of each event its value and sign, and how often it has
+/// occurred; then what belongs to the invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, of_event };
@@ -198,7 +199,7 @@ struct Kernel {
   std::size_t lanes;  ///< trajectories side by side
   /// Integrates what the host hands out, until it has no more.
   void (*run)(const Job& job, Host& host);
-  /// Goes on with one trajectory, f having one lane. Null, but for the instructions that every processor has.
+  /// Goes on with one trajectory of a pair, f having one lane. Null, but for the instructions that every processor has.
   void (*go_on)(const Job& job, const Suspended& from, Host& host);
 };
 

@@ -26,13 +26,6 @@ void evaluate_alone(void* context, const double* t, const double* y, double* out
     *out = std::numeric_limits<double>::quiet_NaN();  // the code for single runs finds out why
 }
 
-/// The same of Taylor coefficients.
-void expand_alone(void* context, const double* t, const double* unit, const double* y, double* out,
-                  const double* /*p*/) {
-  auto& one = *static_cast<SeriesAlone*>(context);
-  if (one.series(*t, *unit, y, out) == Status::stop) out[one.last] = std::numeric_limits<double>::quiet_NaN();
-}
-
 /// The functions of one trajectory: f, the events, and of the invariant g and its Jacobian.
 std::vector<Callback> functions_of(const Problem& problem) {
   std::vector<Callback> functions{problem.f};
@@ -41,20 +34,12 @@ std::vector<Callback> functions_of(const Problem& problem) {
   return functions;
 }
 
-/// The Taylor coefficients of one trajectory.
-std::optional<SeriesAlone> series_of(const Problem& problem) {
-  if (!problem.series) return {};
-  const Series& series = problem.series->solution;
-  return SeriesAlone{series, static_cast<std::size_t>(series.order()) * problem.n};
-}
-
 /// The same, with one lane.
-LaneForm form_alone(std::vector<Callback>& functions, std::optional<SeriesAlone>& series, std::size_t events) {
+LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   LaneForm form;
   const auto called = [&functions](std::size_t i) { return lanes::Called{evaluate_alone, &functions[i]}; };
   form.instructions = &of_every_processor();
   form.f = called(0);
-  if (series) form.series = {expand_alone, &*series};
   for (std::size_t e = 1; e <= events; ++e) form.events.push_back(called(e));
   if (functions.size() > events + 1) form.g = called(events + 1), form.jacobian = called(events + 2);
   return form;
@@ -130,7 +115,8 @@ const char* obstacle_of_invariants(const Solver& solver) {
 const char* obstacle_to_lanes(const Solver& solver) {
   const Problem& problem = solver.problem();
   const Settings& settings = solver.settings();
-  if (of_every_processor().kernel(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair, nor taylor";
+  if (of_every_processor().kernel(solver.method().name) == nullptr)
+    return "the method is no explicit Runge-Kutta pair, nor taylor";
   if (problem.series && problem.series->count > 0) return "steps end where f changes its branch";
   if (problem.series && !problem.events.empty()) return "events are searched along Taylor polynomials";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
@@ -167,10 +153,9 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
       queue_(queue),
       result_(result),
       functions_(functions_of(solver.problem())),
-      series_(series_of(solver.problem())),
       direction_(directions(ensemble.n)),
       order_(solver, ensemble, form, direction_),
-      alone_(solver, ensemble, form_alone(functions_, series_, form.events.size()), direction_),
+      alone_(solver, ensemble, form_alone(functions_, form.events.size()), direction_),
       jump_search_(solver.problem().f, solver.weights()),
       end_(ensemble.n) {}
 

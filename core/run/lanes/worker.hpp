@@ -16,18 +16,11 @@
 #include "run/lanes/lanes.hpp"
 #include "run/problem.hpp"
 #include "run/threads.hpp"
-#include "series.hpp"
 
 namespace invariode {
 
 /// What keeps trajectories of this solver from being integrated in lanes, in words; null: nothing.
 [[nodiscard]] const char* obstacle_to_lanes(const Solver& solver);
-
-/// The Taylor coefficients of one trajectory, and where the first one of the last row is.
-struct SeriesAlone {
-  Series series;
-  std::size_t last;
-};
 
 /// Takes trajectories from a queue and integrates them in lanes, on a thread that has the solver to itself. What the
 /// lanes leave is integrated alone.
@@ -76,7 +69,6 @@ class LaneWorker final : public lanes::Host {
   Queue& queue_;
   EnsembleResult& result_;
   std::vector<Callback> functions_;  // of one trajectory
-  std::optional<SeriesAlone> series_;
   std::vector<double> direction_;
   Order order_, alone_;  // in lanes, and for those that go on alone
   std::optional<EventSearch> search_;

@@ -4,7 +4,7 @@
 
 Row k of out, of order + 1, has the coefficients of s^k: of the solution through (t, y) at t + unit s, of shape
 (order + 1, n); or of a function with m values along a polynomial whose coefficients are y, (order + 1, n), of shape
-(order + 1, m). In lanes every number, t and unit too, is a row of that many, and a pointer that is not used comes first.
+(order + 1, m). In lanes every number, t and unit too, is a row of that many, and an unused pointer comes first.
 
 A product and a sum are rounded once, by fma: the bits are the same on every processor, even where the library has to
 compute it.
@@ -58,7 +58,10 @@ def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> Machi
     fit into the cache (measured in benchmarks/taylor.py: 1.1 times as fast for six bodies)."""
     if not (make or is_kept((form, as_rows(outputs)))):
         return "fewer trajectories than {most} do not pay for compiling the series of {f} once more"
-    if not is_small(program(outputs), form.order):
+    found = program(outputs)
+    if any(node.op == "solve" for node in found.nodes):
+        return "{f} solves a linear system"
+    if not is_small(found, form.order):
         return "the series of {f} is so large that one trajectory fills the vector registers"
     return series_code(outputs, form)
 
