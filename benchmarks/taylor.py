@@ -1,6 +1,7 @@
 """Taylor series against heyoka's: ``python benchmarks/taylor.py [--write]``.
 
-One trajectory of each problem of nonstiff.py, at equal error; a long orbit with energy and momentum held; many events.
+One trajectory of each problem of nonstiff.py, at equal error; many side by side; a long orbit with energy and momentum
+held; many events.
 Times are those of the processor, the least of many, since the machine is shared: the contestants take turns.
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from statistics import median
 from time import process_time
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from measure import interleaved, machine, run, table
@@ -22,6 +23,7 @@ from peers import Reference, finished, invariants, power, reference, with_heyoka
 from peers import taylor as heyoka_integrator
 
 import invariode as iv
+from invariode._functions import lanes as choice
 
 Array = NDArray[np.float64]
 Run = Callable[[], Array]
@@ -30,6 +32,11 @@ TOLERANCES = tuple(10.0**-k for k in range(4, 17))
 ERRORS = tuple(10.0**-k for k in range(6, 14))
 #: Of what is timed: shorter runs are repeated.
 SHORTEST = 2e-3
+#: Trajectories of an ensemble, and by how much their initial values differ, in parts of them; for what is compared.
+MANY, SPREAD = 1024, 0.01
+FEW_TOLERANCES = tuple(10.0**-k for k in range(5, 18, 2))
+FEW_ERRORS = (1e-6, 1e-8, 1e-10, 1e-12)
+REFERENCE = 1e-17
 #: The long orbit, its eccentricity, and the tolerance; a looser one, at which code is compiled too.
 ORBITS, ECCENTRICITY, TIGHT, LOOSE = 10_000, 0.9, 1e-15, 1e-9
 #: Zeros of the events, and distances of pairs of them in units of √ε h.
@@ -120,6 +127,88 @@ def one_trajectory(repetitions: int) -> str:
     header = ["µs, invariode / heyoka, at an error of", *(f"{error:.0e}" for error in ERRORS)]
     says = f"Of {len(ratios)} ratios the median is {median(ratios):.2f}, the largest {max(ratios):.2f}."
     return f"{table(header, rows)}\n\n{says}"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Many trajectories
+
+
+def starts(p: Problem) -> Array:
+    """Initial values near that of the problem."""
+    y0 = np.array(p.y0)
+    return y0 * np.random.default_rng(30).uniform(1 - SPREAD, 1 + SPREAD, (MANY, len(y0)))
+
+
+def ensemble(p: Problem, y0: Array, tolerance: float, lanes: Literal["auto", 1]) -> Run:
+    fun = iv.compile(p.rhs(power), by="trace")
+
+    def solve() -> Array:
+        tolerances = {"rtol": tolerance, "atol": tolerance}
+        found = iv.solve_ensemble(fun, p.span, y0, "taylor", workers=1, lanes=lanes, **tolerances)
+        return finished(bool(found.success.all()), "some failed", found.y_end)
+
+    return solve
+
+
+def batches(p: Problem, y0: Array, tolerance: float) -> Run:
+    """An integrator of as many trajectories as it recommends, set to one batch after the other."""
+    import heyoka
+
+    width = heyoka.recommended_simd_size()
+    y = heyoka.make_vars(*(f"y{i}" for i in range(len(p.y0))))
+    system = list(zip(y, p.rhs(lambda s: s**-1.5)(0.0, y), strict=True))
+    (t0, tf), start = p.span, np.ascontiguousarray(y0[:width].T)
+    integrator = heyoka.taylor_adaptive_batch(system, start, time=[t0] * width, tol=tolerance)
+
+    def solve() -> Array:
+        found = np.empty_like(y0)
+        for i in range(0, MANY, width):
+            integrator.set_time(t0)
+            integrator.state[:] = y0[i : i + width].T
+            integrator.propagate_until([tf] * width)
+            found[i : i + width] = integrator.state.T
+        return found
+
+    return solve
+
+
+def compared_many(p: Problem, repetitions: int) -> tuple[list[str], list[float]]:
+    """A row of the table, and the ratios in it. Errors are medians over the trajectories, against heyoka's results one
+    at a time at its smallest tolerance."""
+    y0 = starts(p)
+    size = np.abs(np.array(p.y0)).max()
+    exact = batches(p, y0, REFERENCE)()
+    ratios, cells = [], []
+    makes: dict[str, Callable[[float], Run]] = {
+        "lanes": lambda tolerance: ensemble(p, y0, tolerance, "auto"),
+        "alone": lambda tolerance: ensemble(p, y0, tolerance, 1),
+        "theirs": lambda tolerance: batches(p, y0, tolerance),
+    }
+    runs = {(name, t): make(t) for name, make in makes.items() for t in FEW_TOLERANCES}
+    errors = {key: max(float(np.median(np.abs(one() - exact).max(1))) / size, 1e-16) for key, one in runs.items()}
+    times = timed(runs, repetitions)
+    lines = {name: [(errors[name, t], times[name, t]) for t in FEW_TOLERANCES] for name in makes}
+    for error in FEW_ERRORS:
+        lanes, alone, theirs = (seconds_at(error, lines[name]) for name in makes)
+        if lanes is None or alone is None or theirs is None:
+            cells.append("")
+            continue
+        ratios.append(lanes / theirs)
+        unit = 1e6 / MANY
+        cells.append(f"{lanes * unit:.1f} / {theirs * unit:.1f} = {lanes / theirs:.2f}; {alone / lanes:.1f}")
+    return [p.title, *cells], ratios
+
+
+def many_trajectories(repetitions: int) -> str:
+    choice.FEWEST = MANY // choice.FEWEST_BY_SERIES
+    rows, ratios = [], []
+    for p in PROBLEMS.values():
+        row, found = compared_many(p, max(repetitions // 5, 2))
+        rows.append(row)
+        ratios += found
+    about = "µs a trajectory, lanes / heyoka's batches; one at a time ÷ lanes; at a median error of"
+    says = f"Of {len(ratios)} ratios the median is {median(ratios):.2f}, the largest {max(ratios):.2f}."
+    return f"{table([about, *(f'{error:.0e}' for error in FEW_ERRORS)], rows)}\n\n{says}"
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -226,7 +315,13 @@ def events(repetitions: int) -> str:
 
 def report(repetitions: int) -> str:
     first = compilation()  # before anything else has compiled the same
-    parts = [one_trajectory(repetitions), first, long_orbit(repetitions), events(repetitions)]
+    parts = [
+        one_trajectory(repetitions),
+        many_trajectories(repetitions),
+        first,
+        long_orbit(repetitions),
+        events(repetitions),
+    ]
     return "\n\n".join([machine("invariode", "heyoka", "llvmlite"), *parts])
 
 

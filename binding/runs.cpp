@@ -393,24 +393,28 @@ class Stepper {
   bool accepted_ = false;
 };
 
-/// The name of an instruction set, and where the code of the functions is in its lanes: of f, and of an invariant that
-/// is held g and its Jacobian, and of events.
+/// The name of an instruction set, and where the code of the functions is in its lanes: of f, and its series if the
+/// problem has them, and of an invariant that is held g and its Jacobian, and of events.
 using LaneCodes = std::pair<std::string, std::vector<std::uintptr_t>>;
 
-LaneForm lane_form(const LaneCodes& codes, bool holds) {
+LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
   const auto& [name, addresses] = codes;
   std::size_t next = 0;
-  const auto called = [&addresses = addresses, &next] {
+  const auto address = [&addresses = addresses, &next] {
     const std::size_t i = next++;
-    return lanes::Called{i < addresses.size() ? reinterpret_cast<lanes::Function*>(addresses[i]) : nullptr, nullptr};
+    return i < addresses.size() ? addresses[i] : 0;
   };
+  const auto called = [&address] { return lanes::Called{reinterpret_cast<lanes::Function*>(address()), nullptr}; };
   LaneForm form;
   for (const lanes::Instructions* one : lanes::instructions())
     if (one->name == name) form.instructions = one;
   if (form.instructions == nullptr) throw std::invalid_argument("this processor has no instructions named " + name);
   form.f = called();
-  if (holds) form.g = called();
-  if (holds) form.jacobian = called();
+  if (problem.series) form.series = {reinterpret_cast<lanes::SeriesFunction*>(address()), nullptr};
+  if (!problem.invariants.empty()) {
+    form.g = called();
+    form.jacobian = called();
+  }
   while (next < addresses.size()) form.events.push_back(called());
   return form;
 }
@@ -444,7 +448,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   };
   const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
   std::optional<LaneForm> form;
-  if (lanes) form = lane_form(*lanes, !solvers.empty() && !solvers.front()->problem().invariants.empty());
+  if (lanes && !solvers.empty()) form = lane_form(*lanes, solvers.front()->problem());
   std::unique_ptr<EnsembleResult> result;
   {
     const Unlocked released;
@@ -689,6 +693,16 @@ void define_solver(nb::module_& module) {
             return obstacle ? std::optional<std::string>(obstacle) : std::nullopt;
           },
           "Why its trajectories cannot be integrated side by side, or None.")
+      .def(
+          "lanes",
+          [](const BoundSolver& self, const std::string& instructions) -> std::size_t {
+            for (const lanes::Instructions* one : lanes::instructions())
+              if (const lanes::Kernel* kernel = one->kernel(self.solver.method().name);
+                  kernel != nullptr && one->name == instructions)
+                return kernel->lanes;
+            return 1;
+          },
+          nb::arg("instructions"), "How many of its trajectories are integrated side by side.")
       .def_prop_ro(
           "motion_work",
           [](const BoundSolver& self) -> nb::object {

@@ -8,15 +8,18 @@
 #include <vector>
 
 #include "archive.hpp"
+#include "number.hpp"
 
 namespace invariode {
 
 /// fl(a + b), and what rounding dropped: value + lost = a + b exactly (Knuth's two-sum).
+template <class Real>
 struct Sum {
-  double value, lost;
+  Real value, lost;
 };
-inline Sum two_sum(double a, double b) {
-  const double value = a + b, part = value - a;
+template <class Real>
+INVARIODE_EACH Sum<Real> two_sum(const Real& a, const Real& b) {
+  const Real value = a + b, part = value - a;
   return {value, (a - (value - part)) + (b - part)};
 }
 

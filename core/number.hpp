@@ -2,7 +2,9 @@
 // What a template on the number asks of it: of doubles here, of packs of them by functions of the same names
 // (run/lanes/pack.hpp). Where something is true is a bool of doubles, and a mask of packs.
 
+#include <bit>
 #include <cmath>
+#include <cstdint>
 
 // Functions of which the code for packs shares one, and those that are a part of each caller: the compiler would take
 // its decision for both by their number.
@@ -20,6 +22,15 @@ inline bool any(bool condition) { return condition; }
 inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }
 inline double absolute(double x) { return std::abs(x); }
 inline double square_root(double x) { return std::sqrt(x); }
+
+/// A number's bits, changed.
+template <class F>
+double on_bits(double x, F f) {
+  return std::bit_cast<double>(f(std::bit_cast<std::uint64_t>(x)));
+}
+constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
+constexpr std::uint64_t bits_of_one = std::uint64_t{1023} << 52U;
+constexpr std::uint64_t bits_of_two52 = std::uint64_t{0x433} << 52U;  // 2^52: its low word is an integer's
 
 /// std::max(a, b), std::min(a, b): the first where they do not compare.
 template <class Real>

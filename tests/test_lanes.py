@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt
+from cases import METHODS, SERIES, dealt
 from invariode import _core
 from invariode._functions import lanes
+from invariode._functions.graph import machine
 from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
@@ -21,6 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]
 PAIRS = [name for name, method in METHODS.items() if method.stages]
+LANED = [*PAIRS, *SERIES]
 
 
 def lotka_volterra(t, y, p):
@@ -82,7 +85,7 @@ ENERGY = iv.Invariants(iv.compile(energy), iv.compile(energy_slope), names="ener
 
 @pytest.fixture(autouse=True)
 def small_ensembles_too(monkeypatch):
-    monkeypatch.setattr(lanes, "FEWEST", 1)
+    monkeypatch.setattr(lanes, "FEWEST", 0)
 
 
 def rows():
@@ -139,7 +142,7 @@ def test_an_invariant_is_held_as_without_lanes(instructions, invariant, monkeypa
     assert (found.residual_after < 1e-9).all()
 
 
-@dealt(10, method=PAIRS, invariants=[None, ENERGY], interpolation=["projected", "raw"])
+@dealt(12, method=LANED, invariants=[None, ENERGY], interpolation=["projected", "raw"])
 def test_output_at_times_is_that_of_single_solves(method, invariants, interpolation):
     options = {"t_eval": [0, 0.1, 0.10001, 1, 2.5, 4], "invariants": invariants, "interpolation": interpolation}
     found = solve(COMPILED["quartic"], method, **options)
@@ -189,8 +192,8 @@ def held(request):
     return iv.compile(lambda t, y: f(t, y)), about, problem.y0
 
 
-@pytest.mark.parametrize("method", PAIRS)
-def test_problems_keep_their_invariant_in_every_pair(held, method):
+@pytest.mark.parametrize("method", LANED)
+def test_problems_keep_their_invariant_in_every_method(held, method):
     fun, invariant, y0 = held
     random = np.random.default_rng(len(method))
     y0 = np.array(y0) * random.uniform(0.97, 1.03, (40, len(y0)))
@@ -214,8 +217,8 @@ def test_a_function_that_f_does_not_keep_is_refused_in_lanes_too():
     same(found, iv.solve_ensemble(COMPILED["quartic"], (0, 4), y0, lanes=1, **options))
 
 
-@pytest.mark.parametrize("method", PAIRS)
-def test_every_pair_gives_its_single_solves(method):
+@pytest.mark.parametrize("method", LANED)
+def test_every_method_gives_its_single_solves(method):
     found = solve(COMPILED["polynomials"], method, atol=[1e-8, 1e-5], first_step=0.01, max_step=0.5)
     assert "lanes" in found.stats.lanes
     y0, p = rows()
@@ -225,6 +228,37 @@ def test_every_pair_gives_its_single_solves(method):
         np.testing.assert_array_equal(found.y_end[i], one.y[:, -1])
         for count in ("steps", "failed", "nfev"):
             assert found.stats[count][i] == one.stats[count]
+
+
+@pytest.mark.parametrize("instructions", SETS)
+@pytest.mark.parametrize("name", ["polynomials", "elementary functions", "undefined for some"])
+def test_series_depend_on_no_instructions_neighbours_or_failures(name, instructions, monkeypatch):
+    """Steps fail in some lanes, are of very different lengths, and some trajectories end where f does."""
+    monkeypatch.setattr(lanes, "FORCED", instructions)
+    options = {"method": "taylor", "rtol": 1e-9, "atol": 1e-11, "t_eval": np.linspace(0, 4, 7)}
+    found, alone = (solve(COMPILED[name], workers=2, **options, **how) for how in ({}, {"lanes": 1}))
+    same(found, alone)
+    assert instructions in found.stats.lanes
+    y0, p = rows()
+    order = np.random.default_rng(5).permutation(SIZE)[:37]
+    some = iv.solve_ensemble(COMPILED[name], (0, 4), y0[order], args=p[order], workers=1, **options)
+    np.testing.assert_array_equal(some.y, found.y[order])
+    if name == "undefined for some":
+        assert 0 < len(found.failed) < SIZE
+        assert f"{len(found.failed)} trajectories one at a time" in found.stats.lanes
+
+
+def pulsed(t, y, p):
+    return y[1], -y[0] + math.exp(-((200 * (t - p[0])) ** 2))
+
+
+def test_attempts_that_fail_in_some_lanes_are_those_of_single_solves():
+    """Pulses of f between two steps, each trajectory with its own."""
+    fun, options = iv.compile(pulsed), {"method": "taylor", "rtol": 1e-9, "atol": 1e-9}
+    found, alone = (solve(fun, **options, **how) for how in ({}, {"lanes": 1}))
+    same(found, alone)
+    assert 0 < np.count_nonzero(found.stats.failed) < SIZE
+    assert found.stats.lanes.endswith("lanes, " + SETS[0])
 
 
 def test_failures_are_told_as_without_lanes():
@@ -246,6 +280,7 @@ def test_a_limit_of_steps_is_that_of_single_solves():
     ("options", "why"),
     [
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
+        ({"method": "taylor", "events": iv.Event(iv.compile(lambda t, y, p: y[0]))}, "along Taylor polynomials"),
         ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
         ({"limits": iv.Limits(time=100.0)}, "limited"),
@@ -256,6 +291,18 @@ def test_a_limit_of_steps_is_that_of_single_solves():
 )
 def test_what_lanes_cannot_do_is_done_one_at_a_time(options, why):
     assert why in solve(COMPILED["quartic"], **options).stats.lanes
+
+
+def test_branches_of_f_end_the_steps_of_series_one_at_a_time():
+    assert "changes its branch" in solve(COMPILED["branches, in place"], "taylor").stats.lanes
+
+
+def test_series_in_loops_are_solved_one_at_a_time():
+    """They fill the vector registers with the members of one trajectory."""
+    fun = iv.compile(lambda t, y, p: [-p[0] * sum(y[j] * y[i] / (j + 1) for j in range(30)) for i in range(30)])
+    y0 = np.random.default_rng(2).uniform(0, 1, (5, 30))
+    found = iv.solve_ensemble(fun, (0, 1), y0, "taylor", args=(0.1,), workers=1)
+    assert "fills the vector registers" in found.stats.lanes
 
 
 def growing(t, y, p):
@@ -280,6 +327,8 @@ def test_functions_without_a_form_for_lanes_say_why(fun, by):
 def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
     monkeypatch.setattr(lanes, "FEWEST", 1000)
     assert "fewer than 1000" in solve(iv.compile(lotka_volterra)).stats.lanes
+    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    assert "fewer trajectories than 4000" in solve(iv.compile(lotka_volterra), "taylor", rtol=1e-7).stats.lanes
 
 
 @pytest.mark.parametrize("wrong", [2, True, "all", None])

@@ -38,14 +38,17 @@ def jet(outputs, **form):
     form = SeriesForm(**{"n": 3, "order": ORDER, **form})
     code = series.series_code(outputs, form)
     number = ctypes.c_double if form.lanes == 1 else ctypes.c_void_p
-    call = ctypes.CFUNCTYPE(None, number, number, *[ctypes.c_void_p] * 3)(code.address)
+    unused = [] if form.lanes == 1 else [None]
+    call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(unused), number, number, *[ctypes.c_void_p] * 3)(
+        code.address
+    )
 
     def evaluate(t, unit, y, p=ARGS):
         y, p = (np.ascontiguousarray(one, dtype=float) for one in (y, p))
         out = np.full((form.order + 1, len(outputs), *y.shape[1 if not form.along else 2 :]), np.nan)
         rows = [np.ascontiguousarray(one, dtype=float) for one in (t, unit)]
         numbers = (t, unit) if form.lanes == 1 else (one.ctypes.data for one in rows)
-        call(*numbers, y.ctypes.data, out.ctypes.data, p.ctypes.data)
+        call(*unused, *numbers, y.ctypes.data, out.ctypes.data, p.ctypes.data)
         assert code.owner is not None
         return out
 
@@ -169,6 +172,14 @@ def test_lanes_have_the_bits_of_one_at_a_time(most, along):
         alone = [one(t[i], unit[i], y[..., i], p[:, i]) for i in range(lanes)]
         together = jet(f, n=n, along=along, lanes=lanes)(t, unit, y, p)
         np.testing.assert_array_equal(together, np.stack(alone, axis=-1))
+
+
+def test_linear_systems_and_series_in_loops_have_no_lanes(monkeypatch):
+    form = SeriesForm(3, ORDER, lanes=4)
+    assert "linear system" in series.lane_code(SYSTEMS["solve"], form, make=True)
+    assert "fewer trajectories" in series.lane_code(SYSTEMS["few"], form, make=False)
+    monkeypatch.setattr(series, "_MOST_PRODUCTS", -1)
+    assert "so large" in series.lane_code(SYSTEMS["few"], form, make=True)
 
 
 def test_solutions_of_linear_systems_are_those_of_cramers_rule():

@@ -1,124 +1,24 @@
 #include "methods/taylor.hpp"
 
 #include <algorithm>
-#include <array>
-#include <bit>
 #include <cassert>
 #include <cmath>
-#include <cstdint>
 #include <limits>
-#include <numbers>
 #include <utility>
 
 #include "aim.hpp"
 #include "methods/initial_step.hpp"
 
 namespace invariode {
+
+using namespace taylor;
+
 namespace {
 
-constexpr double margin = 0.7;  // h is e^{−0.7/(p−1)} of the length that the last coefficients allow (Jorba and Zou)
-constexpr double safety = 0.8;  // of the predicted optimal step, after a failure
-constexpr double floor_after_failure = 0.1;  // of h
-constexpr double halved = 0.5;               // after further failures
-constexpr double largest_growth = 5;         // of h: the last coefficients may be small by chance, where one vanishes
-constexpr double shortly = 0x1p-20;          // of h: the solution may slide along a condition that is zero so soon
-constexpr int most_close = 8;                // cuts in a row so shortly after the start, each twice as far as the last
-constexpr double beyond = 4;                 // ulp of t, from the root of a condition to the end of the step
-constexpr double least_tested = 4 * eps;     // rtol of the acceptance test: smaller errors of the slope are roundoff
-constexpr double shortened = 0x1p-32;        // the unit of time, where coefficients overflow
-
-/// Where 1 − x + x²/2 − … ± x^p/p! leaves [−1, 1] for x > 0, by the order p.
-constexpr auto real_limits = [] {
-  constexpr double step = 1. / 16;
-  constexpr double roundoff = 1e-8;  // of terms up to e^x
-  std::array<double, Taylor::highest_order + 1> limits{};
-  for (int p = 1; p <= Taylor::highest_order; ++p) {
-    double value = 1;
-    for (double& x = limits[static_cast<std::size_t>(p)]; value <= 1 + roundoff && value >= -1 - roundoff;) {
-      x += step;
-      value = 1;
-      for (int k = p; k > 0; --k) value = 1 - value * x / k;
-    }
-  }
-  return limits;
-}();
-
-constexpr auto reciprocals = [] {
-  std::array<double, Taylor::highest_order + 1> values{};
-  for (std::size_t k = 1; k < values.size(); ++k) values[k] = 1 / static_cast<double>(k);
-  return values;
-}();
-
-constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
-constexpr int bias = 1023;  // of exponents
-
-/// log₂ x of a normal x > 0, to 0.005. (h = 2^{−log₂ x / k} is the same on every processor, and to a thousandth what it
-/// would be.)
-double logarithm(double x) {
-  constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
-  constexpr std::uint64_t one = std::uint64_t{bias} << 52U;
-  const auto bits = std::bit_cast<std::uint64_t>(x);
-  const double f = std::bit_cast<double>((bits & mantissa_bits) | one) - 1;
-  return static_cast<double>(static_cast<int>(bits >> 52U) - bias) + f * ((1 + parabola) - parabola * f);
-}
-
-/// 2^exponent, a normal number.
-double exact_power(int exponent) {
-  const int inside = std::clamp(exponent, 1 - bias, bias);
-  return std::bit_cast<double>(static_cast<std::uint64_t>(inside + bias) << 52U);
-}
-
-/// 2^x, to 2e-4, of an x for which it is a normal number.
-double power_of_two(double x) {
-  const double inside = std::clamp(x, 1.0 - bias, 1.0 * bias);
-  const int whole = static_cast<int>(inside + (bias + 0.5)) - bias;  // the nearest integer
-  const double u = std::numbers::ln2 * (inside - whole);
-  return ((1 + u) + u * u * (1. / 2 + u * (1. / 6))) * exact_power(whole);
-}
-
-/// A length of at most 25 bits below h, whose square is exact. Squares of s = (t₁ − t) / unit are rounded otherwise,
-/// and where t is so large that t₁ − t has 27 or 28 bits, with a bias: energies drift by it.
-double with_exact_square(double h) {
-  constexpr std::uint64_t last_28 = (std::uint64_t{1} << 28U) - 1;
-  return std::bit_cast<double>(std::bit_cast<std::uint64_t>(h) & ~last_28);
-}
-
-/// The power of two nearest to h, in ratio.
-double unit_near(double h) {
-  assert(h > 0);
-  const auto bits = std::bit_cast<std::uint64_t>(h * std::numbers::sqrt2);
-  return exact_power(static_cast<int>(bits >> 52U) - bias);
-}
-
-/// P(s) = Σ c_k s^k less c_0, and P′(s), of `Width` components beside each other, in registers. As a sum of an odd and
-/// an even polynomial, s A(s²) + s² B(s²), no number waits for more than half of the others.
-template <std::size_t Width>
-void evaluate_beside(const double* c, std::size_t n, std::size_t order, double s, double* rise, double* slope) {
-  const double u = s * s;
-  double a[Width] = {}, da[Width] = {}, b[Width] = {}, db[Width] = {};
-  const double* row = c + order * n;
-  const auto add = [&](double* p, double* d) {
-    for (std::size_t i = 0; i < Width; ++i) d[i] = d[i] * u + p[i];
-    for (std::size_t i = 0; i < Width; ++i) p[i] = p[i] * u + row[i];
-    row -= n;
-  };
-  std::size_t k = order;
-  if (k % 2 == 1) add(a, da), --k;
-  for (; k > 0; k -= 2) add(b, db), add(a, da);
-  for (std::size_t i = 0; i < Width; ++i) {
-    rise[i] = s * a[i] + u * b[i];
-    slope[i] = a[i] + 2 * (u * da[i] + s * (b[i] + u * db[i]));
-  }
-}
-
-/// The same of all n.
-void evaluate_polynomial(const double* c, std::size_t n, std::size_t order, double s, double* rise, double* slope) {
-  std::size_t i = 0;
-  for (; i + 4 <= n; i += 4) evaluate_beside<4>(c + i, n, order, s, rise + i, slope + i);
-  if (i + 3 == n) return evaluate_beside<3>(c + i, n, order, s, rise + i, slope + i);
-  for (; i + 2 <= n; i += 2) evaluate_beside<2>(c + i, n, order, s, rise + i, slope + i);
-  if (i < n) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
-}
+constexpr double shortly = 0x1p-20;    // of h: the solution may slide along a condition that is zero so soon
+constexpr int most_close = 8;          // cuts in a row so shortly after the start, each twice as far as the last
+constexpr double beyond = 4;           // ulp of t, from the root of a condition to the end of the step
+constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients overflow
 
 /// The shortest step that a condition is given: roundoff of t, also where t is 0.
 double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
@@ -225,27 +125,10 @@ int Taylor::first_undefined(const double* v) const {
 }
 
 /// In the weights of the last attempt, at both its ends.
-double Taylor::norm(const double* v) const {
-  double largest = 0;
-  for (std::size_t i = 0; i < n(); ++i) largest = std::max(largest, std::abs(v[i]) * inverse_weight_[i]);
-  return largest;
-}
+double Taylor::norm(const double* v) const { return taylor::norm(v, n(), inverse_weight_); }
 
-/// The |h| for which the last two coefficients that do not vanish are small enough, in the weights: ‖c_k‖ |h|^k ≤
-/// (rtol e^{−0.7})^{k/(p−1)}. Infinite where the last two of all vanish: the solution may be a polynomial, and the
-/// acceptance test tells.
 double Taylor::reach(const Expansion& expansion) const {
-  double rate = -std::numeric_limits<double>::infinity();
-  int seen = 0;
-  for (std::size_t k = order_; k > 0 && seen < 2; --k) {
-    if (seen == 0 && k + 2 == order_) break;
-    const double size = norm(row(expansion, k));
-    if (size < std::numeric_limits<double>::min()) continue;
-    rate = std::max(rate, logarithm(size) * reciprocals[k]);
-    ++seen;
-  }
-  if (seen == 0) return std::numeric_limits<double>::infinity();
-  return std::max(expansion.unit * factor_ * power_of_two(-rate), std::numeric_limits<double>::min());
+  return taylor::reach(expansion.c.data(), n(), order_, expansion.unit, factor_, inverse_weight_);
 }
 
 Step::Attempt Taylor::attempt(double h, double t1) {
@@ -356,12 +239,7 @@ void Taylor::state(Archive& archive) {
 Interpolate Taylor::interpolate() const { return power_series; }
 
 Status Taylor::extension(double* data) {
-  const double s = length_ / current_.unit;
-  double power = 1;
-  for (std::size_t k = 0; k <= order_; ++k, power *= s) {
-    const double* c = row(current_, k);
-    for (std::size_t i = 0; i < n(); ++i) *data++ = power * c[i];
-  }
+  scale_coefficients(current_.c.data(), n(), order_, length_ / current_.unit, data);
   return Status::ok;
 }
 

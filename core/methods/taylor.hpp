@@ -9,6 +9,7 @@
 
 #include "compensated.hpp"
 #include "methods/conditions.hpp"
+#include "methods/taylor_kernel.hpp"
 #include "series.hpp"
 #include "step.hpp"
 
@@ -19,7 +20,7 @@ namespace invariode {
 /// condition of f changes its sign: the polynomial is that of one branch.
 class Taylor final : public Step {
  public:
-  static constexpr int lowest_order = 3, highest_order = 40;
+  static constexpr int lowest_order = 3, highest_order = taylor::highest_order;
 
   /// `series` outlives this. `projected`: candidates will be moved, so that an expansion there would be of no use; f is
   /// evaluated instead.

@@ -55,6 +55,12 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
           "solvers of an ensemble must have parameters of their own");
 }
 
+bool is_complete(const LaneForm& form, const Problem& problem) {
+  const bool expands = !problem.series || form.series.function != nullptr;
+  const bool holds = problem.invariants.empty() || (form.g.function != nullptr && form.jacobian.function != nullptr);
+  return form.f.function != nullptr && expands && holds && form.events.size() == problem.events.size();
+}
+
 /// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
 template <class Stopped>
 void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
@@ -256,11 +262,8 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
                                               const std::optional<LaneForm>& form) {
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
-  const bool complete = form && form->f.function != nullptr &&
-                        (solvers.front()->problem().invariants.empty() ||
-                         (form->g.function != nullptr && form->jacobian.function != nullptr)) &&
-                        form->events.size() == solvers.front()->problem().events.size();
-  const bool in_lanes = complete && obstacle_to_lanes(*solvers.front()) == nullptr;
+  const bool in_lanes =
+      form && is_complete(*form, solvers.front()->problem()) && obstacle_to_lanes(*solvers.front()) == nullptr;
   const std::size_t first = in_lanes ? 0 : integrate_first(*solvers.front(), ensemble, *result);
   const auto progress = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
   if (first == ensemble.size) return progress(0) ? std::move(result) : nullptr;

@@ -93,11 +93,13 @@ struct Ensemble {
   std::size_t n, parameters;
 };
 
-/// The functions of a problem in the lanes of an instruction set: f, and of an invariant that is held g and its
-/// Jacobian, and the events.
+/// The functions of a problem in the lanes of an instruction set: f, and its series if the method takes them, and of an
+/// invariant that is held g and its Jacobian, and the events.
 struct LaneForm {
   const lanes::Instructions* instructions = nullptr;
-  lanes::Called f, g, jacobian;
+  lanes::Called f;
+  lanes::CalledSeries series;
+  lanes::Called g, jacobian;
   std::vector<lanes::Called> events;
 };
 

@@ -537,6 +537,9 @@ class Solver:
     def obstacle_to_lanes(self) -> str | None:
         """Why its trajectories cannot be integrated side by side, or None."""
 
+    def lanes(self, instructions: str) -> int:
+        """How many of its trajectories are integrated side by side."""
+
     @property
     def motion_work(self) -> object:
         """

@@ -44,6 +44,30 @@ void free_law(double t, const double* y, double* out, const double* p, std::size
   out[2 * stride] = std::sqrt(p[2 * stride] - t) - z;
 }
 
+/// The same with z' = −z, and its Taylor coefficients (docs/algorithms.md, 'Taylor series').
+void smooth_law(double, const double* y, double* out, const double* p, std::size_t stride) {
+  const double x = y[0];
+  out[0] = y[stride];
+  out[stride] = -p[0] * x - p[stride] * x * x * x;
+  out[2 * stride] = -y[2 * stride];
+}
+
+constexpr int order = 9;
+
+void coefficients(double unit, const double* y, double* out, const double* p, std::size_t stride) {
+  double square[order];
+  const auto c = [&](int k, std::size_t i) -> double& { return out[(3 * static_cast<std::size_t>(k) + i) * stride]; };
+  for (std::size_t i = 0; i < 3; ++i) c(0, i) = y[i * stride];
+  for (int k = 0; k < order; ++k) {
+    double cube = square[k] = 0;
+    for (int j = 0; j <= k; ++j) square[k] += c(j, 0) * c(k - j, 0);
+    for (int j = 0; j <= k; ++j) cube += square[j] * c(k - j, 0);
+    c(k + 1, 0) = unit * c(k, 1) / (k + 1);
+    c(k + 1, 1) = unit * (-p[0] * c(k, 0) - p[stride] * cube) / (k + 1);
+    c(k + 1, 2) = -unit * c(k, 2) / (k + 1);
+  }
+}
+
 constexpr double changing = 900;  // p₂ above which g is something that changes, or changes with t
 
 void energy(double t, const double* y, double* out, const double* p, std::size_t stride) {
@@ -74,9 +98,15 @@ Status evaluated_alone(void* context, double t, const double* y, double* out) {
   return Status::ok;
 }
 
+Status expanded_alone(void* context, double, double unit, const double* y, double* out) {
+  coefficients(unit, y, out, static_cast<const double*>(context), 1);
+  return Status::ok;
+}
+
 /// What runs have beside f: an invariant; events, which may be terminal.
 struct Beside {
   bool invariant = false;
+  bool series = false;
   bool events = false;
   std::int64_t terminal[2] = {0, 0};
 };
@@ -88,7 +118,8 @@ struct InLanes {
   [[nodiscard]] LaneForm form(const lanes::Instructions* instructions, const Beside& beside = {}) {
     LaneForm form;
     form.instructions = instructions;
-    form.f = {beside.invariant ? called<free_law> : called<law>, this};
+    form.f = {beside.series ? called<smooth_law> : beside.invariant ? called<free_law> : called<law>, this};
+    if (beside.series) form.series = {expanded, this};
     if (beside.invariant) form.g = {called<energy>, this};
     if (beside.invariant) form.jacobian = {called<slope_of_energy>, this};
     if (beside.events) form.events = {{called<position>, this}, {called<speed>, this}};
@@ -100,6 +131,12 @@ struct InLanes {
     auto& me = *static_cast<InLanes*>(context);
     if (!all_finite(y, 3 * me.lanes) || !all_finite(t, me.lanes)) me.finite = false;
     for (std::size_t l = 0; l < me.lanes; ++l) one(t[l], y + l, out + l, p + l, me.lanes);
+  }
+  static void expanded(void* context, const double*, const double* unit, const double* y, double* out,
+                       const double* p) {
+    auto& me = *static_cast<InLanes*>(context);
+    if (!all_finite(y, 3 * me.lanes) || !all_finite(unit, me.lanes)) me.finite = false;
+    for (std::size_t l = 0; l < me.lanes; ++l) coefficients(unit[l], y + l, out + l, p + l, me.lanes);
   }
 };
 
@@ -129,7 +166,11 @@ class Solvers {
       auto& place = places_.emplace_back(parameters, 1.0);
       Problem problem;
       problem.n = 3;
-      problem.f = {beside.invariant ? evaluated_alone<free_law> : evaluated_alone<law>, place.data()};
+      problem.f = {beside.series      ? evaluated_alone<smooth_law>
+                   : beside.invariant ? evaluated_alone<free_law>
+                                      : evaluated_alone<law>,
+                   place.data()};
+      if (beside.series) problem.series = {.solution = Series(expanded_alone, place.data(), order)};
       if (beside.invariant) {
         InvariantBlock block;
         block.g = {evaluated_alone<energy>, place.data()};
@@ -286,6 +327,31 @@ TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
   }
   CHECK(beside_others > 500);
   CHECK(refused > 100);
+}
+
+TEST(series_in_lanes_are_those_of_single_runs) {
+  std::mt19937_64 random(23);
+  const Method& method = *find_method("taylor");
+  std::size_t beside_others = 0;
+  for (const bool invariant : {false, true})
+    for (Case& one : random_cases(random)) {
+      const Rows rows(one.size, random, 500);
+      one.beside = {.invariant = invariant, .series = true};
+      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
+      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
+      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
+      for (const lanes::Instructions* instructions : lanes::instructions())
+        for (const std::size_t workers : {1, 3}) {
+          const check::Case label(instructions->name, ", ", one.size, " rows, ", workers, " workers");
+          Solvers crew(method, workers, one.weights, one.settings, one.beside);
+          InLanes form{instructions->kernel("taylor")->lanes};
+          const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
+          check_same(*found, *alone);
+          CHECK(form.finite);
+          beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
+        }
+    }
+  CHECK(beside_others > 500);
 }
 
 TEST(a_cancelled_ensemble_in_lanes_has_no_result) {

@@ -55,7 +55,7 @@ bool EventSearch::make_step(const lanes::Crossed& crossed) {
   const lanes::Lane& lane = crossed.lane;
   const double t0 = lane[Rows::t];
   gather(&lane[Rows::y], lane.stride, y0_);
-  gather(&lane[lane.rows.slope], lane.stride, k_);
+  gather(&lane[lane.rows.memory], lane.stride, k_);
   gather(crossed.y1, lane.stride, y1_);
   resume(*step_, t0, y0_, k_);
   const Step::Attempt proposal = step_->attempt(crossed.h, crossed.t1);

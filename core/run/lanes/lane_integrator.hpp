@@ -1,8 +1,8 @@
 #pragma once
 // The loop for trajectories side by side, each in a lane of its own: its own t, h, error, acceptance. The arithmetic,
-// and the order of its operations, is that of a single run (methods/runge_kutta_kernel.hpp, aim.hpp, integrate.cpp), so
-// that each lane has its bits. Whatever a lane meets that is rare (something not finite, a step at hmin) is left to
-// that code, from the start. (INVARIODE_LANES: see pack.hpp.)
+// and the order of its operations, is that of a single run (methods/runge_kutta_kernel.hpp, taylor_kernel.hpp, aim.hpp,
+// integrate.cpp), so that each lane has its bits. Whatever a lane meets that is rare (something not finite, a step at
+// hmin) is left to that code, from the start. (INVARIODE_LANES: see pack.hpp.)
 
 #include <bit>
 #include <cmath>
@@ -11,29 +11,25 @@
 
 #include "aim.hpp"
 #include "detect/step_look.hpp"
-#include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
-#include "methods/runge_kutta_kernel.hpp"
 #include "run/lanes/lane_invariant.hpp"
 #include "run/lanes/lane_output.hpp"
+#include "run/lanes/lane_pair.hpp"
+#include "run/lanes/lane_taylor.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
-#include "run/lanes/power.hpp"
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// Integrates by the pair T in W lanes.
-template <const auto& T, int W>
+/// Integrates by a method in lanes: LanePair or LaneTaylor.
+template <class Stepper>
 class LaneIntegrator {
+  static constexpr int W = Stepper::width;
   using P = Pack<W>;
   using M = Mask<W>;
-  using Kernel = runge_kutta::Kernel<T, P, LaneNorm<W>>;
   using Series = FailedSeries<P>;
-  static constexpr std::size_t last = T.stages - 1;
   static constexpr unsigned every_lane = one_lane(W) - 1;
-  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
-  static constexpr int fewest_lanes = W / 8 + 1;
   static constexpr unsigned cancellation_interval = 64;  // attempts between two checks
   // Of the limits of `StepLook`: with room for roundoff, so that no limited step is missed.
   static constexpr double nearly = 0.99;
@@ -46,25 +42,21 @@ class LaneIntegrator {
         now_(take<W>(host, rows_.size)),
         y_(now_ + Rows::y),
         p_(now_ + rows_.parameters),
-        stage_(take<W>(host, job.n)),
         candidate_(take<W>(host, job.n)),
-        slopes_(take<W>(host, job.n * ((job.looks_inside() ? T.all_stages : T.stages) - 1))),
         ready_(take<W>(host, rows_.size)),
+        stepper_(job, rows_, now_, ready_, host),
         reached_y_(take<W>(host, job.n)),
         points_(take<W>(host, Series::points * job.n)->lanes()),
-        between_(job, T.degree, host),
+        between_(job, Stepper::degree(job), Stepper::evaluate_extension, host),
         outputs_(job, host),
         held_(job, now_ + rows_.invariant, ready_ + rows_.invariant, host),
-        watched_(job, intervals_of_step(T.degree), now_ + rows_.events, host) {
-    k_[0] = now_ + rows_.slope;
-    for (std::size_t k = 1; k < (job.looks_inside() ? T.all_stages : T.stages); ++k) k_[k] = slopes_ + (k - 1) * job.n;
-  }
+        watched_(job, intervals_of_step(Stepper::degree(job)), now_ + rows_.events, host) {}
 
   /// Until there is nothing left to take.
   void run() {
     for (unsigned free = every_lane;;) {
       fill(free);
-      if (empty_ && std::popcount(occupied_) < fewest_lanes) break;
+      if (empty_ && std::popcount(occupied_) < Stepper::fewest_lanes) break;
       if (cancelled()) return;
       attempt();
       free = settle();
@@ -116,7 +108,10 @@ class LaneIntegrator {
   /// f is asked in lanes that are not occupied, too: those that never were get the state of one that is.
   void keep_defined() {
     if (occupied_ == 0) return;
-    for_each_lane(every_lane & ~defined_, [&](int l) { copy(now_, l, now_, std::countr_zero(occupied_)); });
+    for_each_lane(every_lane & ~defined_, [&](int l) {
+      copy(now_, l, now_, std::countr_zero(occupied_));
+      stepper_.keep_defined(l, std::countr_zero(occupied_));
+    });
     defined_ = every_lane;
   }
 
@@ -143,18 +138,15 @@ class LaneIntegrator {
     for (std::size_t i = 0; i < job_.parameters; ++i) ready_[rows_.parameters + i].lanes()[l] = row[i];
   }
 
-  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it; and which of them are left alone.
+  /// |h| of the first steps, and which of them are left alone.
   void start(unsigned taken) {
     const P t0(job_.t0), *y = ready_ + Rows::y, *p = ready_ + rows_.parameters;
-    P* f = ready_ + rows_.slope;
-    evaluate(job_.f, t0, y, f, p);
-    const P speed = Kernel::size_of_stage(0, {f}, job_.n, weight_of(y, y));
-    const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
-    ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step)
-                                          : initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin_ulps * ulp(t0));
-    const unsigned undefined = bits(~(speed < P(infinity)));
+    M not_defined;
+    const P h = stepper_.start(t0, y, p, not_defined);
+    ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step) : h;
+    const unsigned undefined = bits(not_defined);
     unsigned doubted = 0, inside = 0;
-    if (holds()) doubted = bits(held_.start(t0, y, f, job_.forward() * ready_[Rows::h], p));
+    if (holds()) doubted = bits(held_.start(t0, y, stepper_.slope_at_start(), job_.forward() * ready_[Rows::h], p));
     if (watches()) inside = bits(watched_.start(ready_ + rows_.events, t0, y, p));
     for_each_lane(taken, [&](int l) {
       if (!has(undefined | doubted | inside, l))
@@ -170,6 +162,7 @@ class LaneIntegrator {
   void adopt(int l, int from) {
     trajectory_[l] = ready_trajectory_[from];
     copy(now_, l, ready_, from);
+    stepper_.adopt(l, from);
     checks_[l] = 0;
     series_[l].forget();
     in_series_ &= ~one_lane(l);
@@ -203,13 +196,9 @@ class LaneIntegrator {
     return lane(l)[Rows::steps] >= job_.max_steps ? Why::limit : Why::undefined;
   }
 
-  /// Of f: at the start, then in each attempt those of all stages but the first; the last one only in accepted steps
-  /// where it has no part in the error estimate; and those of the extension in steps that were looked into.
   [[nodiscard]] std::int64_t evaluations(int l) const {
     const auto count = [this, l](std::size_t row) { return static_cast<std::int64_t>(lane(l)[row]); };
-    const std::int64_t attempts = count(Rows::steps) + count(Rows::failed);
-    constexpr auto all = static_cast<std::int64_t>(last), extra = static_cast<std::int64_t>(T.all_stages - T.stages);
-    return 1 + count(Rows::looked) * extra + attempts * all - (T.last_in_error() ? 0 : count(Rows::failed));
+    return stepper_.evaluations(count(Rows::steps), count(Rows::failed), count(Rows::looked));
   }
 
   // ---------------------------------------------------------------------------------------------------------- a step
@@ -220,26 +209,15 @@ class LaneIntegrator {
     const Aimed<P, M> aim = aimed<M>(t, row(Rows::h), reach, hmin, job_.hmax, job_.forward(), job_.tf);
     const P purified = aim.t1 - t;
     M odd = no_lane<W>();
-    Kernel::inner_stages(t, y_, purified, k_, job_.n, stage_, [&](const P& at, P* y, std::size_t k) {
-      odd = odd | mend(y, y_, job_.n);
-      evaluate(job_.f, at, y, k_[k], p_);
-      return true;
-    });
-    Kernel::candidate(y_, purified, k_, job_.n, candidate_);
-    odd = odd | mend(candidate_, y_, job_.n);
-    if constexpr (T.last_in_error()) evaluate(job_.f, aim.t1, candidate_, k_[last], p_);
-    const P error = absolute(purified) * Kernel::error(k_, job_.n, weight_of(y_, candidate_));
+    LaneStep<W> step{t, aim.t1, aim.h, purified, aim.t1, y_, candidate_, p_, candidate_};
+    const P error = stepper_.attempt(step, candidate_, odd);
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
-    LaneStep<W> step{t, aim.t1, aim.h, purified, aim.t1, y_, candidate_, p_, candidate_};
     doubted_ = inside_ = cut_ = 0;
     if (holds()) project(accepted, step);
-    if constexpr (!T.last_in_error()) {
-      evaluate(job_.f, step.t1, step.y1, k_[last], p_);
-      const M undefined = accepted & not_finite(k_[last], job_.n);
-      odd = odd | undefined;
-      accepted = accepted & ~undefined;
-    }
+    const M undefined = accepted & stepper_.finish(step);
+    odd = odd | undefined;
+    accepted = accepted & ~undefined;
     if (holds()) judge(accepted, step);
     if (job_.looks_inside()) look_inside(accepted, step);
     decide(accepted, step, error, hmin);
@@ -260,11 +238,8 @@ class LaneIntegrator {
   INVARIODE_SHARED void judge(M& accepted, const LaneStep<W>& step) {
     if (!any(accepted)) return;
     const M noted = held_.to_be_noted(accepted, row(Rows::steps));
-    if (any(noted)) {
-      Kernel::errors(step.purified, k_, job_.n, stage_);
-      held_.note_harm(noted, stage_, candidate_);
-    }
-    doubt(held_.judge(accepted, step, k_[last], row(Rows::steps) + P(1)), accepted);
+    if (any(noted)) held_.note_harm(noted, stepper_.errors(step.purified), candidate_);
+    doubt(held_.judge(accepted, step, stepper_.slope(), row(Rows::steps) + P(1)), accepted);
   }
   void doubt(const M& where, M& accepted) {
     doubted_ |= bits(where);
@@ -277,8 +252,7 @@ class LaneIntegrator {
     const M inside = watches() ? accepted : outputs_.inside(outputs_.due(accepted, step.t1), step.t1);
     M odd = no_lane<W>();
     if (any(inside)) {
-      odd = inside & further_stages(step);
-      Kernel::coefficients(step.purified, k_, job_.n, between_.coefficients());
+      odd = inside & stepper_.extend(step, between_.coefficients());
       between_.begin(step);
       row(Rows::looked) += choose(inside, P(1), P(0));
     }
@@ -311,41 +285,17 @@ class LaneIntegrator {
     step.reached_y = reached_y_;
   }
 
-  /// Those of the extension, as `RungeKuttaStep::extension` evaluates them. Returns where they are not sound.
-  M further_stages(const LaneStep<W>& step) {
-    M odd = no_lane<W>();
-    if constexpr (T.all_stages > T.stages) {
-      const auto weight = weight_of(step.y0, step.y1);
-      const P most = Kernel::largest_of_extension(k_, job_.n, weight);
-      Kernel::further_stages(step.t1, y_, step.purified, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
-        odd = odd | mend(y, y_, job_.n);
-        evaluate(job_.f, t, y, k_[k], p_);
-        odd = odd | ~(Kernel::size_of_stage(k, k_, job_.n, weight) <= most);
-        return true;
-      });
-    }
-    return odd;
-  }
-
-  /// |h| of the next attempt, as `RungeKuttaStep::accept` and `RungeKuttaStep::reject` choose it; the counts; where
-  /// those that are accepted have come to.
+  /// |h| of the next attempt; the counts; where those that are accepted have come to.
   INVARIODE_SHARED void decide(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin) {
-    const P rtol(job_.rtol), length = absolute(step.h);
-    const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
-    const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
-    const P grown = choose(retries(), length, runge_kutta::grown(length, root));
-    const P factor = choose(retries(), P(runge_kutta::halved), runge_kutta::cut(root, T.floor));
-    row(Rows::h) = choose(accepted, grown, larger(hmin, length * factor));
+    row(Rows::h) = stepper_.next(accepted, step, error, hmin, retries());
     row(Rows::steps) += choose(accepted, P(1), P(0));
     row(Rows::failed) += choose(accepted, P(0), P(1));
     row(Rows::retries) = choose(accepted, P(0), P(1));
     note_stability(accepted, step);
     jumping_ = note_failures(bits(accepted), step);
     row(Rows::t) = choose(accepted, step.reached_t, step.t0);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      y_[i] = choose(accepted, step.reached_y[i], y_[i]);
-      k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
-    }
+    for (std::size_t i = 0; i < job_.n; ++i) y_[i] = choose(accepted, step.reached_y[i], y_[i]);
+    stepper_.commit(accepted);
   }
 
   /// Looks at steps as the `StiffnessDetector` of a single run does, with thresholds that find no fewer limited ones.
@@ -353,11 +303,11 @@ class LaneIntegrator {
   void note_stability(const M& accepted, const LaneStep<W>& step) {
     const M now = accepted & multiple_of(row(Rows::steps), StepLook::every);
     if (!any(now)) return;
-    const auto weight = weight_of(y_, step.y1);
-    const auto probed = Kernel::probed(k_, job_.n, step.purified, step.y1, candidate_, weight);
+    const auto weight = weight_of<W>(job_, y_, step.y1);
+    const auto probed = stepper_.stability(step, candidate_);
     LaneNorm<W> moved;
     for (std::size_t i = 0; i < job_.n; ++i) moved.add((step.y1[i] - y_[i]) / weight(i));
-    const M at_limit = P(nearly * StepLook::near * Kernel::real_limit) * probed[1] <= probed[0];
+    const M at_limit = P(nearly * StepLook::near * Stepper::limit(job_)) * probed[1] <= probed[0];
     const M limited = now & at_limit & (nearly * moved.value() <= P(StepLook::slow));
     row(Rows::limited) += choose(limited, P(1), P(0));
   }
@@ -392,10 +342,6 @@ class LaneIntegrator {
   /// The points of a series, (2, n).
   [[nodiscard]] double* from(int l) const { return points_ + static_cast<std::size_t>(l) * Series::points * job_.n; }
 
-  /// Those of a step from y0 to y1.
-  auto weight_of(const P* y0, const P* y1) const {
-    return [this, y0, y1](std::size_t i) { return weight(job_, i, larger(absolute(y0[i]), absolute(y1[i]))); };
-  }
   P& row(std::size_t r) { return now_[r]; }
   [[nodiscard]] const P& t_() const { return now_[Rows::t]; }
   [[nodiscard]] M retries() const { return P(0) < now_[Rows::retries]; }
@@ -405,11 +351,11 @@ class LaneIntegrator {
   Rows rows_;
   P* now_;  // the rows of the trajectories in lanes; of these
   P *y_, *p_;
-  P *stage_, *candidate_, *slopes_;  // what every attempt needs stands together
-  P* ready_;                         // the rows of those that are ready to take their places
+  P* candidate_;
+  P* ready_;  // the rows of those that are ready to take their places
+  Stepper stepper_;
   P* reached_y_;
-  double* points_;               // (lanes, 2, n)
-  typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
+  double* points_;  // (lanes, 2, n)
   LaneInterpolant<W> between_;
   LaneOutput<W> outputs_;
   LaneInvariant<W> held_;
@@ -428,28 +374,32 @@ class LaneIntegrator {
 
 // ------------------------------------------------------------------------------------------------- what the host calls
 
-template <const auto& T, int W>
+template <class Stepper>
 void run(const Job& job, Host& host) {
-  LaneIntegrator<T, W>(job, host).run();
+  LaneIntegrator<Stepper>(job, host).run();
 }
-template <const auto& T, int W>
+template <class Stepper>
 void go_on(const Job& job, const Suspended& from, Host& host) {
-  LaneIntegrator<T, W>(job, host).go_on(from);
+  LaneIntegrator<Stepper>(job, host).go_on(from);
 }
 
 /// `Alone`: with the code for trajectories that have no neighbours.
 template <const auto& T, int W, bool Alone>
-constexpr Kernel kernel() {
+constexpr Kernel kernel_of_pair() {
   if constexpr (Alone)
-    return {T.name, run<T, W>, go_on<T, 1>};
+    return {T.name, W, run<LanePair<T, W>>, go_on<LanePair<T, 1>>};
   else
-    return {T.name, run<T, W>, nullptr};
+    return {T.name, W, run<LanePair<T, W>>, nullptr};
 }
 template <int W, bool Alone, class Tableaux>
 struct KernelTable;
 template <int W, bool Alone, const auto&... T>
 struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
-  static constexpr Kernel kernels[] = {kernel<T, W, Alone>()...};
+  // Coefficients of series fill the first cache; their code is no faster in more lanes, and takes longer to compile.
+  static constexpr int of_series = native < 4 ? 4 : native;
+  using Taylor = LaneTaylor<of_series>;
+  static constexpr Kernel kernels[] = {kernel_of_pair<T, W, Alone>()...,
+                                       {Taylor::name, of_series, run<Taylor>, nullptr}};
 };
 
 template <int W, bool Alone>

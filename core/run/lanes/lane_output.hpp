@@ -14,26 +14,33 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// The extension of the pair between the ends of the steps, corrected there (output/interpolant.hpp).
+/// The extension of the method between the ends of the steps, corrected there (output/interpolant.hpp).
 template <int W>
 class LaneInterpolant {
   using P = Pack<W>;
 
  public:
-  LaneInterpolant(const Job& job, std::size_t degree, Host& host)
-      : job_(job), size_((degree + 1) * job.n), data_(take<W>(host, size_)), lack_(take<W>(host, job.n)) {}
+  /// Writes values at θ of the polynomial with these coefficients.
+  using Evaluate = void(const P* coefficients, std::size_t size, std::size_t n, const P& theta, P* out);
 
-  /// Takes the steps, whose coefficients have been put there.
-  [[nodiscard]] P* coefficients() { return data_ + job_.n; }
+  LaneInterpolant(const Job& job, std::size_t degree, Evaluate* evaluate, Host& host)
+      : job_(job),
+        size_((degree + 1) * job.n),
+        evaluate_(evaluate),
+        data_(take<W>(host, size_)),
+        lack_(take<W>(host, job.n)) {}
+
+  /// Takes the steps, whose coefficients but for the first have been put there.
+  [[nodiscard]] P* coefficients() { return data_; }
   INVARIODE_SHARED void begin(const LaneStep<W>& step) {
     for (std::size_t i = 0; i < job_.n; ++i) data_[i] = step.y0[i];
     if (!job_.corrects) return;
-    nested_polynomial(data_, size_, job_.n, P(1), lack_);
+    evaluate_(data_, size_, job_.n, P(1), lack_);
     for (std::size_t i = 0; i < job_.n; ++i) lack_[i] = step.y1[i] - lack_[i];
   }
   /// The value at θ, not projected. (At the start the extension has the value of the step: nothing is to be corrected.)
   INVARIODE_SHARED void corrected(const P& theta, P* out) const {
-    nested_polynomial(data_, size_, job_.n, theta, out);
+    evaluate_(data_, size_, job_.n, theta, out);
     if (!job_.corrects) return;
     const P at1 = part_of_end(theta);
     for (std::size_t i = 0; i < job_.n; ++i) out[i] += lack_[i] * at1;
@@ -42,6 +49,7 @@ class LaneInterpolant {
  private:
   const Job& job_;
   std::size_t size_;
+  Evaluate* evaluate_;
   P *data_, *lack_;
 };
 

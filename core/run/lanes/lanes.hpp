@@ -1,6 +1,6 @@
 #pragma once
-// Many trajectories of an explicit Runge-Kutta pair side by side, one in each lane of vector registers: what the
-// kernels, compiled once per instruction set, are asked for and what they ask for.
+// Many trajectories of an explicit Runge-Kutta pair or of Taylor series side by side, one in each lane of vector
+// registers: what the kernels, compiled once per instruction set, are asked for and what they ask for.
 
 #include <cstddef>
 #include <cstdint>
@@ -21,6 +21,17 @@ struct Called {
   void* context = nullptr;
 };
 
+/// Taylor coefficients in all lanes, as `invariode::Series` has them for one: t and unit (lanes,), y (n, lanes), out
+/// (order + 1, n, lanes). NaN in a lane of the last rows: there is no series.
+using SeriesFunction = void(void* context, const double* t, const double* unit, const double* y, double* out,
+                            const double* p);
+
+/// That function with its context.
+struct CalledSeries {
+  SeriesFunction* function = nullptr;
+  void* context = nullptr;
+};
+
 /// An invariant that is held.
 struct Invariant {
   Called g, jacobian;  ///< (1, lanes), (n, lanes)
@@ -35,7 +46,10 @@ struct Invariant {
 /// What is integrated, without anything that only some runs have: bounds, breakpoints, other limits.
 struct Job {
   Called f;
+  CalledSeries series;  ///< of methods by series
+  std::size_t order;    ///< of the series
   std::size_t n, parameters;
+  std::size_t memory;  ///< rows that the method keeps of a trajectory
   const double* y0;    ///< rows (n,) of all trajectories
   const double* rows;  ///< of their parameters
   double t0, tf;       ///< finite, and different
@@ -59,8 +73,9 @@ struct Job {
 };
 
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
-/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); f there (n,);
-/// its parameters; of each event its value and sign, and how often it has occurred; then what belongs to the invariant.
+/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); what the
+/// method remembers, such as f there (n,); its parameters; of each event its value and sign, and how often it has
+/// occurred; then what belongs to the invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, of_event };
@@ -84,11 +99,11 @@ struct Rows {
     known,
     errors
   };
-  std::size_t slope, parameters, events, invariant, size;
+  std::size_t memory, parameters, events, invariant, size;
 
   explicit Rows(const Job& job)
-      : slope(y + job.n),
-        parameters(slope + job.n),
+      : memory(y + job.n),
+        parameters(memory + job.memory),
         events(parameters + job.parameters),
         invariant(events + of_event * job.count_of_events),
         size(invariant + (job.invariant != nullptr ? errors + 2 * job.n : 0)) {}
@@ -181,20 +196,21 @@ class Host {
 /// What integrates in lanes by one method.
 struct Kernel {
   std::string_view method;
+  std::size_t lanes;  ///< trajectories side by side
   /// Integrates what the host hands out, until it has no more.
   void (*run)(const Job& job, Host& host);
-  /// Goes on with one trajectory, f having one lane. Null, but for the instructions that every processor has.
+  /// Goes on with one trajectory of a pair, f having one lane. Null, but for the instructions that every processor has.
   void (*go_on)(const Job& job, const Suspended& from, Host& host);
 };
 
 /// An instruction set for which there are kernels.
 struct Instructions {
   std::string_view name;
-  std::size_t lanes;  ///< trajectories side by side
+  std::size_t lanes;  ///< trajectories side by side of Runge-Kutta pairs
   std::size_t bits;   ///< of a vector register
   std::span<const Kernel> kernels;
 
-  /// Null unless the method is a Runge-Kutta pair.
+  /// Null unless the method is a Runge-Kutta pair, or Taylor series.
   [[nodiscard]] const Kernel* kernel(std::string_view method) const;
 };
 

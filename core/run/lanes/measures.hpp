@@ -33,6 +33,12 @@ INVARIODE_EACH Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size
   return larger(job.scale != nullptr ? job.scale[i] * size : size, Pack<W>(job.threshold[i]));
 }
 
+/// Those of a step from y0 to y1.
+template <int W>
+auto weight_of(const Job& job, const Pack<W>* y0, const Pack<W>* y1) {
+  return [&job, y0, y1](std::size_t i) { return weight(job, i, larger(absolute(y0[i]), absolute(y1[i]))); };
+}
+
 /// The steps that lanes make: from (t0, y0), with parameters p, by stages of the signed size h to (t1, y1), `purified`
 /// = t1 − t0; and the points that they have reached: their ends, unless an event cuts them.
 template <int W>

@@ -154,6 +154,12 @@ Pack<W> absolute(const Pack<W>& a) {
   return each<Pack<W>>(
       [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) & INT64_MAX); });
 }
+/// A number's bits, changed one register after the other.
+template <int W, class F>
+Pack<W> on_bits(const Pack<W>& x, F f) {
+  return each<Pack<W>>(
+      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, f(__builtin_bit_cast(WordOf<W>, x.v[c]))); });
+}
 /// Spacing of doubles at |t|.
 template <int W>
 Pack<W> ulp(const Pack<W>& t) {

@@ -48,17 +48,6 @@ constexpr double excess_of_exponent(int Q) {
   return ((Q * high - 1) + Q * low) / Q;
 }
 
-/// A number's bits, changed one register after the other.
-template <int W, class F>
-Pack<W> on_bits(const Pack<W>& x, F f) {
-  return each<Pack<W>>(
-      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, f(__builtin_bit_cast(WordOf<W>, x.v[c]))); });
-}
-
-constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
-constexpr std::uint64_t bits_of_one = std::uint64_t{1023} << 52U;
-constexpr std::uint64_t bits_of_two52 = std::uint64_t{0x433} << 52U;  // 2^52: its low word is an integer's
-
 /// x^(-1/Q) to 4 %. The high word of a double is, but for a scale and an offset, a piecewise linear approximation of
 /// its logarithm, which is multiplied by −1/Q.
 template <int Q, int W>

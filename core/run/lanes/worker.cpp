@@ -69,10 +69,14 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
                   const lanes::Invariant& invariant) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
+  const std::optional<SystemSeries>& series = solver.problem().series;
   const bool holds = invariant.g.function != nullptr, limited = settings.max_steps != Settings::unlimited;
   return {.f = form.f,
+          .series = form.series,
+          .order = series ? static_cast<std::size_t>(series->solution.order()) : 0,
           .n = ensemble.n,
           .parameters = ensemble.parameters,
+          .memory = series ? 1 + ensemble.n : ensemble.n,
           .y0 = ensemble.y0,
           .rows = ensemble.rows,
           .t0 = settings.t0,
@@ -111,7 +115,10 @@ const char* obstacle_of_invariants(const Solver& solver) {
 const char* obstacle_to_lanes(const Solver& solver) {
   const Problem& problem = solver.problem();
   const Settings& settings = solver.settings();
-  if (of_every_processor().kernel(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair";
+  if (of_every_processor().kernel(solver.method().name) == nullptr)
+    return "the method is no explicit Runge-Kutta pair, nor taylor";
+  if (problem.series && problem.series->count > 0) return "steps end where f changes its branch";
+  if (problem.series && !problem.events.empty()) return "events are searched along Taylor polynomials";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
   if (problem.variations) return "there are sensitivities";

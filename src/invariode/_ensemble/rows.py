@@ -95,7 +95,9 @@ def _on_threads(
 ) -> Outcomes:
     y0 = np.ascontiguousarray(task.y0)
     solvers = [core, *(solver(plan) for _ in range(workers - 1))]
-    lanes = choose_lanes(core, plan.functions.in_lanes(), len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    series = None if plan.expansion is None else plan.expansion.in_lanes
+    functions = plan.functions.in_lanes()
+    lanes = choose_lanes(core, functions, series, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
     rows = y0.view(float).reshape(len(y0), -1)
     run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
     dtype = y0.dtype

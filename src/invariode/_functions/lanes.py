@@ -6,13 +6,15 @@ vector registers at once.
 with t (lanes,), y (n, lanes), out (its values, lanes), p (k, lanes). It is written from the graph of the function, each
 operation on a vector. A function that has no graph has no such form.
 
+The Taylor coefficients of a solution, for methods by series, have one too (`graph.series`).
+
 What a kernel for graphics cards would take is in docs/howto/ensembles.md.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 
 #: With fewer trajectories the form, which takes ten to a hundred milliseconds to compile, is not made.
 FEWEST = 1000
+#: That of Taylor coefficients takes this many times as long.
+FEWEST_BY_SERIES = 4
 #: The name of the instruction set to use; None: the best that this processor has.
 FORCED: str | None = None
 
@@ -63,9 +67,15 @@ class Lanes(NamedTuple):
 _making = threading.Lock()
 
 
-def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) -> Lanes:
+def choose_lanes(
+    solver: _core.Solver,
+    functions: Mapping[str, Any],
+    series: Callable[[int, bool], MachineCode | str] | None,
+    size: int,
+) -> Lanes:
     """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
-    by what they are called in reasons: f, then those of an invariant that is held."""
+    by what they are called in reasons: f, then those of an invariant that is held. `series` has the code of the
+    Taylor coefficients in so many lanes, if the method takes them, and makes it if it is told to."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:
         return Lanes(reason=obstacle)
@@ -73,11 +83,19 @@ def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) 
     for called, one in made.items():
         if one is None:
             return Lanes(reason=f"{called} is not made by invariode.compile, or has inputs")
-    name, width, _ = next(one for one in _core.LANES if FORCED in (None, one[0]))
+    name = next(name for name, *_ in _core.LANES if FORCED in (None, name))
+    width = solver.lanes(name)
+    expansion: list[MachineCode] = []
+    if series is not None:
+        with _making:
+            found = series(width, size >= FEWEST * FEWEST_BY_SERIES)
+        if isinstance(found, str):
+            return Lanes(reason=found.format(f="f", most=FEWEST * FEWEST_BY_SERIES))
+        expansion = [found]
     codes = []
     for called, one in made.items():
         assert one is not None
-        forms, key = one.function.lane_forms, (*one[1:], name)
+        forms, key = one.function.lane_forms, (*one[1:], width)
         if size < FEWEST and key not in forms:
             return Lanes(reason=f"fewer than {FEWEST} trajectories do not pay for compiling {called} once more")
         with _making:
@@ -87,7 +105,7 @@ def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) 
         if isinstance(code, str):
             return Lanes(reason=code.format(f=called))
         codes.append(code)
-    return Lanes(name, width, tuple(codes))
+    return Lanes(name, width, (codes[0], *expansion, *codes[1:]))
 
 
 def _lane_code(made: Compiled, width: int) -> MachineCode | str:

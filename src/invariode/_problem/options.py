@@ -559,9 +559,9 @@ class ManyOptions(TypedDict, total=False):
         Option(
             "auto",
             "{'auto', 1}",
-            "With 'auto', explicit Runge-Kutta pairs integrate trajectories of compiled functions side by side in "
-            "vector registers where they can, with the same result; 1: one at a time. ``stats.lanes`` says which it "
-            "was, and why.",
+            "With 'auto', explicit Runge-Kutta pairs and taylor integrate trajectories of compiled functions side by "
+            "side in vector registers where they can, with the same result; 1: one at a time. ``stats.lanes`` says "
+            "which it was, and why.",
         ),
     ]
     retry: Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from .._problem.events import Event, EventSpec
 from .._problem.inputs import Input
 from .._problem.methods import Method
 from .variations import Variations
+
+if TYPE_CHECKING:
+    from .._functions.graph.machine import MachineCode
+    from .._functions.graph.series_writer import SeriesForm
 
 #: With more conditions than this at which f changes its branch, steps do not end there.
 _MOST_CONDITIONS = 64
@@ -190,6 +194,10 @@ class Expansion(NamedTuple):
         Those of the problem with their series.
     problem : Description
         The problem, with f and its events on their graphs.
+    outputs : list of Node
+        y' of the solution, and of its sensitivities.
+    form : SeriesForm
+        Of its series.
     """
 
     series: _core.Series
@@ -197,10 +205,18 @@ class Expansion(NamedTuple):
     condition_count: int
     events: list[EventSpec]
     problem: Description
+    outputs: list[Node]
+    form: SeriesForm
 
     def for_core(self) -> dict[str, Any]:
         """What the core's problem takes, besides its events."""
         return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
+
+    def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
+        """Code of the series of so many solutions side by side, or why there is none."""
+        from .._functions.graph.series import lane_code
+
+        return lane_code(self.outputs, self.form._replace(lanes=lanes), make=make)
 
 
 def make_expansion(
@@ -223,6 +239,8 @@ def make_expansion(
         condition_count=len(system.conditions),
         events=[*given, *events[len(given) :]],
         problem=problem,
+        outputs=outputs,
+        form=makes.form(along=False),
     )
 
 
@@ -232,12 +250,17 @@ class _Maker:
     def __init__(self, size: int, order: int, own: bool) -> None:
         self._size, self._order, self._own = size, order, own
 
+    def form(self, *, along: bool) -> SeriesForm:
+        """What the code takes and gives."""
+        from .._functions.graph.series_writer import SeriesForm
+
+        return SeriesForm(self._size, self._order, along, own=self._own)
+
     def series(self, outputs: Sequence[Node], *, along: bool) -> _core.Series:
         """Coefficients of the solution of y' = outputs, or of the outputs along a polynomial."""
         from .._functions.graph.series import series_code
-        from .._functions.graph.series_writer import SeriesForm
 
-        code = series_code(outputs, SeriesForm(self._size, self._order, along, own=self._own))
+        code = series_code(outputs, self.form(along=along))
         return _core.Series(address=code.address, order=self._order, owner=code.owner)
 
     def expanded(self, spec: EventSpec, value: list[Node] | None) -> EventSpec:

@@ -66,6 +66,11 @@ def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
     return once((form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs))
 
 
+def is_kept(key: Any) -> bool:
+    """Whether `once` has made something with an equal key."""
+    return hashlib.sha256(repr(key).encode()).digest() in _kept
+
+
 def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
     """What has been made with an equal key in this process, or is made now."""
     digest = hashlib.sha256(repr(key).encode()).digest()
@@ -82,7 +87,7 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
 
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
-    """What a writer writes into a module, compiled at a level of optimisation."""
+    """What a writer writes into a module, compiled at a level of optimisation; 0: as it was written."""
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)
@@ -90,7 +95,8 @@ def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node
     if lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
         text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * lanes}"')
     made = llvm.parse_assembly(text)
-    _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
+    if level > 0:
+        _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
     llvm.add_symbol(SOLVE, _core.solve_address())
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()

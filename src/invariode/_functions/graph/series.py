@@ -4,7 +4,7 @@
 
 Row k of out, of order + 1, has the coefficients of s^k: of the solution through (t, y) at t + unit s, of shape
 (order + 1, n); or of a function with m values along a polynomial whose coefficients are y, (order + 1, n), of shape
-(order + 1, m). In lanes every number, t and unit too, is a row of that many.
+(order + 1, m). In lanes every number, t and unit too, is a row of that many, and an unused pointer comes first.
 
 A product and a sum are rounded once, by fma: the bits are the same on every processor, even where the library has to
 compute it.
@@ -16,20 +16,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..llvm_values import Value
-from .machine import MachineCode, compiled, once
+from .machine import MachineCode, compiled, is_kept, once
 from .nodes import Node, as_rows
 from .operations import INDEX
 from .recurrences import UNWEIGHTED, Program, Sum, linear, minus, plus, program
 from .series_loops import Looped
 from .series_writer import Inverse, SeriesForm, SeriesWriter, inverse_of
 
-#: Of optimisation: higher ones take up to twice as long, and the code is no faster (Kepler's orbit and the outer solar
-#: system at orders 12 and 17).
-_LEVEL = 1
+#: Passes of optimisation take up to a third of the time, and the code is no faster: it has been written without what
+#: they could remove (Kepler's orbit, the restricted three-body problem, the outer solar system at orders 15 and 19).
+_LEVEL = 0
 
 
-#: Products up to which every coefficient is written out: more take longer than 0.1 s to compile.
-_MOST_PRODUCTS = 1500
+#: Products up to which every coefficient is written out: twice as fast as loops (the restricted three-body problem at
+#: order 19), but more take longer than 0.3 s to compile.
+_MOST_PRODUCTS = 2500
 
 
 def is_small(found: Program, order: int) -> bool:
@@ -48,6 +49,21 @@ def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
         return compiled(form.lanes, lambda module: Looped(module, form, found), outputs, _LEVEL)
 
     return once((form, as_rows(outputs)), make)
+
+
+def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> MachineCode | str:
+    """The code with lanes; or why the function {f} has none. Unless it is to be made, it is that which has been made.
+
+    Coefficients in loops have none: in one lane they fill vector registers too, and those of several lanes would not
+    fit into the cache (measured in benchmarks/taylor.py: 1.1 times as fast for six bodies)."""
+    if not (make or is_kept((form, as_rows(outputs)))):
+        return "fewer trajectories than {most} do not pay for compiling the series of {f} once more"
+    found = program(outputs)
+    if any(node.op == "solve" for node in found.nodes):
+        return "{f} solves a linear system"
+    if not is_small(found, form.order):
+        return "the series of {f} is so large that one trajectory fills the vector registers"
+    return series_code(outputs, form)
 
 
 class Unrolled(SeriesWriter):

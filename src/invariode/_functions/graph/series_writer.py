@@ -60,6 +60,8 @@ class SeriesWriter(Writer):
     def __init__(self, module: Any, form: SeriesForm) -> None:
         numbers = DOUBLE if form.lanes == 1 else POINTER
         arguments = {"t": numbers, "unit": numbers, "y": POINTER, "out": POINTER, "p": POINTER}
+        if form.lanes > 1:
+            arguments = {"unused": POINTER, **arguments}
         super().__init__(module, form.own, form.lanes, arguments, ir.VoidType())
         self._form = form
         for name in ("y", "out", "p"):

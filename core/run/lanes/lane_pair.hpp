@@ -1,0 +1,145 @@
+#pragma once
+// One step of an explicit Runge-Kutta pair in all lanes at once: the memory of methods/runge_kutta_step.hpp, and its
+// operations. (INVARIODE_LANES: see pack.hpp.)
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string_view>
+
+#include "aim.hpp"
+#include "methods/initial_step.hpp"
+#include "methods/runge_kutta_kernel.hpp"
+#include "run/lanes/lane_output.hpp"
+#include "run/lanes/lanes.hpp"
+#include "run/lanes/measures.hpp"
+#include "run/lanes/pack.hpp"
+#include "run/lanes/power.hpp"
+
+namespace invariode::lanes::INVARIODE_LANES {
+
+/// The pair T in W lanes. Its rows are f at the point reached.
+template <const auto& T, int W>
+class LanePair {
+  using P = Pack<W>;
+  using M = Mask<W>;
+  using Kernel = runge_kutta::Kernel<T, P, LaneNorm<W>>;
+  static constexpr std::size_t last = T.stages - 1;
+
+ public:
+  static constexpr int width = W;
+  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
+  static constexpr int fewest_lanes = W / 8 + 1;
+  static constexpr std::string_view name = T.name;
+
+  LanePair(const Job& job, const Rows& rows, P* now, P* ready, Host& host)
+      : job_(job),
+        y_(now + Rows::y),
+        p_(now + rows.parameters),
+        first_(ready + rows.memory),
+        stage_(take<W>(host, job.n)),
+        slopes_(take<W>(host, job.n * (stages() - 1))) {
+    k_[0] = now + rows.memory;
+    for (std::size_t k = 1; k < stages(); ++k) k_[k] = slopes_ + (k - 1) * job.n;
+  }
+
+  [[nodiscard]] static std::size_t degree(const Job&) { return T.degree; }
+  static constexpr auto evaluate_extension = nested_polynomial<P>;
+
+  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it. Sets where f is not defined.
+  P start(const P& t0, const P* y, const P* p, M& undefined) {
+    evaluate(job_.f, t0, y, first_, p);
+    const P speed = Kernel::size_of_stage(0, {first_}, job_.n, weight_of<W>(job_, y, y));
+    undefined = ~(speed < P(infinity));
+    const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
+    return initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin_ulps * ulp(t0));
+  }
+  /// y′ at the starts.
+  [[nodiscard]] const P* slope_at_start() const { return first_; }
+  /// The memory of a trajectory that was made ready, or is in another lane, beside its rows.
+  void adopt(int /*lane*/, int /*from*/) {}
+  void keep_defined(int /*lane*/, int /*from*/) {}
+
+  /// The candidates and their errors. `odd`: where something is not finite.
+  P attempt(const LaneStep<W>& at, P* candidate, M& odd) {
+    Kernel::inner_stages(at.t0, y_, at.purified, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
+      odd = odd | mend(y, y_, job_.n);
+      evaluate(job_.f, t, y, k_[k], p_);
+      return true;
+    });
+    Kernel::candidate(y_, at.purified, k_, job_.n, candidate);
+    odd = odd | mend(candidate, y_, job_.n);
+    if constexpr (T.last_in_error()) evaluate(job_.f, at.t1, candidate, k_[last], p_);
+    return absolute(at.purified) * Kernel::error(k_, job_.n, weight_of<W>(job_, y_, candidate));
+  }
+
+  /// What is left to evaluate at the ends of steps. Returns where that is not defined.
+  M finish(const LaneStep<W>& step) {
+    if constexpr (T.last_in_error()) return no_lane<W>();
+    evaluate(job_.f, step.t1, step.y1, k_[last], p_);
+    return not_finite(k_[last], job_.n);
+  }
+  /// y′ there.
+  [[nodiscard]] const P* slope() { return k_[last]; }
+
+  /// Estimated errors of the candidates.
+  const P* errors(const P& length) {
+    Kernel::errors(length, k_, job_.n, stage_);
+    return stage_;
+  }
+
+  /// Coefficients of the extension behind y0. Returns where they are not sound, as `RungeKuttaStep::extension` says it.
+  M extend(const LaneStep<W>& step, P* coefficients) {
+    M odd = no_lane<W>();
+    if constexpr (T.all_stages > T.stages) {
+      const auto weight = weight_of<W>(job_, step.y0, step.y1);
+      const P most = Kernel::largest_of_extension(k_, job_.n, weight);
+      Kernel::further_stages(step.t1, y_, step.purified, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
+        odd = odd | mend(y, y_, job_.n);
+        evaluate(job_.f, t, y, k_[k], p_);
+        odd = odd | ~(Kernel::size_of_stage(k, k_, job_.n, weight) <= most);
+        return true;
+      });
+    }
+    Kernel::coefficients(step.purified, k_, job_.n, coefficients + job_.n);
+    return odd;
+  }
+
+  /// |h λ| as a quotient, and the limit of the formula.
+  std::array<P, 2> stability(const LaneStep<W>& step, const P* candidate) {
+    return Kernel::probed(k_, job_.n, step.purified, step.y1, candidate, weight_of<W>(job_, y_, step.y1));
+  }
+  [[nodiscard]] static double limit(const Job&) { return Kernel::real_limit; }
+
+  /// |h| of the next attempt, as `RungeKuttaStep::accept` and `RungeKuttaStep::reject` choose it.
+  P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) {
+    const P rtol(job_.rtol), length = absolute(step.h);
+    const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
+    const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
+    const P grown = choose(retries, length, runge_kutta::grown(length, root));
+    const P factor = choose(retries, P(runge_kutta::halved), runge_kutta::cut(root, T.floor));
+    return choose(accepted, grown, larger(hmin, length * factor));
+  }
+  void commit(const M& accepted) {
+    for (std::size_t i = 0; i < job_.n; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
+  }
+
+  /// Evaluations of f: at the start, then in each attempt those of all stages but the first; the last one only in
+  /// accepted steps where it has no part in the error estimate; and those of the extension in steps that were looked
+  /// into.
+  [[nodiscard]] std::int64_t evaluations(std::int64_t steps, std::int64_t failed, std::int64_t looked) const {
+    constexpr auto all = static_cast<std::int64_t>(last), extra = static_cast<std::int64_t>(T.all_stages - T.stages);
+    return 1 + looked * extra + (steps + failed) * all - (T.last_in_error() ? 0 : failed);
+  }
+
+ private:
+  [[nodiscard]] std::size_t stages() const { return job_.looks_inside() ? T.all_stages : T.stages; }
+
+  const Job& job_;
+  const P *y_, *p_;
+  P *first_, *stage_, *slopes_;
+  typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
+};
+
+}  // namespace invariode::lanes::INVARIODE_LANES
