@@ -13,16 +13,12 @@ Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and B
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
 such a jump where it arrives, and its equation has no part in the others.
 
-Where a solution is held on r(t, y, p) = c(p), its sensitivities are tangent: R S = c' − ∂r/∂p. So ∂G/∂y enters by its
-tangential part alone, ∂G/∂y − νᵀ R with ν = (R W² Rᵀ)⁺ R W² (∂G/∂y)ᵀ, and the rest is νᵀ (c' − ∂r/∂p): the transpose of
-what the run does to S in a step that ends there. c' is R S + ∂r/∂p where the value has been taken, at the start or
-behind an action, so that ν is carried there.
+Where a solution is held on invariants, costs go through the projection of its sensitivities (`adjoint_laws`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -31,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import LEAST_RTOL, Array, quietly, real_numbers, shown, warn
 from .._base.types import MethodName
-from .._functions.directional import Directional, Given, Point
+from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
@@ -39,6 +35,7 @@ from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
+from .adjoint_laws import Laws
 from .adjoint_jumps import Jump, Jumps, at_bounds
 from .algebraic import Algebraic, dense_mass
 from .plan import ordered_breakpoints
@@ -134,7 +131,7 @@ class _Adjoint:
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol)
-        self._jumps = Jumps(problem, self._derivatives, conditions).of(self._sol, self._breakpoints, self._rests)
+        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(self._sol, self._breakpoints, self._rests)
         self._tell_of_jumps(bool(conditions))
 
     def _conditions(self) -> list[Switching]:
@@ -197,13 +194,8 @@ class _Adjoint:
     # ------------------------------------------------------------------------------------------------- on the manifold
 
     @cached_property
-    def _laws(self) -> list[_Law]:
-        found = []
-        for one in self._problem.invariants:
-            jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
-            law = self._derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
-            found.append(_Law(law, one.value is not None, np.zeros(law.m)))
-        return found
+    def _laws(self) -> Laws:
+        return Laws(self._problem, self._derivatives, self._weights)
 
     @cached_property
     def _start(self) -> Array:
@@ -211,46 +203,22 @@ class _Adjoint:
         assert self._problem.sensitivities is not None
         return self._problem.sensitivities.start(self._names, self._problem.args, self.n)
 
-    def _tangential(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
-        """The tangential part of ∂G/∂y, and what the rest adds to the gradient here; what it adds where the laws took
-        their values is carried by them."""
-        if not laws:
-            return cost, np.zeros(self.k)
-        R = np.vstack([one.law.jacobian(t, y) for one in laws])
-        w = self._weights(y)
-        nu = np.linalg.lstsq(w[:, None] * R.T, w * cost, rcond=None)[0]
-        beside, place = np.zeros(self.k), 0
-        for one in laws:
-            own = nu[place : place + one.law.m]
-            place += one.law.m
-            beside -= own @ one.of_parameters(t, y)
-            if not one.demanded:
-                one.carried = one.carried + own
-        return cost - R.T @ nu, beside
-
-    def _taken(self, t: float, y: Array, mu: Array) -> tuple[Array, Array]:
-        """μ where laws take their values, with what they carry, and what that adds to the gradient."""
-        total = np.zeros(self.k)
-        for one in self._laws:
-            if not one.demanded:
-                mu = mu + one.law.jacobian(t, y).T @ one.carried
-                total += one.carried @ one.of_parameters(t, y)
-                one.carried = np.zeros(one.law.m)
-        return mu, total
-
-    def _projected(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
-        """The cost as that of tangential and differential components alone, and what the rest adds."""
-        cost, beside = self._tangential(t, y, cost, laws)
+    def _differential(self, t: float, y: Array, cost: Array) -> Array:
+        """The cost as that of differential components alone; what the others add is counted."""
         if self._algebraic is None:
-            return cost, beside
+            return cost
         J = self._slope.jacobian(t, y)
         cost, multiplier = self._algebraic.differential(J, cost)
-        return cost, beside + self._slope.transposed(t, y, multiplier)[self.n :]
+        self._total = self._total + self._slope.transposed(t, y, multiplier)[self.n :]
+        return cost
+
+    @property
+    def _threshold(self) -> Array:
+        return np.asarray(self._sol._atol, dtype=float) / np.asarray(self._sol._rtol, dtype=float)
 
     def _weights(self, y: Array) -> Array:
         """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
-        rtol, atol = (np.asarray(one, dtype=float) for one in (self._sol._rtol, self._sol._atol))
-        w = np.maximum(np.abs(y), atol / rtol)
+        w = np.maximum(np.abs(y), self._threshold)
         return np.where(w == 0, w.max() or 1.0, w)
 
     # ------------------------------------------------------------------------------------------------------- backwards
@@ -272,10 +240,8 @@ class _Adjoint:
             mu = self._across(piece, mu, costs)
         for jump in reversed([one for one in self._jumps if one.t == t0]):
             mu = self._through(jump, mu)
-        mu, beside = self._taken(t0, self._at.y, mu)
-        demanded = [one for one in self._laws if one.demanded]
-        mu, more = self._tangential(t0, self._at.y, mu, demanded)
-        return np.asarray(self._total + beside + more + mu @ self._start)
+        mu, beside = self._laws.on_tangent(t0, self._at.y, mu, taking=True)
+        return np.asarray(self._total + beside + mu @ self._start)
 
     def _pieces(self, t0: float, tf: float) -> list[_Piece]:
         """The intervals between breakpoints and jumps, with the jumps at their ends."""
@@ -316,29 +282,22 @@ class _Adjoint:
         return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
-        found, beside = self._projected(t, self._sol.sol(t), cost, self._laws)
+        y = self._sol.sol(t)
+        cost, beside = self._laws.on_tangent(t, y, cost)
         self._total = self._total + beside
-        return found
+        return self._differential(t, y, cost)
 
     def _through(self, jump: Jump, mu: Array) -> Array:
         """μ before a jump from that behind it."""
         if jump.moves:
-            if jump.reholds:
-                mu, beside = self._taken(jump.t, jump.after, mu)
-                self._total = self._total + beside
-            held = [one for one in self._laws if one.demanded or not jump.reholds]
-            mu, beside = self._tangential(jump.t, jump.after, mu, held)
+            mu, beside = self._laws.on_tangent(jump.t, jump.after, mu, taking=jump.reholds)
             self._total = self._total + beside
         cost_of_time = 0.0
         if self._g is not None:
             cost_of_time = float(self._g.value(jump.t, jump.before)[0] - self._g.value(jump.t, jump.after)[0])
         mu, beside = jump.transposed(mu, cost_of_time)
         self._total = self._total + beside
-        if self._algebraic is None:
-            return mu
-        mu, beside = self._projected(jump.t, jump.before, mu, [])
-        self._total = self._total + beside
-        return mu
+        return self._differential(jump.t, jump.before, mu)
 
     def _sizes_of(self, objective: Objective, states: Array, g: Directional | None) -> Array:
         """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
@@ -432,30 +391,6 @@ class _Piece(NamedTuple):
         """The time end − s, inside the interval: at its ends f and y may be those of its neighbours."""
         low, high = sorted((np.nextafter(self.begin, self.end), np.nextafter(self.end, self.begin)))
         return float(min(max(self.end - s, low), high))
-
-
-@dataclass
-class _Law:
-    """An invariant r = c.
-
-    Attributes
-    ----------
-    law : Directional
-        The derivatives of r.
-    demanded : bool
-        Whether c is a given number; otherwise it is the value that r had at the start, or behind the last action.
-    carried : ndarray, (m,)
-        The derivative of the objective with respect to c, for what comes later than the current time.
-    """
-
-    law: Directional
-    demanded: bool
-    carried: Array
-
-    def of_parameters(self, t: float, y: Array) -> Array:
-        """∂r/∂p, (m, k)."""
-        k, n = self.law.k, self.law.n
-        return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
 
 
 def _objective(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
 from .._results.result import Result
-from .variations import Rate, Switching, given_derivatives
+from .variations import Rate, Switching, given_derivatives, restoration
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]
@@ -64,14 +64,44 @@ class Jump:
         return state, self.B.T @ mu + cost_of_time * self.time_of_parameters
 
 
-class Partials:
+class Partials(NamedTuple):
     """The derivatives of a function with respect to everything at once."""
 
-    def __init__(self, function: Directional, t: float, y: Array) -> None:
+    of_y: Array
+    of_p: Array
+    of_t: Array
+
+    @classmethod
+    def at(cls, function: Directional, t: float, y: Array) -> Partials:
+        """Those of a function at a point."""
         k, n = function.k, function.n
-        self.of_y = function.jacobian(t, y)
-        self.of_p = function.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
-        self.of_t = function.columns(t, y, np.ones(1), np.zeros((1, n)), np.zeros((1, k)))[0]
+        return cls(
+            function.jacobian(t, y),
+            function.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T,
+            function.columns(t, y, np.ones(1), np.zeros((1, n)), np.zeros((1, k)))[0],
+        )
+
+    def into(self, then: Partials) -> Partials:
+        """Those of a second function of (t, y, p) at y = the first one."""
+        return Partials(then.of_y @ self.of_y, then.of_y @ self.of_p + then.of_p, then.of_y @ self.of_t + then.of_t)
+
+
+class Action(NamedTuple):
+    """What moves y at a time: an action of an event or at a breakpoint.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    before : ndarray, (n,)
+        The state, before all actions of that time.
+    jump : callable
+        The state before this one -> its jump.
+    """
+
+    t: float
+    before: Array
+    jump: Callable[[Array], Jump]
 
 
 class Jumps:
@@ -85,9 +115,17 @@ class Jumps:
         Makes derivatives of its functions.
     conditions : list of Switching
         Those of f that are followed; they are the last events of the solution.
+    threshold : float or ndarray, (n,)
+        atol / rtol of the run.
     """
 
-    def __init__(self, problem: Description, derivatives: Derivatives, conditions: Sequence[Switching]) -> None:
+    def __init__(
+        self,
+        problem: Description,
+        derivatives: Derivatives,
+        conditions: Sequence[Switching],
+        threshold: float | Array,
+    ) -> None:
         fun, given = given_derivatives(problem, problem.parameters())
         n = len(problem.y0)
         self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
@@ -99,43 +137,64 @@ class Jumps:
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
         self._n, self._k = n, len(problem.parameters())
+        self._restored = restoration(problem, problem.parameters(), threshold)
 
     def of(self, sol: Result, points: Sequence[Breakpoint], rests: Sequence[Rest]) -> list[Jump]:
-        """Those of a solution, in the order of its times.
+        """Those of a solution, in the order of its times; at one time in that in which the run takes them.
 
         Raises
         ------
         ValueError
-            Two of them coincide.
+            A condition changes at the time of an action; several actions at one time with a singular mass matrix.
         """
-        found = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
-        found += [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
-        found += [self._of_point(sol, one) for one in points if one.action is not None]
-        found += [self._of_rest(sol, one) for one in rests]
-        found.sort(key=lambda one: float(self._forward * one.t))
-        for one, then in pairwise(found):
-            if one.t == then.t and (one.moves or then.moves):
+        actions = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
+        actions += [self._of_point(sol, one) for one in points if one.action is not None]
+        actions.sort(key=lambda one: float(self._forward * one.t))
+        found: list[Jump] = []
+        for one in actions:
+            again = bool(found) and found[-1].t == one.t
+            if again and self._rate.is_singular:
                 raise ValueError(
-                    f"gradient: several actions are taken at t = {one.t:.6g}, and the adjoint does not know their "
-                    "order: use sensitivities=, or make one action of them"
+                    f"gradient: several actions are taken at t = {one.t:.6g}, which is not possible with a singular "
+                    "mass matrix: use sensitivities=, or make one action of them"
                 )
+            found.append(one.jump(found[-1].after if again else one.before))
+        moved = {one.t for one in found}
+        conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
+        if both := [one.t for one in conditions if one.t in moved]:
+            raise ValueError(
+                f"gradient: an action is taken at t = {both[0]:.6g}, where fun jumps too, and the adjoint does not know "
+                "their order: use sensitivities="
+            )
+        found += [*conditions, *(self._of_rest(sol, one) for one in rests)]
+        found.sort(key=lambda one: float(self._forward * one.t))
         return found
 
-    def _of_event(self, sol: Result, i: int) -> list[Jump]:
+    def _of_event(self, sol: Result, i: int) -> list[Action]:
         event = self._events[i]
         if event.action is None or not len(sol.t_events[i]):
             return []
         times = self._derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
         action = self._derivatives(event.action, f"the action of event {event.__name__}", m=self._n, moves_t=True)
-        last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
-        found = []
-        for t, y in zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False):
-            after, f = action.value(t, y), self._rate(t, y)
-            h, e = Partials(action, t, y), Partials(times, t, y)
+        restored = self._restored if event.rehold else None
+
+        def jump(t: float, y: Array) -> Jump:
+            f, (h, after), e = self._rate(t, y), self._landing(action, restored, t, y), Partials.at(times, t, y)
             moved = h.of_y @ f + h.of_t - self._rate(t, after)
             rate = float(e.of_t[0] + e.of_y[0] @ f)
-            found.append(self._jump(t, y, after, h, e, moved, rate, event.rehold))
-        return found
+            return self._jump(t, y, after, h, e, moved, rate, event.rehold)
+
+        last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
+        occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
+        return [Action(t, y, partial(jump, t)) for t, y in occurred]
+
+    @staticmethod
+    def _landing(action: Directional, restored: Directional | None, t: float, y: Array) -> tuple[Partials, Array]:
+        """What leads to where the run goes on, and that state."""
+        h, after = Partials.at(action, t, y), action.value(t, y)
+        if restored is None:
+            return h, after
+        return h.into(Partials.at(restored, t, after)), restored.value(t, after)
 
     def _jump(
         self, t: float, y: Array, after: Array, h: Partials, e: Partials, moved: Array, rate: float, reholds: bool
@@ -153,20 +212,23 @@ class Jumps:
             if crossing is None:
                 continue
             condition.tell(t, crossing)
-            e = Partials(condition.difference, t, y)
+            e = Partials.at(condition.difference, t, y)
             moved = crossing.before - crossing.behind
             of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
             A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
             found.append(Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False))
         return found
 
-    def _of_point(self, sol: Result, point: Breakpoint) -> Jump:
-        action = self._derivatives(point.action, "the action in breakpoints", m=self._n)
+    def _of_point(self, sol: Result, point: Breakpoint) -> Action:
+        action = self._derivatives(point.action, "the action in breakpoints", m=self._n, moves_t=False)
         before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
         k, n = self._k, self._n
-        h_p = action.columns(point.t, before, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
-        h_y, after = action.jacobian(point.t, before), action.value(point.t, before)
-        return Jump(point.t, before, after, h_y, h_p, np.zeros(n), np.zeros(k), reholds=True, moves=True)
+
+        def jump(y: Array) -> Jump:
+            h, after = self._landing(action, self._restored, point.t, y)
+            return Jump(point.t, y, after, h.of_y, h.of_p, np.zeros(n), np.zeros(k), reholds=True, moves=True)
+
+        return Action(point.t, before, jump)
 
     def _of_rest(self, sol: Result, rest: Rest) -> Jump:
         """Where it begins: S_i is 0."""

@@ -7,6 +7,8 @@ With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p. An event e(t, y, p) = 0 oc
 and behind its action y⁺ = h(τ, y⁻, p)
 
     S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
+
+Where the run puts y⁺ back onto constraints, as after a blow against a mechanism, that is a part of h.
 """
 
 from __future__ import annotations
@@ -18,19 +20,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import EPS, Array, warn
+from .._base.arguments import EPS, RTOL, Array, warn
 from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters, with_numbers
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
+from .._laws.imposing import impose
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, event_spec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
-from .._problem.invariants import AccuracyWarning
+from .._problem.invariants import AccuracyWarning, Invariants
 from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
@@ -203,14 +206,20 @@ def make_variations(
     ]
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     times = [EventTime(event, about, rate, weights) for event in problem.events]
+    restored = restoration(problem, names, weights.threshold)
     jumps = [
         None
         if event.action is None
-        else _Jump(about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True), time, rate)
+        else _Jump(
+            about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True),
+            restored if event.rehold else None,
+            time,
+            rate,
+        )
         for event, time in zip(problem.events, times, strict=True)
     ]
     actions = {id(one.action): one.action for one in points if one.action is not None}
-    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
+    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n), restored) for key, one in actions.items()}
     doses = [made.get(id(point.action)) for point in points]
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
@@ -279,6 +288,11 @@ class Rate:
         self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
         self._derivatives = None if self._algebraic is None else slope()
 
+    @property
+    def is_singular(self) -> bool:
+        """Whether M is."""
+        return self._algebraic is not None
+
     def __call__(self, t: float, y: Array) -> Array:
         f = self._slope(np.array([t]), y[:, None])[:, 0]
         if self._algebraic is not None and self._derivatives is not None:
@@ -336,11 +350,37 @@ class EventTime:
             self._grazing.clear()
 
 
+class _Restored(CoreFunction):
+    """The state behind an action, moved onto the demanded values of invariants."""
+
+    def __init__(self, demanded: Sequence[Invariants], threshold: float | Array) -> None:
+        self._demanded, self._atol = demanded, RTOL * threshold
+        self.__name__ = "restored"
+
+    def __call__(self, t: float, y: Array, *args: Any) -> Array:
+        if np.iscomplexobj(y) or np.iscomplexobj(t):
+            raise TypeError("it is found by iterations, for real states")
+        return np.asarray(impose([*self._demanded], t, y, args=args, rtol=RTOL, atol=self._atol).y)
+
+
+def restoration(
+    problem: Description, names: Sequence[ParameterName], threshold: float | Array
+) -> Directional | None:
+    """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
+    differences, which do not depend on the tolerance."""
+    demanded = [one for one in problem.invariants if one.value is not None]
+    if not any(one.level > 0 for one in demanded):
+        return None
+    at, n = Point(problem.t_span[0], problem.y0), len(problem.y0)
+    return Directional(_Restored(demanded, threshold), problem.args, names, n, at=at, m=n, moves_t=True)
+
+
 @dataclass
 class _Jump:
     """S behind the action of an event."""
 
     _action: Directional
+    _restored: Directional | None
     _time: EventTime
     _rate: Rate
     _log: list[tuple[float, Array]] = field(default_factory=list)
@@ -348,7 +388,11 @@ class _Jump:
     def __call__(self, t: float, Y: Array, after: Array) -> Array:
         f = self._rate(t, Y[0])
         times = self._time.with_slope(t, Y, f)
-        moved = self._action.columns(t, Y[0], times, Y[1:] + np.outer(times, f), np.eye(len(times)))
+        parameters = np.eye(len(times))
+        moved = self._action.columns(t, Y[0], times, Y[1:] + np.outer(times, f), parameters)
+        if self._restored is not None:
+            moved = self._restored.columns(t, after, times, moved, parameters)
+            after = self._restored.value(t, after)
         found: Array = moved - np.outer(times, self._rate(t, after))
         self._log.append((t, found.T.copy()))
         return found
@@ -365,9 +409,11 @@ class _Dose:
     """S behind the action at a breakpoint, whose time does not depend on parameters."""
 
     _action: Directional
+    _restored: Directional | None
 
     def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        return self._action.tangent(t, Y)
+        moved, k = self._action.tangent(t, Y), len(Y) - 1
+        return moved if self._restored is None else self._restored.columns(t, after, np.zeros(k), moved, np.eye(k))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -516,11 +562,6 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
     if isinstance(problem.fun, SecondOrder) and problem.fun.native:
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
-        )
-    if isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder):
-        raise ValueError(
-            "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "
-            "equations as a function, or use invariode.symbolic"
         )
     for law in problem.invariants:
         if law.sense:
