@@ -227,7 +227,6 @@ def test_what_joints_do_behind_a_blow_is_differentiated():
         np.testing.assert_allclose(sol.sensitivities[:, j, -1], expected, atol=1e-7 * np.abs(expected).max())
 
 
-@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 @pytest.mark.parametrize("name", ["impact", "start"])
 def test_gradients_are_the_same_backwards(name):
     """Through a blow, and from starts that are moved onto the constraints level by level."""
