@@ -304,6 +304,37 @@ def test_events_of_algebraic_components(method):
     np.testing.assert_allclose(sol.sensitivities_t_events[0], [[-time / 0.7, 1 / 2.1]], rtol=1e-5)
 
 
+def of_heavy(t, y, m, k):
+    return [y[1], -k * y[0] - y[1] ** 3]
+
+
+def of_light(t, y, m, k):
+    return [-k * y[0] + y[1], y[0] ** 2 - y[1]]
+
+
+@pytest.mark.parametrize("method", [name for name, about in iv.METHODS.items() if about.mass == "any"])
+@pytest.mark.parametrize(
+    ("fun", "mass", "y0"),
+    [
+        (of_heavy, lambda t, m, k: np.array([[1, 0.1 * k], [0, m * (1 + 0.1 * np.sin(t))]]), [1.0, 0.0]),
+        (of_light, lambda t, m, k: np.array([[m, 0], [0, 0]]), [0.5, 0.25]),
+    ],
+)
+def test_masses_are_parameters(method, fun, mass, y0):
+    """Singular ones too: the derivatives of the mass and of f are those of f solved for y′."""
+    given = {"args": (2.0, 3.0), "rtol": 1e-7, "atol": 1e-9, "sensitivities": True}
+
+    def solved(t, y, m, k):
+        if fun is of_light:
+            return [(-k * y[0] + y[0] ** 2) / m]
+        return np.linalg.solve(mass(t, m, k), fun(t, y, m, k))
+
+    sol = iv.solve_ivp(fun, (0, 1), y0, method, mass=mass, **given)
+    expected = iv.solve_ivp(solved, (0, 1), y0[: len(solved(0, y0, 2.0, 3.0))], "dop853", **given)
+    found = sol.sensitivities[: len(expected.y), :, -1]
+    np.testing.assert_allclose(found, expected.sensitivities[:, :, -1], atol=3e-5)
+
+
 def test_a_start_at_an_equilibrium_moves():
     """y stays, and its derivative with respect to where the equilibrium is does not."""
     sol = iv.solve_ivp(lambda t, y, p: [p - y[0]], (0, 3), [1.0], args=(1.0,), **TOLERANCES, sensitivities=True)
@@ -566,14 +597,10 @@ def test_scales_set_the_tolerance():
     assert few <= many
 
 
-LARGE_MASS = {"mass": lambda t, rate: [[rate]]}
-
-
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
         ("ode15s", {"linear_solver": "gmres", "sensitivities": True}, "need linear_solver='direct'"),
-        ("ode15s", {**LARGE_MASS, "sensitivities": True}, "mass depends on rate"),
         (
             "ode45",
             {"sensitivities": iv.Sensitivities(dfdp=lambda t, y, rate: [1.0, 2.0])},
@@ -594,12 +621,9 @@ def test_what_is_not_possible_is_refused_by_name(method, options, message):
         iv.solve_ivp(decay, (0, 1), [1.0], method, args=(2.0,), **options)
 
 
-def test_complex_states_and_mechanical_systems_are_refused():
+def test_complex_states_are_refused():
     with pytest.raises(ValueError, match="sensitivities are for real problems, and y0 is complex"):
         iv.Problem(decay, (0, 1), [1j], args=(2.0,), sensitivities=True)
-    system = iv.MechanicalSystem(mass=[1.0], force=lambda t, q, v, k: -k * q, args=(2.0,))
-    with pytest.raises(ValueError, match="not possible for a MechanicalSystem"):
-        system.problem((0, 1), [1.0], [0.0]).replace(sensitivities="y0").solve()
 
 
 def test_fields_are_checked_when_they_are_made():
@@ -626,8 +650,22 @@ def test_trajectories_have_those_of_single_runs(fun, tmp_path):
     assert again.sensitivity_names == many[0].sensitivity_names == ["rate", "y0[0]"]
     final = iv.solve_ensemble(fun, (0, 1), **rows, rtol=1e-6, sensitivities="rate", workers=1)
     np.testing.assert_allclose(final.sensitivities[:, 0, 0, 0], -final.y_end[:, 0], rtol=1e-4)
-    with pytest.raises(ValueError, match="sensitivities of an ensemble are not kept in a store"):
-        iv.solve_ensemble(fun, (0, 1), **rows, sensitivities=True, store=tmp_path / "store")
+
+
+@pytest.mark.parametrize("times", [{"t_eval": [0.5, 1.0]}, {}])
+def test_a_store_has_those_of_the_ensemble(times, tmp_path):
+    pytest.importorskip("zarr")
+    given = {"y0": [[1.0], [2.0], [3.0]], "args": [[1.0], [3.0], [np.nan]], "workers": 1, **times}
+    given |= {"sensitivities": ["rate", "y0"], "on_failure": "return"}
+    many = iv.solve_ensemble(decay, (0, 1), **given)
+    store = iv.solve_ensemble(decay, (0, 1), **given, store=tmp_path / "store", chunk=2)
+    loaded = store.load()
+    np.testing.assert_array_equal(loaded.sensitivities, many.sensitivities)
+    np.testing.assert_array_equal(loaded[1].sensitivities, many[1].sensitivities)
+    assert loaded.sensitivity_names == store.to_xarray().sensitivity.values.tolist() == ["rate", "y0[0]"]
+    with pytest.raises(ValueError, match="belongs to another problem: sensitivities"):
+        other = {**given, "sensitivities": True}
+        iv.solve_ensemble(decay, (0, 1), **other, store=tmp_path / "store", chunk=2, resume=True)
 
 
 def test_steppers_refuse_them():
@@ -741,16 +779,12 @@ def test_events_of_fast_problems_do_not_leave_where_f_is_defined():
 
 
 def test_what_has_no_sensitivities_is_refused_by_name():
-    with pytest.raises(ValueError, match="a singular mass matrix that is a function of t"):
-        iv.solve_ivp(
-            lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3],
-            (0, 1),
-            [1.0, 2.0],
-            "ode15s",
-            args=(1.0,),
-            mass=lambda t, p: np.diag([1.0, 0.0]),
-            events=lambda t, y, p: y[1] - 1.9,
-            sensitivities=True,
-        )
+    given = {"args": (1.0,), "sensitivities": True}
+    for more, what in (
+        ({"mass": lambda t, p: np.diag([1.0 + t, 0.0]), "events": lambda t, y, p: y[1] - 1.9}, "events"),
+        ({"mass": lambda t, p: np.diag([p + t, 0.0])}, "parameters in it"),
+    ):
+        with pytest.raises(ValueError, match=f"with {what} and a singular mass matrix that is a function of t"):
+            iv.solve_ivp(lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3], (0, 1), [1.0, 2.0], "ode15s", **given, **more)
     with pytest.raises(ValueError, match="has an argument 'y0'"):
         iv.solve_ivp(lambda t, y, y0: [y0 - y[0]], (0, 1), [2.0], args=(0.5,), sensitivities="y0")

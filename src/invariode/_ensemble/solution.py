@@ -167,6 +167,13 @@ class EnsembleSensitivities(NamedTuple):
     values: Array  # as y, (N, n, k, n_t)
     end: Array  # (N, n, k)
 
+    @classmethod
+    def of(cls, names: list[str], at_times: Array | None, end: Array, status: Array) -> EnsembleSensitivities:
+        """Those at times, or where trajectories ended, unless they failed."""
+        if at_times is None:
+            at_times = np.where((status >= 0)[:, None, None, None], end[..., None], np.nan)
+        return cls(names, at_times, end)
+
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleSolution:

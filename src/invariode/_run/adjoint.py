@@ -39,7 +39,8 @@ from .adjoint_laws import Laws
 from .adjoint_jumps import Jump, Jumps, at_bounds
 from .algebraic import Algebraic, dense_mass
 from .plan import ordered_breakpoints
-from .variations import Switching, followed, given_derivatives, require_possible
+from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
+from .variations import Rate, Switching, followed, given_derivatives, require_possible
 
 #: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
 _POINTS = 5
@@ -180,7 +181,7 @@ class _Adjoint:
         """The algebraic equations of a singular M."""
         mass = self._problem.matrices.mass
         found = Algebraic.of(dense_mass(mass, self._at.t, self._problem.args))
-        if found is not None and callable(mass):
+        if found is not None and moves_in_time(self._problem):
             raise ValueError(
                 "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
             )
@@ -209,8 +210,23 @@ class _Adjoint:
             return cost
         J = self._slope.jacobian(t, y)
         cost, multiplier = self._algebraic.differential(J, cost)
-        self._total = self._total + self._slope.transposed(t, y, multiplier)[self.n :]
+        self._total = self._total + self._of_parameters(t, y, multiplier)
         return cost
+
+    def _of_parameters(self, t: float, y: Array, w: Array) -> Array:
+        """wᵀ (∂f/∂p − (∂M/∂p) y')."""
+        found = self._slope.transposed(t, y, w)[self.n :]
+        return found if self._of_mass is None else found - self._of_mass(t, y) @ w
+
+    @cached_property
+    def _of_mass(self) -> MassDerivatives | None:
+        return mass_derivatives(self._problem, self._names, Rate(self._problem, lambda: self._moving_slope))
+
+    @property
+    def _moving_slope(self) -> Directional:
+        """The derivatives of f, also with respect to t."""
+        fun, given = given_derivatives(self._problem, self._names)
+        return self._derivatives(fun, "fun", m=self.n, given=given, moves_t=True)
 
     @property
     def _threshold(self) -> Array:
@@ -373,7 +389,7 @@ class _Adjoint:
         total = np.zeros(self.k)
         for t, part, y, here in zip(times.tolist(), parts, self._sol.sol(times).T, mu.sol(places).T, strict=True):
             lam = here if self._algebraic else self._multiplier(t, here)
-            total += part * self._slope.transposed(t, y, piece.moving * lam)[self.n :]
+            total += part * self._of_parameters(t, y, piece.moving * lam)
             if g is not None:
                 total += part * g.transposed(t, y, np.ones(1))[self.n :]
         return total

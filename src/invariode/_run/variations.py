@@ -1,6 +1,6 @@
 """The sensitivities of a run: their equations, their tolerances, and what they do at events, as the core takes it.
 
-With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p. An event e(t, y, p) = 0 occurs at τ(p), with
+With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'. An event e(t, y, p) = 0 occurs at τ(p), with
 
     ∂τ/∂p = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),
 
@@ -24,7 +24,7 @@ from .._base.arguments import EPS, RTOL, Array, warn
 from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
-from .._functions.layout import Parameters, with_numbers
+from .._functions.layout import Parameters
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._laws.imposing import impose
@@ -34,13 +34,11 @@ from .._problem.events import Event, EventSpec, event_spec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning, Invariants
-from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
 from .algebraic import Algebraic, dense_mass
+from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
 
-#: A change of a parameter that a mass matrix which depends on it shows.
-_CHANGE = 1e-3
 #: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
 _AHEAD = 1e-6
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
@@ -205,6 +203,7 @@ def make_variations(
         for one, spec in zip(problem.invariants, specs, strict=True)
     ]
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
+    mass = about.of_mass(problem, rate)
     times = [EventTime(event, about, rate, weights) for event in problem.events]
     restored = restoration(problem, names, weights.threshold)
     jumps = [
@@ -228,7 +227,7 @@ def make_variations(
     tangents = [law.for_core for law in laws]
     for_core = _core.Variations(
         k=len(names),
-        slope=slope.for_core,
+        slope=slope.for_core if mass is None else WithMass(slope, mass),
         thresholds=np.ascontiguousarray(_absolute(y0, weights) / sizes[:, None]),
         invariants=tangents,
         jumps=[*jumps, *(one.jump for one in switches)],
@@ -263,10 +262,19 @@ class _Derivatives:
 
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
         """Those of a function."""
-        made = Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more)
-        self.how[called] = made.how
+        return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
+
+    def _note(self, made: Directional) -> Directional:
+        self.how[made.called] = made.how
         self.made.append(made)
         return made
+
+    def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
+        """Those of the mass matrix; None: it does not depend on the parameters."""
+        found = mass_derivatives(problem, self._names, rate)
+        if found is not None:
+            self._note(found.derivatives)
+        return found
 
     def tell(self) -> None:
         """A warning if some are differences."""
@@ -568,25 +576,15 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
             raise ValueError(
                 "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
             )
-    mass = problem.matrices.mass
-    t0, args = problem.t_span[0], problem.args
-    if callable(mass) and problem.events and Algebraic.of(dense_mass(mass, t0, args)) is not None:
-        raise ValueError(
-            "sensitivities are not possible with events and a singular mass matrix that is a function of t, since y' "
-            "of its algebraic components is not known where an event occurs: leave out the events, or solve the "
-            "algebraic equations in fun"
-        )
-    if not callable(mass):
+    mass, t0 = problem.matrices.mass, problem.t_span[0]
+    if not callable(mass) or Algebraic.of(dense_mass(mass, t0, problem.args)) is None or not moves_in_time(problem):
         return
-    own = [one for one in names if one.kind == "args"]
-    values = values_of(args, problem.y0, own)
-    for one, value in zip(own, values.tolist(), strict=True):
-        changed = value * (1 + _CHANGE) if value else _CHANGE
-        other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
-        if abs(as_matrix("mass", other, False) - as_matrix("mass", mass(t0, *args), False)).max() != 0:
+    for what, needed in (("events", bool(problem.events)), ("parameters in it", depends_on(problem, names))):
+        if needed:
             raise ValueError(
-                f"sensitivities: mass depends on {one.name}, and the derivative of a mass matrix is not known: solve "
-                "M y' = f for y' in fun, or leave the parameter out"
+                f"sensitivities are not possible with {what} and a singular mass matrix that is a function of t, since "
+                "y' of its algebraic components is not known: solve the algebraic equations in fun, or leave out the "
+                f"{what}"
             )
 
 
