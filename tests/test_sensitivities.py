@@ -663,8 +663,8 @@ def test_a_store_has_those_of_the_ensemble(times, tmp_path):
     np.testing.assert_array_equal(loaded.sensitivities, many.sensitivities)
     np.testing.assert_array_equal(loaded[1].sensitivities, many[1].sensitivities)
     assert loaded.sensitivity_names == store.to_xarray().sensitivity.values.tolist() == ["rate", "y0[0]"]
+    other = {**given, "sensitivities": True}
     with pytest.raises(ValueError, match="belongs to another problem: sensitivities"):
-        other = {**given, "sensitivities": True}
         iv.solve_ensemble(decay, (0, 1), **other, store=tmp_path / "store", chunk=2, resume=True)
 
 
@@ -785,6 +785,8 @@ def test_what_has_no_sensitivities_is_refused_by_name():
         ({"mass": lambda t, p: np.diag([p + t, 0.0])}, "parameters in it"),
     ):
         with pytest.raises(ValueError, match=f"with {what} and a singular mass matrix that is a function of t"):
-            iv.solve_ivp(lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3], (0, 1), [1.0, 2.0], "ode15s", **given, **more)
+            iv.solve_ivp(
+                lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3], (0, 1), [1.0, 2.0], "ode15s", **given, **more
+            )
     with pytest.raises(ValueError, match="has an argument 'y0'"):
         iv.solve_ivp(lambda t, y, y0: [y0 - y[0]], (0, 1), [2.0], args=(0.5,), sensitivities="y0")

@@ -34,7 +34,9 @@ def pendulum(length=1.0, gravity=9.81, **functions):
 
 def of_angle(rtol=1e-12):
     """∂(q, v)/∂(length, gravity) at the end, by the angle as the only coordinate."""
-    problem = iv.Problem(lambda t, y, length, g: [y[1], -g / length * np.sin(y[0])], (0, 1), [ANGLE, 0.0], args=(1, 9.81))
+    problem = iv.Problem(
+        lambda t, y, length, g: [y[1], -g / length * np.sin(y[0])], (0, 1), [ANGLE, 0.0], args=(1, 9.81)
+    )
     sol = problem.replace(sensitivities=True).solve("dop853", rtol=rtol, atol=rtol / 100)
     (a, w), S = sol.y[:, -1], sol.sensitivities[:, :, -1]
     sin, cos = np.sin(a), np.cos(a)

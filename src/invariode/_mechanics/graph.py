@@ -81,9 +81,7 @@ class OnTraces(TracedFunction):
         From the values of each function, as nodes, to those of this one.
     """
 
-    def __init__(
-        self, functions: Sequence[OfState], n_q: int, make: Callable[[list[list[Node]]], list[Node]]
-    ) -> None:
+    def __init__(self, functions: Sequence[OfState], n_q: int, make: Callable[[list[list[Node]]], list[Node]]) -> None:
         super().__init__(_InOne(functions, n_q), inplace=False, elementary="own", by="trace")
         self._counts, self._combine = [one.size for one in functions], make
 
@@ -224,4 +222,3 @@ def _square(values: list[Node], graph: Graph, n: int) -> list[list[Node]]:
     if len(values) == n * n:
         return [values[i * n : (i + 1) * n] for i in range(n)]
     return [[values[i] if i == j else graph.node(0.0) for j in range(n)] for i in range(n)]
-

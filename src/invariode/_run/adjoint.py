@@ -35,12 +35,13 @@ from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
-from .adjoint_laws import Laws
+from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, at_bounds
+from .adjoint_laws import Laws
 from .algebraic import Algebraic, dense_mass
-from .plan import ordered_breakpoints
 from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
-from .variations import Rate, Switching, followed, given_derivatives, require_possible
+from .plan import ordered_breakpoints
+from .variations import Switching, followed, given_derivatives, require_possible
 
 #: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
 _POINTS = 5
@@ -126,13 +127,16 @@ class _Adjoint:
             raise ValueError("gradient needs the continuous solution: solve with adjoint=True, or with dense_output")
         self._names = problem.parameters()
         self.n, self.k = len(problem.y0), len(self._names)
+        self._total: Array = np.zeros(self.k)  # what is known of the gradient
         self._at = Point(problem.t_span[0], problem.y0)
         require_possible(problem, self._names)
         fun, given = given_derivatives(problem, self._names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol)
-        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(self._sol, self._breakpoints, self._rests)
+        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(
+            self._sol, self._breakpoints, self._rests
+        )
         self._tell_of_jumps(bool(conditions))
 
     def _conditions(self) -> list[Switching]:
@@ -216,7 +220,7 @@ class _Adjoint:
     def _of_parameters(self, t: float, y: Array, w: Array) -> Array:
         """wᵀ (∂f/∂p − (∂M/∂p) y')."""
         found = self._slope.transposed(t, y, w)[self.n :]
-        return found if self._of_mass is None else found - self._of_mass(t, y) @ w
+        return np.asarray(found if self._of_mass is None else found - self._of_mass(t, y) @ w)
 
     @cached_property
     def _of_mass(self) -> MassDerivatives | None:
@@ -242,11 +246,11 @@ class _Adjoint:
     def gradient(self, objective: Objective) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
         self._g = g = None
+        self._total = objective.direct.astype(float)
         if objective.integrand is not None:
             self._g = g = self._derivatives(objective.integrand, "integrand", m=1, moves_t=False)
         t0, tf = self._problem.t_span[0], self._run.t
         states = self._sol.sol(objective.times)
-        self._total = objective.direct.astype(float)
         costs: dict[float, Array] = {}
         for t, cost in zip(objective.times.tolist(), objective.costs.T, strict=True):
             costs[t] = costs.get(t, 0) + cost

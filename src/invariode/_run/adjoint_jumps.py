@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,8 @@ from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
 from .._results.result import Result
-from .variations import Rate, Switching, given_derivatives, restoration
+from .actions import Rate, restoration
+from .variations import Switching, given_derivatives
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]
@@ -94,14 +95,29 @@ class Action(NamedTuple):
     t : float
         When.
     before : ndarray, (n,)
-        The state, before all actions of that time.
-    jump : callable
-        The state before this one -> its jump.
+        The state, before all of that time.
+    action : Directional
+        The derivatives of the action.
+    event : Directional or None
+        Those of the event, whose time moves; None: a breakpoint.
+    reholds : bool
+        As in `Jump`.
     """
 
     t: float
     before: Array
-    jump: Callable[[Array], Jump]
+    action: Directional
+    event: Directional | None
+    reholds: bool
+
+
+#: Relative differences of derivatives of times that are roundoff.
+_ALIKE = 1e-6
+
+
+def _at_one_time(actions: list[Action]) -> list[list[Action]]:
+    """Those of each time, in their order."""
+    return [[*those] for _, those in groupby(sorted(actions, key=lambda one: one.t), key=lambda one: one.t)]
 
 
 class Jumps:
@@ -145,30 +161,36 @@ class Jumps:
         Raises
         ------
         ValueError
-            A condition changes at the time of an action; several actions at one time with a singular mass matrix.
+            A condition changes at the time of an action; several actions at one time with a singular mass matrix, or
+            of events whose times differ for other parameters.
         """
-        actions = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
-        actions += [self._of_point(sol, one) for one in points if one.action is not None]
-        actions.sort(key=lambda one: float(self._forward * one.t))
+        events = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
+        actions = [self._of_point(sol, one) for one in points if one.action is not None]
         found: list[Jump] = []
-        for one in actions:
-            again = bool(found) and found[-1].t == one.t
-            if again and self._rate.is_singular:
-                raise ValueError(
-                    f"gradient: several actions are taken at t = {one.t:.6g}, which is not possible with a singular "
-                    "mass matrix: use sensitivities=, or make one action of them"
-                )
-            found.append(one.jump(found[-1].after if again else one.before))
-        moved = {one.t for one in found}
+        for together in sorted([*_at_one_time(events), *_at_one_time(actions)], key=lambda one: self._order(one[0])):
+            before, t = together[0].before, together[0].t
+            if found and found[-1].t == t:  # events come first
+                before = found[-1].after
+            singular = self._rate.is_singular and len(together) > 1
+            self._require(not singular, t, "together with others, and the mass matrix is singular")
+            found.append(self._jump(together, before))
         conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
-        if both := [one.t for one in conditions if one.t in moved]:
-            raise ValueError(
-                f"gradient: an action is taken at t = {both[0]:.6g}, where fun jumps too, and the adjoint does not know "
-                "their order: use sensitivities="
-            )
+        for one in conditions:
+            self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
         found += [*conditions, *(self._of_rest(sol, one) for one in rests)]
-        found.sort(key=lambda one: float(self._forward * one.t))
+        found.sort(key=self._order)
         return found
+
+    def _order(self, one: Action | Jump) -> float:
+        return float(self._forward * one.t)
+
+    @staticmethod
+    def _require(possible: bool, t: float, why_not: str) -> None:
+        if not possible:
+            raise ValueError(
+                f"gradient: an action is taken at t = {t:.6g}, {why_not}: use sensitivities=, or make one action of "
+                "what happens at that time"
+            )
 
     def _of_event(self, sol: Result, i: int) -> list[Action]:
         event = self._events[i]
@@ -176,32 +198,41 @@ class Jumps:
             return []
         times = self._derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
         action = self._derivatives(event.action, f"the action of event {event.__name__}", m=self._n, moves_t=True)
-        restored = self._restored if event.rehold else None
-
-        def jump(t: float, y: Array) -> Jump:
-            f, (h, after), e = self._rate(t, y), self._landing(action, restored, t, y), Partials.at(times, t, y)
-            moved = h.of_y @ f + h.of_t - self._rate(t, after)
-            rate = float(e.of_t[0] + e.of_y[0] @ f)
-            return self._jump(t, y, after, h, e, moved, rate, event.rehold)
-
         last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
         occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
-        return [Action(t, y, partial(jump, t)) for t, y in occurred]
+        return [Action(t, y, action, times, event.rehold) for t, y in occurred]
 
-    @staticmethod
-    def _landing(action: Directional, restored: Directional | None, t: float, y: Array) -> tuple[Partials, Array]:
-        """What leads to where the run goes on, and that state."""
-        h, after = Partials.at(action, t, y), action.value(t, y)
-        if restored is None:
-            return h, after
-        return h.into(Partials.at(restored, t, after)), restored.value(t, after)
+    def _of_point(self, sol: Result, point: Breakpoint) -> Action:
+        action = self._derivatives(point.action, "the action in breakpoints", m=self._n, moves_t=False)
+        before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
+        return Action(point.t, before, action, None, reholds=True)
 
-    def _jump(
-        self, t: float, y: Array, after: Array, h: Partials, e: Partials, moved: Array, rate: float, reholds: bool
-    ) -> Jump:
-        of_state, of_p = (-e.of_y[0] / rate, -e.of_p[0] / rate) if rate else (np.zeros(self._n), np.zeros(self._k))
+    def _jump(self, together: list[Action], before: Array) -> Jump:
+        """What actions at one time do, all of events or all at breakpoints; they begin in this state."""
+        n, k, y, t = self._n, self._k, before, together[0].t
+        reholds = all(one.reholds for one in together)
+        h = Partials(np.eye(n), np.zeros((n, k)), np.zeros(n))
+        for one in together:
+            h, y = h.into(Partials.at(one.action, t, y)), one.action.value(t, y)
+        if self._restored is not None and reholds:
+            h, y = h.into(Partials.at(self._restored, t, y)), self._restored.value(t, y)
+        of_state, of_p = self._time(together, before)
+        moved = h.of_y @ self._rate(t, before) + h.of_t - self._rate(t, y)
         A, B = h.of_y + np.outer(moved, of_state), h.of_p + np.outer(moved, of_p)
-        return Jump(t, y, after, A, B, of_state, of_p, reholds, moves=True)
+        return Jump(t, before, y, A, B, of_state, of_p, reholds, moves=True)
+
+    def _time(self, together: list[Action], y: Array) -> tuple[Array, Array]:
+        """∂τ as multiples of S⁻ and for each parameter."""
+        t, found = together[0].t, []
+        for one in together:
+            if one.event is None:
+                return np.zeros(self._n), np.zeros(self._k)
+            e = Partials.at(one.event, t, y)
+            rate = float(e.of_t[0] + e.of_y[0] @ self._rate(t, y)) or np.inf
+            found.append((-e.of_y[0] / rate, -e.of_p[0] / rate))
+        alike = all(np.allclose(np.concatenate(found[0]), np.concatenate(one), rtol=_ALIKE) for one in found)
+        self._require(alike, t, "together with that of another event, which has another time for other parameters")
+        return found[0]
 
     def _of_condition(self, sol: Result, i: int) -> list[Jump]:
         condition = self._conditions[i]
@@ -218,17 +249,6 @@ class Jumps:
             A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
             found.append(Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False))
         return found
-
-    def _of_point(self, sol: Result, point: Breakpoint) -> Action:
-        action = self._derivatives(point.action, "the action in breakpoints", m=self._n, moves_t=False)
-        before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
-        k, n = self._k, self._n
-
-        def jump(y: Array) -> Jump:
-            h, after = self._landing(action, self._restored, point.t, y)
-            return Jump(point.t, y, after, h.of_y, h.of_p, np.zeros(n), np.zeros(k), reholds=True, moves=True)
-
-        return Action(point.t, before, jump)
 
     def _of_rest(self, sol: Result, rest: Rest) -> Jump:
         """Where it begins: S_i is 0."""

@@ -553,7 +553,8 @@ def _variations(
     breakpoints: list[Breakpoint],
 ) -> Variations:
     """The sensitivities, if the problem asks for them."""
-    from .variations import Weights, make_variations, require_direct
+    from .actions import Weights
+    from .variations import make_variations, require_direct
 
     require_direct(options["linear_solver"])
     return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)

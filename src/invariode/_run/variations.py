@@ -1,61 +1,40 @@
 """The sensitivities of a run: their equations, their tolerances, and what they do at events, as the core takes it.
 
-With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'. An event e(t, y, p) = 0 occurs at τ(p), with
-
-    ∂τ/∂p = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),
-
-and behind its action y⁺ = h(τ, y⁻, p)
-
-    S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
-
-Where the run puts y⁺ back onto constraints, as after a blow against a mechanism, that is a part of h.
+With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'; for events and actions see `actions`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import EPS, RTOL, Array, warn
-from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
+from .._base.arguments import EPS, Array, warn
+from .._functions.compiled import NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
-from .._laws.imposing import impose
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, event_spec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
-from .._problem.invariants import AccuracyWarning, Invariants
+from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
 from .algebraic import Algebraic, dense_mass
 from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
 
-#: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
-_AHEAD = 1e-6
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
 _NEAR = 0.02
 #: Relative distance within which two conditions change together.
 _TOGETHER = 1e-9
-
-
-class Weights(NamedTuple):
-    """The weights of y in the error test, max(rtol |y_i|, rtol thr_i)."""
-
-    rtol: float
-    threshold: float | Array
-
-    def of(self, y: Array) -> Array:
-        """At a state."""
-        return self.rtol * np.maximum(np.abs(y), self.threshold)
 
 
 @dataclass
@@ -96,7 +75,7 @@ class Variations:
     tangents: list[Any]
     how: dict[str, str]
     times: list[EventTime]
-    actions: list[_Jump | None]
+    actions: list[ActionOfEvent | None]
     switches: list[EventSpec]
     log: list[tuple[float, str]]
     near: float
@@ -204,22 +183,8 @@ def make_variations(
     ]
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     mass = about.of_mass(problem, rate)
-    times = [EventTime(event, about, rate, weights) for event in problem.events]
-    restored = restoration(problem, names, weights.threshold)
-    jumps = [
-        None
-        if event.action is None
-        else _Jump(
-            about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True),
-            restored if event.rehold else None,
-            time,
-            rate,
-        )
-        for event, time in zip(problem.events, times, strict=True)
-    ]
-    actions = {id(one.action): one.action for one in points if one.action is not None}
-    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n), restored) for key, one in actions.items()}
-    doses = [made.get(id(point.action)) for point in points]
+    times = [EventTime(event, about.of, rate, weights) for event in problem.events]
+    jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
@@ -276,6 +241,36 @@ class _Derivatives:
             self._note(found.derivatives)
         return found
 
+    def of_actions(
+        self,
+        problem: Description,
+        points: Sequence[Breakpoint],
+        times: Sequence[EventTime],
+        rate: Rate,
+        restored: Directional | None,
+    ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
+        """What the actions of events, and at breakpoints, do to S."""
+        together, n = Together(), self._n
+        jumps = [
+            None
+            if event.action is None
+            else ActionOfEvent(
+                self.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True),
+                restored if event.rehold else None,
+                time,
+                rate,
+                together,
+            )
+            for event, time in zip(problem.events, times, strict=True)
+        ]
+        together = Together()
+        actions = {id(one.action): one.action for one in points if one.action is not None}
+        made = {
+            key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
+            for key, one in actions.items()
+        }
+        return jumps, [made.get(id(point.action)) for point in points]
+
     def tell(self) -> None:
         """A warning if some are differences."""
         rough = [called for called, how in self.how.items() if how.endswith("differences")]
@@ -286,142 +281,6 @@ class _Derivatives:
                 "give jac, and Sensitivities(dfdp=...)",
                 AccuracyWarning,
             )
-
-
-class Rate:
-    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these."""
-
-    def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
-        self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
-        self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
-        self._derivatives = None if self._algebraic is None else slope()
-
-    @property
-    def is_singular(self) -> bool:
-        """Whether M is."""
-        return self._algebraic is not None
-
-    def __call__(self, t: float, y: Array) -> Array:
-        f = self._slope(np.array([t]), y[:, None])[:, 0]
-        if self._algebraic is not None and self._derivatives is not None:
-            ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
-            return self._algebraic.rate(self._derivatives.jacobian(t, y), f, ft)
-        M = dense_mass(self._mass, t, self._args)
-        return f if M is None else np.asarray(np.linalg.solve(M, f))
-
-
-class EventTime:
-    """The derivatives of the times at which an event occurs."""
-
-    def __init__(self, event: Event, about: _Derivatives, rate: Rate, weights: Weights) -> None:
-        self._name, self._rate, self._weights = event.__name__, rate, weights
-        self._function = about.of(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
-        self._grazing: list[float] = []
-
-    def at(self, t: float, Y: Array) -> Array:
-        """∂τ/∂p for an occurrence, of shape (k,); 0 if the event does not cross zero."""
-        return self.with_slope(t, Y, self._rate(t, Y[0]))
-
-    def with_slope(self, t: float, Y: Array, f: Array) -> Array:
-        """The same with y' before the event."""
-        k = len(Y) - 1
-        rates = self._function.columns(
-            t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
-        )[:, 0]
-        if self._is_grazing(t, Y[0], f, rates[0], k):
-            self._grazing.append(t)
-        return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(k)
-
-    def _is_grazing(self, t: float, y: Array, f: Array, rate: float, k: int) -> bool:
-        """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
-        w, none = self._weights.of(y), np.zeros((2, k))
-        moved = self._function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
-        with np.errstate(all="ignore"):
-            ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
-            try:
-                there = y + ahead * f
-                then = self._function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
-            except (ValueError, ArithmeticError):  # f is not defined there
-                return rate == 0
-            bend = abs(then[0] - rate) / ahead
-        return bool(rate**2 <= 2 * bend * np.abs(moved).max())
-
-    def tell(self) -> None:
-        """A warning if the event has grazed zero, once for each occurrence."""
-        if self._grazing:
-            warn(
-                f"sensitivities: event {self._name} only grazes zero at t = {self._grazing[0]:.6g}: within the "
-                "tolerance it may not occur at all, and its time has no derivative there. Sensitivities are not "
-                "reliable from there on",
-                AccuracyWarning,
-            )
-            self._grazing.clear()
-
-
-class _Restored(CoreFunction):
-    """The state behind an action, moved onto the demanded values of invariants."""
-
-    def __init__(self, demanded: Sequence[Invariants], threshold: float | Array) -> None:
-        self._demanded, self._atol = demanded, RTOL * threshold
-        self.__name__ = "restored"
-
-    def __call__(self, t: float, y: Array, *args: Any) -> Array:
-        if np.iscomplexobj(y) or np.iscomplexobj(t):
-            raise TypeError("it is found by iterations, for real states")
-        return np.asarray(impose([*self._demanded], t, y, args=args, rtol=RTOL, atol=self._atol).y)
-
-
-def restoration(
-    problem: Description, names: Sequence[ParameterName], threshold: float | Array
-) -> Directional | None:
-    """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
-    differences, which do not depend on the tolerance."""
-    demanded = [one for one in problem.invariants if one.value is not None]
-    if not any(one.level > 0 for one in demanded):
-        return None
-    at, n = Point(problem.t_span[0], problem.y0), len(problem.y0)
-    return Directional(_Restored(demanded, threshold), problem.args, names, n, at=at, m=n, moves_t=True)
-
-
-@dataclass
-class _Jump:
-    """S behind the action of an event."""
-
-    _action: Directional
-    _restored: Directional | None
-    _time: EventTime
-    _rate: Rate
-    _log: list[tuple[float, Array]] = field(default_factory=list)
-
-    def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        f = self._rate(t, Y[0])
-        times = self._time.with_slope(t, Y, f)
-        parameters = np.eye(len(times))
-        moved = self._action.columns(t, Y[0], times, Y[1:] + np.outer(times, f), parameters)
-        if self._restored is not None:
-            moved = self._restored.columns(t, after, times, moved, parameters)
-            after = self._restored.value(t, after)
-        found: Array = moved - np.outer(times, self._rate(t, after))
-        self._log.append((t, found.T.copy()))
-        return found
-
-    def taken(self) -> dict[float, Array]:
-        """S (n, k) by the time of the occurrence, since the last call."""
-        found = dict(self._log)
-        self._log.clear()
-        return found
-
-
-@dataclass
-class _Dose:
-    """S behind the action at a breakpoint, whose time does not depend on parameters."""
-
-    _action: Directional
-    _restored: Directional | None
-
-    def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        moved, k = self._action.tangent(t, Y), len(Y) - 1
-        return moved if self._restored is None else self._restored.columns(t, after, np.zeros(k), moved, np.eye(k))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
