@@ -234,7 +234,7 @@ class _Adjoint:
 
     @property
     def _threshold(self) -> Array:
-        return np.asarray(self._sol._atol, dtype=float) / np.asarray(self._sol._rtol, dtype=float)
+        return np.asarray(np.asarray(self._sol._atol, dtype=float) / self._sol._rtol)
 
     def _weights(self, y: Array) -> Array:
         """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
