@@ -30,6 +30,7 @@ from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
 from .algebraic import Algebraic, dense_mass
 from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
+from .pairs import for_complex, in_complex, real_form, require_analytic
 
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
 _NEAR = 0.02
@@ -67,6 +68,8 @@ class Variations:
         Whether the conditions of f are known.
     derivatives_of : list of Directional
         Of all functions.
+    is_complex : bool
+        Whether the state is; `start` has pairs then.
     """
 
     names: list[str]
@@ -81,6 +84,7 @@ class Variations:
     near: float
     follows_jumps: bool
     derivatives_of: list[Directional]
+    is_complex: bool = False
 
     def tangent_nodes(self) -> list[Node]:
         """f_y S + f_p as a graph, of (t, Y).
@@ -127,7 +131,8 @@ class Variations:
 
     def tell_of_steps(self, t: Array, y: Array) -> None:
         """A warning if complex steps, which were tested at the start, are wrong in the middle or at the last output."""
-        points = [Point(float(t[i]), y[:, i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
+        rows = np.ascontiguousarray(y.T).view(float)
+        points = [Point(float(t[i]), rows[i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
         wrong = [one.called for one in self.derivatives_of if not all(map(one.takes_complex_at, points))]
         if wrong:
             warn(
@@ -139,16 +144,17 @@ class Variations:
 
     def in_words(self, message: str, component: int) -> str:
         """A message about a component of Y behind y."""
-        n = self.start.shape[1]
+        pairs = 1 + self.is_complex
+        n, component = self.start.shape[1] // pairs, component // pairs
         j, i = divmod(component - n, n)
         return message.replace(f"omponent {component}", f"omponent {i} of the sensitivity to {self.names[j]}", 1)
 
     def at_events(self, happened: Sequence[tuple[Array, Array]], n: int) -> AtEvents:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
         before, after, times = [], [], []
-        k = len(self.names)
+        k, n = len(self.names), n * (1 + self.is_complex)
         for (t, rows), time, action in zip(happened, self.times, self.actions, strict=True):
-            states = rows.reshape(len(t), 1 + k, n)
+            states = np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([time.at(*one) for one in zip(t.tolist(), states, strict=True)]).reshape(len(t), k))
             log = {} if action is None else action.taken()
@@ -156,6 +162,8 @@ class Variations:
             behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t.tolist()])
             after.append(behind.reshape(len(t), n, k))
             time.tell()
+        if self.is_complex:
+            before, after = ([in_complex(one, 1) for one in each] for each in (before, after))
         return AtEvents(before, after, times)
 
 
@@ -169,14 +177,20 @@ def make_variations(
     TypeError, ValueError
         An unknown parameter; a derivative of a wrong shape; something for which there are no sensitivities.
     """
-    wanted, names = problem.sensitivities, problem.parameters()
-    assert wanted is not None
+    names, sizes, is_complex = problem.parameters(), np.abs(y0), y0.dtype.kind == "c"
     require_possible(problem, names)
+    if is_complex:
+        problem, names, points = real_form(problem, points)
+        y0, sizes = y0.view(float), np.repeat(sizes, 2)
+    wanted = problem.sensitivities
+    assert wanted is not None
     t0, args, n = problem.t_span[0], problem.args, len(y0)
     at = Point(t0, y0)
     about = _Derivatives(args, names, n, at)
     fun, given = given_derivatives(problem, names)
     slope = about.of(fun, "fun", m=n, given=given)
+    if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
+        require_analytic(slope, at, of_start[0])
     laws = [
         about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
         for one, spec in zip(problem.invariants, specs, strict=True)
@@ -188,15 +202,16 @@ def make_variations(
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
-    sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
-    tangents = [law.for_core for law in laws]
+    scale = wanted.sizes(names, _default_sizes(names, problem, sizes, weights))
+    form = for_complex if is_complex else _as_it_is
+    tangents = [form(law.for_core, complex_values=False) for law in laws]
     for_core = _core.Variations(
         k=len(names),
-        slope=slope.for_core if mass is None else WithMass(slope, mass),
-        thresholds=np.ascontiguousarray(_absolute(y0, weights) / sizes[:, None]),
+        slope=form(slope.for_core if mass is None else WithMass(slope, mass)),
+        thresholds=np.ascontiguousarray(_absolute(y0, weights) / scale[:, None]),
         invariants=tangents,
-        jumps=[*jumps, *(one.jump for one in switches)],
-        breakpoints=doses,
+        jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
+        breakpoints=[form(one) for one in doses],
         error_test=wanted.error_test,
     )
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
@@ -209,12 +224,23 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
-        switches=[event_spec(one.event, n, parameters) for one in switches],
+        switches=[_condition(one, n, parameters, form) for one in switches],
         log=log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
         derivatives_of=about.made,
+        is_complex=is_complex,
     )
+
+
+def _as_it_is(function: Any, complex_values: bool = True) -> Any:
+    return function
+
+
+def _condition(one: Switching, n: int, parameters: Array, form: Callable[..., Any]) -> EventSpec:
+    """A condition of f as an event."""
+    found = event_spec(one.event, n, parameters)
+    return found._replace(fun=form(found.fun, complex_values=False), action=form(found.action))
 
 
 class _Derivatives:
@@ -505,10 +531,10 @@ def _dfdp(given: Any, problem: Description, names: Sequence[ParameterName]) -> A
     return fed(given, problem.inputs)
 
 
-def _default_sizes(names: Sequence[ParameterName], problem: Description, y0: Array, weights: Weights) -> Array:
-    """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
-    values = np.abs(values_of(problem.args, y0, names))
-    floor = np.broadcast_to(weights.threshold, y0.shape)
+def _default_sizes(names: Sequence[ParameterName], problem: Description, sizes: Array, weights: Weights) -> Array:
+    """|p|, 1 of a parameter that is zero; of initial values, of these sizes, at least atol / rtol."""
+    values = np.abs(values_of(problem.args, sizes, names))
+    floor = np.broadcast_to(weights.threshold, sizes.shape)
     for j, one in enumerate(names):
         if one.kind != "args":
             values[j] = max(values[j], floor[one.index])
