@@ -41,7 +41,6 @@ class _InOne:
         self._n_q = n_q
         self._functions = [_python(one) for one in functions]
         self._of_v = [one.of_v for one in functions]
-        self.size = sum(one.size for one in functions)
         self.__name__ = "mechanism"
 
     def __call__(self, t: Any, y: Any, *args: Any) -> Any:

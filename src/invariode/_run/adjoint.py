@@ -131,6 +131,11 @@ class _Adjoint:
         self._total: Array = np.zeros(self.k)  # what is known of the gradient
         self._at = Point(problem.t_span[0], problem.y0)
         require_possible(problem, self._names)
+        if any(law.sense for law in problem.invariants):
+            raise ValueError(
+                "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it "
+                "out"
+            )
         fun, given = given_derivatives(problem, self._names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()

@@ -22,7 +22,6 @@ from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, event_spec
-from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
@@ -456,11 +455,6 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
         )
-    for law in problem.invariants:
-        if law.sense:
-            raise ValueError(
-                "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
-            )
     mass, t0 = problem.matrices.mass, problem.t_span[0]
     if not callable(mass) or Algebraic.of(dense_mass(mass, t0, problem.args)) is None or not moves_in_time(problem):
         return
@@ -471,12 +465,6 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
                 "y' of its algebraic components is not known: solve the algebraic equations in fun, or leave out the "
                 f"{what}"
             )
-
-
-def require_direct(solver: object) -> None:
-    """That linear systems are solved with factors, which all columns of S share."""
-    if isinstance(solver, GMRES):
-        raise ValueError("sensitivities need linear_solver='direct': GMRES has no factors that their columns share")
 
 
 def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> tuple[Any, Given]:
