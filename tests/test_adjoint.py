@@ -138,6 +138,51 @@ def test_the_gradient_goes_through_impacts(method):
     both_ways(sol, rtol=100 * RTOL)
 
 
+@pytest.mark.parametrize("points", [True, False])
+def test_several_actions_at_one_time_are_taken_in_their_order(points):
+    """They do not commute, and the first moves y away from where the event is: as the one action composed of them."""
+
+    def first(t, y, k, c):
+        return [y[0] - 0.05 * y[1], k * y[1] + c * y[0]]
+
+    def second(t, y, k, c):
+        return [y[0] - 0.1 * y[1] ** 2 * k, y[1]]
+
+    def run(*actions):
+        events = [iv.Event(lambda t, y, k, c: y[0] - 0.6, direction=-1, action=one) for one in actions]
+        return iv.solve_ivp(
+            lambda t, y, k, c: [-k * y[0] + c * y[1], -y[1] * y[0]],
+            (0, 2),
+            [1.0, 0.5],
+            "dop853",
+            args=(0.8, 0.3),
+            rtol=RTOL,
+            atol=ATOL,
+            dense_output=True,
+            sensitivities=["k", "c", "y0"],
+            **({"breakpoints": [(0.5, one) for one in actions]} if points else {"events": events}),
+        )
+
+    sol, one = run(first, second), run(lambda t, y, k, c: second(t, first(t, y, k, c), k, c))
+    assert points or len(sol.t_events[0]) == len(sol.t_events[1]) == 1
+    np.testing.assert_allclose(sol.sensitivities[:, :, -1], one.sensitivities[:, :, -1], rtol=1e-12)
+    both_ways(sol, rtol=100 * RTOL)
+
+
+def test_actions_whose_events_come_apart_are_not_followed():
+    """At t = ½ for these parameters alone, which is a warning forwards and an error backwards."""
+    events = [
+        iv.Event(lambda t, y, a, b: t - a, action=lambda t, y, a, b: 2 * y),
+        iv.Event(lambda t, y, a, b: t - b, action=lambda t, y, a, b: y + 1),
+    ]
+    given = {"args": (0.5, 0.5), "events": events}
+    with pytest.warns(iv.AccuracyWarning, match="acts at t = 0.5 together with others"):
+        iv.solve_ivp(lambda t, y, a, b: -y, (0, 1), [1.0], **given, sensitivities=True)
+    sol = iv.solve_ivp(lambda t, y, a, b: -y, (0, 1), [1.0], **given, adjoint=True)
+    with pytest.raises(ValueError, match="another time for other parameters"):
+        sol.gradient([1.0])
+
+
 def test_an_integral_over_impacts_moves_with_their_times():
     """∫ y dt is one more component, which impacts leave as it is."""
     more = iv.Event(
@@ -259,6 +304,23 @@ def test_algebraic_equations_have_multipliers(method, doses):
     both_ways(sol, times=[0.0, 0.3, 10.0, 25.0, 40.0], rtol=1e-5)
 
 
+@pytest.mark.parametrize("singular", [False, True])
+def test_masses_are_parameters(singular):
+    sol = iv.solve_ivp(
+        lambda t, y, m, k: [-k * y[0] + y[1], y[0] ** 2 - y[1]],
+        (0, 1),
+        [0.5, 0.25],
+        "radau",
+        args=(2.0, 3.0),
+        mass=lambda t, m, k: [[m, 0.0 if singular else 0.1 * k], [0, 0.0 if singular else m * k]],
+        rtol=1e-9,
+        atol=1e-11,
+        sensitivities=True,
+        dense_output=True,
+    )
+    both_ways(sol, rtol=1e-7)
+
+
 def test_a_mass_matrix_that_depends_on_t():
     sol = iv.solve_ivp(
         predators,
@@ -298,18 +360,21 @@ def test_bounds_that_are_never_met_do_not_matter():
 
 
 def test_what_the_adjoint_does_not_follow_is_refused_by_name():
-    twice = [iv.Event(lambda t, y, *p: y[0] - 1.2, action=lambda t, y, *p: [y[0], y[1] + 1]) for _ in range(2)]
     singular = np.diag([1.0, 0.0])
+    twice = {"breakpoints": [(0.5, lambda t, y, k: [y[0] + 1, y[1]]), (0.5, lambda t, y, k: [2 * y[0], y[1]])]}
 
     def decay(t, y, k):
         return [-k * y[0], y[0] - y[1]]
 
-    given = {"args": (1.0,), "adjoint": True}
+    given, start = {"args": (1.0,), "adjoint": True}, (decay, (0, 1), [1.0, 1.0], "radau")
     for sol, message in (
-        (solved(events=twice), "several actions are taken at t"),
         (solved(adjoint=False), "adjoint=True"),
         (iv.solve_ivp(lambda t, y, k: [k * y[0] ** 2], (0, 2), [1.0], **given), "without success"),
-        (iv.solve_ivp(decay, (0, 1), [1.0, 1.0], "radau", mass=lambda t, k: singular, **given), "a function of t"),
+        (
+            iv.solve_ivp(*start, mass=lambda t, k: (1 + t) * singular, **given),
+            "a function of t",
+        ),
+        (iv.solve_ivp(*start, mass=singular, **twice, **given), "together with others"),
         (
             iv.solve_ivp(lambda t, y, k: [-k if y[0] > 0.5 else -2 * k], (0, 1), [1.0], "radau", mass=[[2.0]], **given),
             "fun jumps",

@@ -50,14 +50,15 @@ void fill_sizes(const double* x, std::size_t n, double* size) {
 }
 
 double reach(double t, const double* x, std::size_t n, double dt, const double* dx) {
-  if (!moves(dx, n)) return std::max(std::abs(t), 1.0) / std::abs(dt);
+  const double at_rest = std::max(std::abs(t), 1.0) / std::abs(dt);
+  if (!moves(dx, n)) return at_rest;
   double largest = 0, least = std::numeric_limits<double>::infinity();
   for (std::size_t j = 0; j < n; ++j) largest = std::max(largest, std::abs(x[j]));
   for (std::size_t j = 0; j < n; ++j) {
     const double size = largest > 0 ? std::max(std::abs(x[j]), smallest_part * largest) : 1;
     if (dx[j] != 0) least = std::min(least, size / std::abs(dx[j]));
   }
-  return least;
+  return std::isfinite(least) ? least : at_rest;  // a subnormal dx does not move x
 }
 
 Differentiable::Differentiable(const Forms& forms, std::size_t n, std::size_t m)

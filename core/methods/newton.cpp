@@ -80,7 +80,7 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       reach_(scratch_.size()) {
   if (linear.state) sensitivities_ = *linear.state->sensitivities;
   if (linear.krylov)
-    free_.emplace(f, weights, linear, complex);
+    free_.emplace(state_f_, weights_, linear, complex);
   else
     check_.emplace(extent_.n);
 }
@@ -535,11 +535,14 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
   sensitivity_convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(p));
+  if (const Result ready = look_at_product(); ready != Result::converged) return ready;
   for (;;) {
     const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
     if (evaluated != Result::converged) return evaluated;
     residual(place_.c, psi, d, n, all);
-    solve_blocks(*lu_, residual_.data(), n, all);
+    if (const Result solved = solve_columns(sensitivity_convergence_.goal(), residual_.data());
+        solved != Result::converged)
+      return solved;
     const double size = norm(residual_.data());
     for (std::size_t i = n; i < all; ++i) {
       d[i] += residual_[i];
@@ -551,6 +554,36 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
       case Convergence::Verdict::go_on: break;
     }
   }
+}
+
+/// J of matrix-free columns is that of the state where its iteration has ended, one f on from where f is known.
+Newton::Result Newton::look_at_product() {
+  if (!matrix_free()) return Result::converged;
+  if (!matrix_free()->product().given())
+    if (const Result evaluated = newton_result(evaluate_state(place_.t, place_.y, f_value_.data()));
+        evaluated != Result::converged)
+      return evaluated;
+  matrix_free()->product().at(place_.t, place_.y, f_value_.data());
+  return Result::converged;
+}
+
+/// The blocks of b behind the state become solutions. By GMRES each alone, in its own weights, about as far as `goal`
+/// lets the iteration end, with J where `product()` is.
+Newton::Result Newton::solve_columns(double goal, double* b) {
+  const std::size_t n = extent().n, all = extent().size();
+  if (!matrix_free()) {
+    solve_blocks(*lu_, b, n, all);
+    return Result::converged;
+  }
+  for (std::size_t block = n; block < all; block += n) {
+    count_solve();
+    const double* w = sensitivity_weight_.data() + block;
+    if (const Result ready = newton_result(precondition(b + block)); ready != Result::converged) return ready;
+    const Result solved =
+        newton_result(matrix_free()->solve(place_.c, mass_matrix(), w, linear_part * goal, b + block));
+    if (solved != Result::converged) return solved;
+  }
+  return Result::converged;
 }
 
 /// Whether J is tested after a first iteration, whose convergence was judged by an earlier rate. One that is not stiff
@@ -624,7 +657,8 @@ Newton::Result Newton::damp(double* v) {
   }
   Result result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
   if (result == Result::converged) result = newton_result(precondition(v));
-  return result == Result::converged ? solve_linear(linear_part * weights_.rtol(), v) : result;
+  if (result == Result::converged) result = solve_linear(linear_part * weights_.rtol(), v);
+  return result == Result::converged ? solve_columns(weights_.rtol(), v) : result;
 }
 
 /// c f − M (ψ + d) of the blocks from `first` to `end`, with f at hand.

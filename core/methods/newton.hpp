@@ -300,6 +300,8 @@ class Newton : public AgingJacobian {
   Result look(const double* psi, const double* d, double size, double before);
   [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
   Result solve_linear(double tolerance, double* b);
+  Result look_at_product();
+  Result solve_columns(double goal, double* b);
   Outcome precondition(double* b);
   void correct_for_c(double* b) const;
 

@@ -24,16 +24,12 @@ void require_variations(const Problem& problem) {
   require(variations.tolerance.size() == variations.k * problem.n,
           "tolerances of sensitivities do not fit " + std::to_string(variations.k) + " parameters of a problem of " +
               std::to_string(problem.n));
-  for (const InvariantBlock& block : problem.invariants) {
+  for (const InvariantBlock& block : problem.invariants)
     require(static_cast<bool>(block.tangent), "an invariant has no tangent for the sensitivities");
-    require(block.sense == 0, "sensitivities are not known beside invariants that may only rise or fall");
-  }
   for (const EventFunction& event : problem.events)
     require(!event.action || event.jump, "an event has an action and no jump of the sensitivities");
   for (const Breakpoint& point : problem.breakpoints)
     require(!point.action || point.jump, "a breakpoint has an action and no jump of the sensitivities");
-  require(!problem.linear || !problem.linear->krylov,
-          "sensitivities need exact solutions of linear systems: use linear_solver='direct'");
 }
 
 void require_series(const Method& method, const Problem& problem) {

@@ -52,6 +52,14 @@ Status TangentProjector::hold(double t, const double* Y) {
   return Status::ok;
 }
 
+Status TangentProjector::lower(const Projector& state, double t, const double* Y) {
+  if (evaluate(t, Y, value_.data()) == Status::stop) return Status::stop;
+  for (std::size_t j = 0; j < extent_.k; ++j)
+    for (std::size_t i = 0; i < m_; ++i)
+      if (state.idle(i)) rate_[j * m_ + i] = value_[j * m_ + i];
+  return Status::ok;
+}
+
 Outcome TangentProjector::onto(Projector& state, double t, const double* target, double* Y) {
   for (int correction = 0; correction < most_corrections; ++correction) {
     if (evaluate(t, Y, value_.data()) == Status::stop) return Outcome::stop;
@@ -78,7 +86,7 @@ bool TangentProjector::off_tangent(const Projector& state, const double* S, cons
   for (std::size_t i = 0; i < m_; ++i) {
     const double value = residual[i];
     residual[i] -= target[i];
-    if (state.left_out(i)) continue;
+    if (state.left_out(i) || state.idle(i)) continue;
     const double terms = size_of_terms(std::abs(value) + std::abs(target[i]), invariants_.row(i, J), S);
     off = off || std::abs(residual[i]) > eps * terms;
   }

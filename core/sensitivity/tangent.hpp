@@ -29,6 +29,9 @@ class TangentProjector {
 
   /// dc/dp of what is held becomes G S_j + g_pj at (t, Y); of what is demanded it is 0.
   Status hold(double t, const double* Y);
+  /// The step to (t, Y) stands, to which `state` has projected: what may only rise or fall and did not take part is
+  /// held there from now on.
+  Status lower(const Projector& state, double t, const double* Y);
   /// After `state`, a projector of the same invariants, has moved the state at t: moves S to dc/dp.
   Outcome follow(Projector& state, double t, double* Y) { return onto(state, t, rate_.data(), Y); }
   /// The same to other values of G S_j + g_pj, (k, m).

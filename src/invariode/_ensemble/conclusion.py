@@ -52,17 +52,12 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
         _trajectories=_trajectories(plan, task, found),
         _final=times is None,
         _labels=plan.called.labels,
-        _sensitivities=None if plan.varied is None else _sensitivities(plan.varied.names, found, times is None),
+        _sensitivities=None
+        if plan.varied is None
+        else EnsembleSensitivities.of(plan.varied.names, None if times is None else found.S, found.S_end, found.status),
     )
     remarks.conclude(result, on_failure)
     return result
-
-
-def _sensitivities(names: list[str], found: Outcomes, final: bool) -> EnsembleSensitivities:
-    failed = (found.status < 0)[:, None, None, None]
-    return EnsembleSensitivities(
-        names, np.where(failed, np.nan, found.S_end[..., None]) if final else found.S, found.S_end
-    )
 
 
 class Remarks:

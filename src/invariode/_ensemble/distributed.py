@@ -168,8 +168,6 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
     """All rows, with their results in a store."""
-    if ensemble.problem.sensitivities is not None:
-        raise ValueError("sensitivities of an ensemble are not kept in a store: leave out store")
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
     with writer:
@@ -225,6 +223,7 @@ def _layout(run: _Parted) -> Layout:
         "inputs": problem.inputs,
         **vars(problem.matrices),
         **({"args": args} if isinstance(args, tuple) else {}),
+        **({} if problem.sensitivities is None else {"sensitivities": problem.sensitivities}),
     }
     times = plan.settings.times
     names = {
@@ -232,6 +231,7 @@ def _layout(run: _Parted) -> Layout:
         "parameter": parameter_names(problem.fun, args, len(problem.inputs)),
         "invariant": plan.names[: len(plan.bound)],
         "event": plan.called.events,
+        "sensitivity": [] if plan.varied is None else plan.varied.names,
     }
     t = np.array([plan.settings.tf]) if times is None else times
     return Layout(in_words(about), names, t, y0.dtype, times is not None)

@@ -86,8 +86,6 @@ class Outcomes:
             self.events[e] = in_order(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
-#: Those of sensitivities, which stores do not hold.
-OF_SENSITIVITIES = ("S", "S_end")
 #: The arrays of `Outcomes` that every run fills.
 ROWS = tuple(
     field.name

@@ -256,7 +256,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
         after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
     times = 0 if plan.settings.times is None else len(plan.settings.times)
-    at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan)
+    at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan, y.dtype)
     reached = min(len(t), times)
     at_times[:, :reached], S_at_times[:, :, :reached] = y[:, :reached], S[:, :, :reached]
     return {
@@ -284,8 +284,8 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
     why = "functions are in Python" if plan.varied is None else "sensitivities are computed with each trajectory"
     return Outcomes(
         y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
-        S=np.full((size, n, k, count), np.nan),
-        S_end=np.full((size, n, k), np.nan),
+        S=np.full((size, n, k, count), np.nan, dtype=task.y0.dtype),
+        S_end=np.full((size, n, k), np.nan, dtype=task.y0.dtype),
         t_end=np.full(size, plan.settings.t0, dtype=float),
         y_end=np.full_like(task.y0, np.nan),
         status=np.full(size, _RAISED, dtype=np.int8),

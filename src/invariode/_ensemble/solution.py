@@ -167,6 +167,13 @@ class EnsembleSensitivities(NamedTuple):
     values: Array  # as y, (N, n, k, n_t)
     end: Array  # (N, n, k)
 
+    @classmethod
+    def of(cls, names: list[str], at_times: Array | None, end: Array, status: Array) -> EnsembleSensitivities:
+        """Those at times, or where trajectories ended, unless they failed."""
+        if at_times is None:
+            at_times = np.where((status >= 0)[:, None, None, None], end[..., None], np.nan)
+        return cls(names, at_times, end)
+
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleSolution:
@@ -504,8 +511,8 @@ _ENSEMBLE = Kind(
         "final": Field(bool, of=attrgetter("_final")),
         "labels": Field(list[str] | None, of=attrgetter("_labels")),
         "parameters": Field(Annotated[list[str], "parameter"] | None, of=_of_sensitivities("names")),
-        "S": Field(float, "trajectory component parameter t", _of_sensitivities("values"), optional=True),
-        "S_end": Field(float, "trajectory component parameter", _of_sensitivities("end"), optional=True),
+        "S": Field(None, "trajectory component parameter t", _of_sensitivities("values"), optional=True),
+        "S_end": Field(None, "trajectory component parameter", _of_sensitivities("end"), optional=True),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,

@@ -18,13 +18,23 @@ from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
 from .._results.saving import apart, together
-from .outcomes import OF_SENSITIVITIES, ROWS, Outcomes, counts_by_name
-from .solution import OF_TRAJECTORIES, EnsembleEvents, EnsembleSolution, EnsembleStats, final_states, none_of
+from .outcomes import ROWS, Outcomes, counts_by_name
+from .solution import (
+    OF_TRAJECTORIES,
+    EnsembleEvents,
+    EnsembleSensitivities,
+    EnsembleSolution,
+    EnsembleStats,
+    final_states,
+    none_of,
+)
 from .sources import Part, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import xarray
 
+#: The coordinates that checks of shapes refer to.
+_SIZED = ("component", "invariant", "t", "sensitivity")
 #: What a store says that is being made.
 _UNFINISHED = "invariode store, unfinished"
 #: The version in which what an array holds where nothing was written is no missing value.
@@ -40,7 +50,11 @@ _ROWS = {
     "clipped_amount": Field(float, "trajectory"),
     "stiff_since": Field(float, "trajectory"),
     "discontinuity": Field(float, "trajectory"),
+    "S": Field(None, "trajectory component sensitivity t"),
+    "S_end": Field(None, "trajectory component sensitivity"),
 }
+#: Those at the times of `t_eval`.
+_AT_TIMES = ("y", "S")
 
 
 #: And what it says of itself.
@@ -60,7 +74,7 @@ class Layout(NamedTuple):
     """What the arrays of a store are, and what problem they are of."""
 
     about: dict[str, Any]  # what describes the problem, its method and options, in text and numbers
-    names: dict[str, list[str]]  # the coordinates 'component', 'parameter', 'invariant' and 'event'
+    names: dict[str, list[str]]  # the coordinates 'component', 'parameter', 'invariant', 'event' and 'sensitivity'
     t: Array  # the times of y
     dtype: np.dtype[Any]  # of y
     times: bool  # `t_eval` was given; otherwise only the final states are kept
@@ -73,7 +87,7 @@ class Layout(NamedTuple):
         }
         for name, field in _ROWS.items():
             shape = tuple(sizes[one] for one in field.dimensions[1:])
-            if 0 in shape or (name == "y" and not self.times):
+            if 0 in shape or (name in _AT_TIMES and not self.times):
                 continue
             dtype = np.dtype(field.type or self.dtype)
             yield name, shape, dtype, UNSOLVED if name == "status" else np.nan if dtype.kind in "fc" else 0
@@ -321,7 +335,8 @@ class EnsembleStore:
         -------
         xarray.Dataset
             `y0`, `y_end` and, with `t_eval`, `y` by trajectory, component and t, `args` by parameter, `status` and the
-            like, `counts` by their names; -128 is the status of a trajectory that is not solved yet.
+            like, `counts` by their names; -128 is the status of a trajectory that is not solved yet. With
+            `sensitivities`, `S_end` and `S` have one more dimension, "sensitivity".
 
         Raises
         ------
@@ -350,21 +365,32 @@ class EnsembleStore:
             raise ValueError(f"{missing} trajectories are not solved yet: solve them with resume=True")
         size, group = len(self), self._group
         with damage_of(self.path):
-            sizes = {name: group[name].shape[0] for name in ("component", "invariant", "t") if name in group}
+            sizes = {name: group[name].shape[0] for name in _SIZED if name in group}
             for name in _ROWS.keys() & set(group.array_keys()):
                 if not _ROWS[name].fits(group[name], sizes | {"count": len(_core.COUNTS)}):
                     raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
-        kept = [name for name in (*ROWS, "attempt") if name not in OF_SENSITIVITIES]
-        held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in kept}
+        held = {
+            name: group[name][:size] if name in group else np.zeros((size, m))
+            for name in (*ROWS, "attempt")
+            if name not in ("S", "S_end")
+        }
         of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
         y = held["y"] if times else final_states(held["y_end"], held["status"])
         counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, **of_stats)
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
+        about["_sensitivities"] = self._sensitivities(held["status"])
         of_y = {"t": group["t"][:], "y": y, "_final": not times, "_labels": group["component"][:].tolist()}
         return EnsembleSolution(**{**held, **about, **of_y})
+
+    def _sensitivities(self, status: Array) -> EnsembleSensitivities | None:
+        group, size = self._group, len(self)
+        if "sensitivity" not in group:
+            return None
+        at_times, end = group["S"][:size] if "S" in group else None, group["S_end"][:size]
+        return EnsembleSensitivities.of(group["sensitivity"][:].tolist(), at_times, end, status)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

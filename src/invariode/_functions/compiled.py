@@ -55,6 +55,10 @@ class CoreFunction:
         `weights`: the tolerances of y, of its shape."""
         return None
 
+    def on_graph(self) -> CompiledFunction | None:
+        """The same function for those who trace it, for its derivatives; None: there is none."""
+        return None
+
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
         """What the core takes in its place, for n components and `size` values."""
         raise NotImplementedError

@@ -319,7 +319,9 @@ def _with_graph(fun: Any) -> Any:
     if isinstance(inside, OnGraph):
         return fun
     compiled = isinstance(inside, CompiledFunction)
-    if isinstance(inside, CoreFunction) or (is_native(inside) and not compiled):
+    if isinstance(inside, CoreFunction):
+        return inside.on_graph()
+    if is_native(inside) and not compiled:
         return None
     python = inside.fun if compiled else getattr(inside, "py_func", inside)  # numba's
     formula = isinstance(python, Formula)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, CoreFunction, is_native, native_parameters, to_native
 from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
+from .._functions.graph.function import TracedFunction
+from .graph import GraphsOfMotion, OfState, of_state
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
@@ -26,6 +29,9 @@ _BESIDE = (0.1, -0.07)
 _WATCHED = 200
 _VIOLATED = 100
 _ROUNDOFF = 1e-11
+
+#: What the slope of a problem takes before further arguments.
+_STATE = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in ("t", "y")]
 
 Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
 
@@ -88,7 +94,7 @@ class Motion:
         self.n_q, self.n_v = len(start.q), len(start.v)
         called = [one for one in functions[:-1] if one is not None]
         self.native = any(map(is_native, called))
-        self._called = called
+        self._called, self._force = called, functions.force
         p = self._parameters(start.args)
         self._core_functions: dict[str, Any] = {"mass": None, "jacobian": None}
         self._core_functions["force"] = to_native(
@@ -110,12 +116,25 @@ class Motion:
         self.names = [f"constraint {i + 1}" for i in range(self.m)]
         self.kept = np.ones(self.m, dtype=bool)
         self._sparse = True
+        self._graphs = self._graphs_of(functions)
         self._specs: dict[bytes, _core.Mechanics] = {}
         self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
         self._idle: list[tuple[tuple[Any, ...], bytes, _core.Motion]] = []
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_specs": {}, "_parts": {}, "_idle": []}  # what belongs to the core is made again
+
+    @property
+    def further(self) -> list[inspect.Parameter]:
+        """The arguments of the force after t, q and v; any number of them, where it does not name them."""
+        compiled = isinstance(self._force, CompiledFunction)
+        first = 3 + bool(compiled and self._force.inplace)
+        with suppress(TypeError, ValueError):  # machine code
+            python = self._force.fun if compiled else self._force
+            found = [*inspect.signature(python).parameters.values()][first:]
+            if not compiled or len(found) != 1:  # it may be an array of all of them
+                return found
+        return [inspect.Parameter("args", inspect.Parameter.VAR_POSITIONAL)]
 
     # ------------------------------------------------------------------------------------------------------------------
     # The user's functions
@@ -175,6 +194,24 @@ class Motion:
                 self._patterns["constraints"] = compressed(
                     known + _dense(_pattern_of_matrix(jacobian, start, shape), self.m_phi)
                 )
+
+    def _graphs_of(self, functions: Functions) -> GraphsOfMotion:
+        given = {
+            "force": OfState(functions.force, True, self.n_v),
+            "constraints": OfState(functions.constraints, False, self.m_phi),
+            "velocity_constraints": OfState(functions.velocity_constraints, True, self.m_psi),
+            "kinematics": OfState(functions.kinematics, True, self.n_q if self.has_map else 0),
+        }
+        if self._mass_writes == "nothing":
+            return GraphsOfMotion(self.n_q, self.n_v, given, _dense(self._mass, self.n_v))
+        if self._mass_writes != "entries":
+            size = self.n_v if self._mass_writes == "diagonal" else self.n_v**2
+            given["mass"] = OfState(functions.mass, False, size)
+        return GraphsOfMotion(self.n_q, self.n_v, given)
+
+    def on_graph(self, part: str) -> TracedFunction | None:
+        """The slope or a law for those who trace it; None: it depends on machine code, or on sparse matrices."""
+        return self._graphs.of(part, self.kept)
 
     def _parameters(self, args: tuple[Any, ...]) -> Array:
         return native_parameters(args, self._called)
@@ -323,6 +360,7 @@ class MotionFunction(CoreFunction):
     def __init__(self, motion: Motion, part: str) -> None:
         self._motion, self._part, self.functions = motion, part, motion._called
         self.__name__ = self.__qualname__ = "mechanism" if part == "slope" else part
+        self.__signature__ = inspect.Signature([*_STATE, *motion.further])
 
     def __repr__(self) -> str:
         return f"<the {self._part.replace('_', ' ')} of a mechanical system>"
@@ -344,6 +382,9 @@ class MotionFunction(CoreFunction):
     def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
         """How the derivatives of the constraints are formed."""
         return self._motion.derivatives
+
+    def on_graph(self) -> TracedFunction | None:
+        return self._motion.on_graph(self._part)
 
     def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
         """That a constraint which was redundant at the start, and so is not imposed, does not hold any more."""
@@ -381,6 +422,9 @@ class FunctionOfState(CoreFunction):
     @property
     def native(self) -> bool:  # type: ignore[override]  # a constant for others
         return is_native(self._function)
+
+    def on_graph(self) -> TracedFunction | None:
+        return of_state(OfState(self._function, True, 1), self._n_q)
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
         return to_native(self.__name__, self._function, n, size, parameters, second=self._n_v) if self.native else self

@@ -121,6 +121,13 @@ class Description:
         if self.sensitivities is not None and self.args:
             self.parameters()
 
+    def require_real(self, what: str) -> None:
+        """That the states are real numbers, for what is not defined for complex ones."""
+        if self.y0.dtype.kind == "c":
+            raise ValueError(
+                f"{what} is for real problems, and y0 is complex: write the problem in real and imaginary parts"
+            )
+
     def parameters(self) -> tuple[ParameterName, ...]:
         """Those of the sensitivities, in their order; without these none."""
         return self._parameters
@@ -129,10 +136,6 @@ class Description:
     def _parameters(self) -> tuple[ParameterName, ...]:
         if self.sensitivities is None:
             return ()
-        if self.y0.dtype.kind == "c":
-            raise ValueError(
-                "sensitivities are for real problems, and y0 is complex: write the problem in real and imaginary parts"
-            )
         named = self.sensitivities.names
         return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.inputs))
 

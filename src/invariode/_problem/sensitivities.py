@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, flag, items, real_numbers, shown
+from .._base.arguments import Array, flag, items, numbers, real_numbers, shown
 from .._base.suggestions import meant
 from .parameters import Y0, ParameterName, parameter_names
 
@@ -82,7 +82,7 @@ class Sensitivities:
         if self.dfdp is not None and not callable(self.dfdp):
             raise TypeError(f"dfdp of Sensitivities must be a function dfdp(t, y, *args), got {shown(self.dfdp)}")
         if self.dy0dp is not None and not callable(self.dy0dp):
-            object.__setattr__(self, "dy0dp", real_numbers("dy0dp of Sensitivities", self.dy0dp))
+            object.__setattr__(self, "dy0dp", numbers("dy0dp of Sensitivities", self.dy0dp))
 
     def names(
         self, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int = 2
@@ -138,7 +138,7 @@ class Sensitivities:
                 S[one.index, j] = 1
         if self.dy0dp is None:
             return S
-        given = real_numbers("dy0dp", self.dy0dp(*args)) if callable(self.dy0dp) else np.asarray(self.dy0dp)
+        given = real_numbers("dy0dp", self.dy0dp(*args) if callable(self.dy0dp) else self.dy0dp)
         if given.ndim == 1 and len(own) == 1:
             given = given[:, None]
         if given.shape != (n, len(own)):

@@ -363,7 +363,9 @@ class DenseSolution:
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         rows = self._invariants.evaluate(self._dense, np.atleast_1d(times))
-        found = states_and_sensitivities(rows.T, self._dense.n, self._dense.parameters)[1]
+        columns = as_columns(rows, self._dtype)
+        n = self._dense.n * len(columns) // rows.shape[1]
+        found = states_and_sensitivities(columns, n, self._dense.parameters)[1]
         return found[:, :, 0] if times.ndim == 0 else found
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:

@@ -87,7 +87,8 @@ def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
         for i, one in enumerate(each):
             one |= {name: found[i] for name, found in S.events._asdict().items()}
         n, k = len(sol.y), len(S.names)
-        none |= {"before": np.zeros((0, n, k)), "after": np.zeros((0, n, k)), "times": np.zeros((0, k))}
+        nothing = np.zeros((0, n, k), dtype=sol.y.dtype)
+        none |= {"before": nothing, "after": nothing, "times": np.zeros((0, k))}
     return None if sol.t_events is None else len(each), together(each, none)
 
 
@@ -143,19 +144,19 @@ END = {
     "next_h": Field(float | None, of=_of_origin("next_h"), within=(0, math.inf)),
     "memory_version": Field(int | None, of=_of_origin("memory_version")),
     "y_end": Field(None, "component", _of_origin("y"), optional=True),
-    "S_end": Field(float, "component parameter", _of_sensitivities("end"), optional=True),
+    "S_end": Field(None, "component parameter", _of_sensitivities("end"), optional=True),
     "memory": Field(np.uint8, "byte", _memory, optional=True),
 }
 #: and what it has left behind.
 OUTPUT = {
     "t": Field(float, "t"),
     "y": Field(None, "component t"),
-    "S": Field(float, "component parameter t", _of_sensitivities("values"), optional=True),
+    "S": Field(None, "component parameter t", _of_sensitivities("values"), optional=True),
     "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
     "events": Field(Annotated[int, "event"] | None, GROUP, _events),
     **OCCURRENCES,
-    "events.before": Field(float, "occurrence component parameter", _of_group, optional=True),
-    "events.after": Field(float, "occurrence component parameter", _of_group, optional=True),
+    "events.before": Field(None, "occurrence component parameter", _of_group, optional=True),
+    "events.after": Field(None, "occurrence component parameter", _of_group, optional=True),
     "events.times": Field(float, "occurrence parameter", _of_group, optional=True),
     "jumps.row": Field(np.int64, "jump", lambda sol: [jump.row for jump in sol._invariants.jumps], within=(0, "t")),
     "jumps.t": Field(float, "jump", lambda sol: [jump.t for jump in sol._invariants.jumps]),

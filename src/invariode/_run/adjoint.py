@@ -13,16 +13,12 @@ Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and B
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
 such a jump where it arrives, and its equation has no part in the others.
 
-Where a solution is held on r(t, y, p) = c(p), its sensitivities are tangent: R S = c' − ∂r/∂p. So ∂G/∂y enters by its
-tangential part alone, ∂G/∂y − νᵀ R with ν = (R W² Rᵀ)⁺ R W² (∂G/∂y)ᵀ, and the rest is νᵀ (c' − ∂r/∂p): the transpose of
-what the run does to S in a step that ends there. c' is R S + ∂r/∂p where the value has been taken, at the start or
-behind an action, so that ν is carried there.
+Where a solution is held on invariants, costs go through the projection of its sensitivities (`adjoint_laws`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -31,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import LEAST_RTOL, Array, quietly, real_numbers, shown, warn
 from .._base.types import MethodName
-from .._functions.directional import Directional, Given, Point
+from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
@@ -39,8 +35,11 @@ from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
+from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, at_bounds
+from .adjoint_laws import Laws
 from .algebraic import Algebraic, dense_mass
+from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
 from .plan import ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
 
@@ -106,6 +105,7 @@ def gradient(
 ) -> Array:
     """See `Solution.gradient`."""
     problem = run.problem
+    problem.require_real("gradient")
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
@@ -128,13 +128,21 @@ class _Adjoint:
             raise ValueError("gradient needs the continuous solution: solve with adjoint=True, or with dense_output")
         self._names = problem.parameters()
         self.n, self.k = len(problem.y0), len(self._names)
+        self._total: Array = np.zeros(self.k)  # what is known of the gradient
         self._at = Point(problem.t_span[0], problem.y0)
         require_possible(problem, self._names)
+        if any(law.sense for law in problem.invariants):
+            raise ValueError(
+                "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it "
+                "out"
+            )
         fun, given = given_derivatives(problem, self._names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol)
-        self._jumps = Jumps(problem, self._derivatives, conditions).of(self._sol, self._breakpoints, self._rests)
+        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(
+            self._sol, self._breakpoints, self._rests
+        )
         self._tell_of_jumps(bool(conditions))
 
     def _conditions(self) -> list[Switching]:
@@ -183,7 +191,7 @@ class _Adjoint:
         """The algebraic equations of a singular M."""
         mass = self._problem.matrices.mass
         found = Algebraic.of(dense_mass(mass, self._at.t, self._problem.args))
-        if found is not None and callable(mass):
+        if found is not None and moves_in_time(self._problem):
             raise ValueError(
                 "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
             )
@@ -197,13 +205,8 @@ class _Adjoint:
     # ------------------------------------------------------------------------------------------------- on the manifold
 
     @cached_property
-    def _laws(self) -> list[_Law]:
-        found = []
-        for one in self._problem.invariants:
-            jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
-            law = self._derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
-            found.append(_Law(law, one.value is not None, np.zeros(law.m)))
-        return found
+    def _laws(self) -> Laws:
+        return Laws(self._problem, self._derivatives, self._weights)
 
     @cached_property
     def _start(self) -> Array:
@@ -211,46 +214,37 @@ class _Adjoint:
         assert self._problem.sensitivities is not None
         return self._problem.sensitivities.start(self._names, self._problem.args, self.n)
 
-    def _tangential(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
-        """The tangential part of ∂G/∂y, and what the rest adds to the gradient here; what it adds where the laws took
-        their values is carried by them."""
-        if not laws:
-            return cost, np.zeros(self.k)
-        R = np.vstack([one.law.jacobian(t, y) for one in laws])
-        w = self._weights(y)
-        nu = np.linalg.lstsq(w[:, None] * R.T, w * cost, rcond=None)[0]
-        beside, place = np.zeros(self.k), 0
-        for one in laws:
-            own = nu[place : place + one.law.m]
-            place += one.law.m
-            beside -= own @ one.of_parameters(t, y)
-            if not one.demanded:
-                one.carried = one.carried + own
-        return cost - R.T @ nu, beside
-
-    def _taken(self, t: float, y: Array, mu: Array) -> tuple[Array, Array]:
-        """μ where laws take their values, with what they carry, and what that adds to the gradient."""
-        total = np.zeros(self.k)
-        for one in self._laws:
-            if not one.demanded:
-                mu = mu + one.law.jacobian(t, y).T @ one.carried
-                total += one.carried @ one.of_parameters(t, y)
-                one.carried = np.zeros(one.law.m)
-        return mu, total
-
-    def _projected(self, t: float, y: Array, cost: Array, laws: Sequence[_Law]) -> tuple[Array, Array]:
-        """The cost as that of tangential and differential components alone, and what the rest adds."""
-        cost, beside = self._tangential(t, y, cost, laws)
+    def _differential(self, t: float, y: Array, cost: Array) -> Array:
+        """The cost as that of differential components alone; what the others add is counted."""
         if self._algebraic is None:
-            return cost, beside
+            return cost
         J = self._slope.jacobian(t, y)
         cost, multiplier = self._algebraic.differential(J, cost)
-        return cost, beside + self._slope.transposed(t, y, multiplier)[self.n :]
+        self._total = self._total + self._of_parameters(t, y, multiplier)
+        return cost
+
+    def _of_parameters(self, t: float, y: Array, w: Array) -> Array:
+        """wᵀ (∂f/∂p − (∂M/∂p) y')."""
+        found = self._slope.transposed(t, y, w)[self.n :]
+        return np.asarray(found if self._of_mass is None else found - self._of_mass(t, y) @ w)
+
+    @cached_property
+    def _of_mass(self) -> MassDerivatives | None:
+        return mass_derivatives(self._problem, self._names, Rate(self._problem, lambda: self._moving_slope))
+
+    @property
+    def _moving_slope(self) -> Directional:
+        """The derivatives of f, also with respect to t."""
+        fun, given = given_derivatives(self._problem, self._names)
+        return self._derivatives(fun, "fun", m=self.n, given=given, moves_t=True)
+
+    @property
+    def _threshold(self) -> Array:
+        return np.asarray(np.asarray(self._sol._atol, dtype=float) / self._sol._rtol)
 
     def _weights(self, y: Array) -> Array:
         """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
-        rtol, atol = (np.asarray(one, dtype=float) for one in (self._sol._rtol, self._sol._atol))
-        w = np.maximum(np.abs(y), atol / rtol)
+        w = np.maximum(np.abs(y), self._threshold)
         return np.where(w == 0, w.max() or 1.0, w)
 
     # ------------------------------------------------------------------------------------------------------- backwards
@@ -258,11 +252,11 @@ class _Adjoint:
     def gradient(self, objective: Objective) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
         self._g = g = None
+        self._total = objective.direct.astype(float)
         if objective.integrand is not None:
             self._g = g = self._derivatives(objective.integrand, "integrand", m=1, moves_t=False)
         t0, tf = self._problem.t_span[0], self._run.t
         states = self._sol.sol(objective.times)
-        self._total = objective.direct.astype(float)
         costs: dict[float, Array] = {}
         for t, cost in zip(objective.times.tolist(), objective.costs.T, strict=True):
             costs[t] = costs.get(t, 0) + cost
@@ -272,10 +266,8 @@ class _Adjoint:
             mu = self._across(piece, mu, costs)
         for jump in reversed([one for one in self._jumps if one.t == t0]):
             mu = self._through(jump, mu)
-        mu, beside = self._taken(t0, self._at.y, mu)
-        demanded = [one for one in self._laws if one.demanded]
-        mu, more = self._tangential(t0, self._at.y, mu, demanded)
-        return np.asarray(self._total + beside + more + mu @ self._start)
+        mu, beside = self._laws.on_tangent(t0, self._at.y, mu, taking=True)
+        return np.asarray(self._total + beside + mu @ self._start)
 
     def _pieces(self, t0: float, tf: float) -> list[_Piece]:
         """The intervals between breakpoints and jumps, with the jumps at their ends."""
@@ -316,29 +308,22 @@ class _Adjoint:
         return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
-        found, beside = self._projected(t, self._sol.sol(t), cost, self._laws)
+        y = self._sol.sol(t)
+        cost, beside = self._laws.on_tangent(t, y, cost)
         self._total = self._total + beside
-        return found
+        return self._differential(t, y, cost)
 
     def _through(self, jump: Jump, mu: Array) -> Array:
         """μ before a jump from that behind it."""
         if jump.moves:
-            if jump.reholds:
-                mu, beside = self._taken(jump.t, jump.after, mu)
-                self._total = self._total + beside
-            held = [one for one in self._laws if one.demanded or not jump.reholds]
-            mu, beside = self._tangential(jump.t, jump.after, mu, held)
+            mu, beside = self._laws.on_tangent(jump.t, jump.after, mu, taking=jump.reholds)
             self._total = self._total + beside
         cost_of_time = 0.0
         if self._g is not None:
             cost_of_time = float(self._g.value(jump.t, jump.before)[0] - self._g.value(jump.t, jump.after)[0])
         mu, beside = jump.transposed(mu, cost_of_time)
         self._total = self._total + beside
-        if self._algebraic is None:
-            return mu
-        mu, beside = self._projected(jump.t, jump.before, mu, [])
-        self._total = self._total + beside
-        return mu
+        return self._differential(jump.t, jump.before, mu)
 
     def _sizes_of(self, objective: Objective, states: Array, g: Directional | None) -> Array:
         """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
@@ -414,7 +399,7 @@ class _Adjoint:
         total = np.zeros(self.k)
         for t, part, y, here in zip(times.tolist(), parts, self._sol.sol(times).T, mu.sol(places).T, strict=True):
             lam = here if self._algebraic else self._multiplier(t, here)
-            total += part * self._slope.transposed(t, y, piece.moving * lam)[self.n :]
+            total += part * self._of_parameters(t, y, piece.moving * lam)
             if g is not None:
                 total += part * g.transposed(t, y, np.ones(1))[self.n :]
         return total
@@ -432,30 +417,6 @@ class _Piece(NamedTuple):
         """The time end − s, inside the interval: at its ends f and y may be those of its neighbours."""
         low, high = sorted((np.nextafter(self.begin, self.end), np.nextafter(self.end, self.begin)))
         return float(min(max(self.end - s, low), high))
-
-
-@dataclass
-class _Law:
-    """An invariant r = c.
-
-    Attributes
-    ----------
-    law : Directional
-        The derivatives of r.
-    demanded : bool
-        Whether c is a given number; otherwise it is the value that r had at the start, or behind the last action.
-    carried : ndarray, (m,)
-        The derivative of the objective with respect to c, for what comes later than the current time.
-    """
-
-    law: Directional
-    demanded: bool
-    carried: Array
-
-    def of_parameters(self, t: float, y: Array) -> Array:
-        """∂r/∂p, (m, k)."""
-        k, n = self.law.k, self.law.n
-        return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
 
 
 def _objective(

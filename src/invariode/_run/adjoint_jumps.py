@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,8 @@ from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
 from .._results.result import Result
-from .variations import Rate, Switching, given_derivatives
+from .actions import Rate, restoration
+from .variations import Switching, given_derivatives
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]
@@ -64,14 +65,59 @@ class Jump:
         return state, self.B.T @ mu + cost_of_time * self.time_of_parameters
 
 
-class Partials:
+class Partials(NamedTuple):
     """The derivatives of a function with respect to everything at once."""
 
-    def __init__(self, function: Directional, t: float, y: Array) -> None:
+    of_y: Array
+    of_p: Array
+    of_t: Array
+
+    @classmethod
+    def at(cls, function: Directional, t: float, y: Array) -> Partials:
+        """Those of a function at a point."""
         k, n = function.k, function.n
-        self.of_y = function.jacobian(t, y)
-        self.of_p = function.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
-        self.of_t = function.columns(t, y, np.ones(1), np.zeros((1, n)), np.zeros((1, k)))[0]
+        return cls(
+            function.jacobian(t, y),
+            function.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T,
+            function.columns(t, y, np.ones(1), np.zeros((1, n)), np.zeros((1, k)))[0],
+        )
+
+    def into(self, then: Partials) -> Partials:
+        """Those of a second function of (t, y, p) at y = the first one."""
+        return Partials(then.of_y @ self.of_y, then.of_y @ self.of_p + then.of_p, then.of_y @ self.of_t + then.of_t)
+
+
+class Action(NamedTuple):
+    """What moves y at a time: an action of an event or at a breakpoint.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    before : ndarray, (n,)
+        The state, before all of that time.
+    action : Directional
+        The derivatives of the action.
+    event : Directional or None
+        Those of the event, whose time moves; None: a breakpoint.
+    reholds : bool
+        As in `Jump`.
+    """
+
+    t: float
+    before: Array
+    action: Directional
+    event: Directional | None
+    reholds: bool
+
+
+#: Relative differences of derivatives of times that are roundoff.
+_ALIKE = 1e-6
+
+
+def _at_one_time(actions: list[Action]) -> list[list[Action]]:
+    """Those of each time, in their order."""
+    return [[*those] for _, those in groupby(sorted(actions, key=lambda one: one.t), key=lambda one: one.t)]
 
 
 class Jumps:
@@ -85,9 +131,17 @@ class Jumps:
         Makes derivatives of its functions.
     conditions : list of Switching
         Those of f that are followed; they are the last events of the solution.
+    threshold : float or ndarray, (n,)
+        atol / rtol of the run.
     """
 
-    def __init__(self, problem: Description, derivatives: Derivatives, conditions: Sequence[Switching]) -> None:
+    def __init__(
+        self,
+        problem: Description,
+        derivatives: Derivatives,
+        conditions: Sequence[Switching],
+        threshold: float | Array,
+    ) -> None:
         fun, given = given_derivatives(problem, problem.parameters())
         n = len(problem.y0)
         self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
@@ -99,50 +153,86 @@ class Jumps:
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
         self._n, self._k = n, len(problem.parameters())
+        self._restored = restoration(problem, problem.parameters(), threshold)
 
     def of(self, sol: Result, points: Sequence[Breakpoint], rests: Sequence[Rest]) -> list[Jump]:
-        """Those of a solution, in the order of its times.
+        """Those of a solution, in the order of its times; at one time in that in which the run takes them.
 
         Raises
         ------
         ValueError
-            Two of them coincide.
+            A condition changes at the time of an action; several actions at one time with a singular mass matrix, or
+            of events whose times differ for other parameters.
         """
-        found = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
-        found += [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
-        found += [self._of_point(sol, one) for one in points if one.action is not None]
-        found += [self._of_rest(sol, one) for one in rests]
-        found.sort(key=lambda one: float(self._forward * one.t))
-        for one, then in pairwise(found):
-            if one.t == then.t and (one.moves or then.moves):
-                raise ValueError(
-                    f"gradient: several actions are taken at t = {one.t:.6g}, and the adjoint does not know their "
-                    "order: use sensitivities=, or make one action of them"
-                )
+        events = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
+        actions = [self._of_point(sol, one) for one in points if one.action is not None]
+        found: list[Jump] = []
+        for together in sorted([*_at_one_time(events), *_at_one_time(actions)], key=lambda one: self._order(one[0])):
+            before, t = together[0].before, together[0].t
+            if found and found[-1].t == t:  # events come first
+                before = found[-1].after
+            singular = self._rate.is_singular and len(together) > 1
+            self._require(not singular, t, "together with others, and the mass matrix is singular")
+            found.append(self._jump(together, before))
+        conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
+        for one in conditions:
+            self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
+        found += [*conditions, *(self._of_rest(sol, one) for one in rests)]
+        found.sort(key=self._order)
         return found
 
-    def _of_event(self, sol: Result, i: int) -> list[Jump]:
+    def _order(self, one: Action | Jump) -> float:
+        return float(self._forward * one.t)
+
+    @staticmethod
+    def _require(possible: bool, t: float, why_not: str) -> None:
+        if not possible:
+            raise ValueError(
+                f"gradient: an action is taken at t = {t:.6g}, {why_not}: use sensitivities=, or make one action of "
+                "what happens at that time"
+            )
+
+    def _of_event(self, sol: Result, i: int) -> list[Action]:
         event = self._events[i]
         if event.action is None or not len(sol.t_events[i]):
             return []
         times = self._derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
         action = self._derivatives(event.action, f"the action of event {event.__name__}", m=self._n, moves_t=True)
         last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
-        found = []
-        for t, y in zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False):
-            after, f = action.value(t, y), self._rate(t, y)
-            h, e = Partials(action, t, y), Partials(times, t, y)
-            moved = h.of_y @ f + h.of_t - self._rate(t, after)
-            rate = float(e.of_t[0] + e.of_y[0] @ f)
-            found.append(self._jump(t, y, after, h, e, moved, rate, event.rehold))
-        return found
+        occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
+        return [Action(t, y, action, times, event.rehold) for t, y in occurred]
 
-    def _jump(
-        self, t: float, y: Array, after: Array, h: Partials, e: Partials, moved: Array, rate: float, reholds: bool
-    ) -> Jump:
-        of_state, of_p = (-e.of_y[0] / rate, -e.of_p[0] / rate) if rate else (np.zeros(self._n), np.zeros(self._k))
+    def _of_point(self, sol: Result, point: Breakpoint) -> Action:
+        action = self._derivatives(point.action, "the action in breakpoints", m=self._n, moves_t=False)
+        before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
+        return Action(point.t, before, action, None, reholds=True)
+
+    def _jump(self, together: list[Action], before: Array) -> Jump:
+        """What actions at one time do, all of events or all at breakpoints; they begin in this state."""
+        n, k, y, t = self._n, self._k, before, together[0].t
+        reholds = all(one.reholds for one in together)
+        h = Partials(np.eye(n), np.zeros((n, k)), np.zeros(n))
+        for one in together:
+            h, y = h.into(Partials.at(one.action, t, y)), one.action.value(t, y)
+        if self._restored is not None and reholds:
+            h, y = h.into(Partials.at(self._restored, t, y)), self._restored.value(t, y)
+        of_state, of_p = self._time(together, before)
+        moved = h.of_y @ self._rate(t, before) + h.of_t - self._rate(t, y)
         A, B = h.of_y + np.outer(moved, of_state), h.of_p + np.outer(moved, of_p)
-        return Jump(t, y, after, A, B, of_state, of_p, reholds, moves=True)
+        return Jump(t, before, y, A, B, of_state, of_p, reholds, moves=True)
+
+    def _time(self, together: list[Action], y: Array) -> tuple[Array, Array]:
+        """∂τ as multiples of S⁻ and for each parameter."""
+        t, found = together[0].t, []
+        for one in together:
+            if one.event is None:
+                return np.zeros(self._n), np.zeros(self._k)
+            e = Partials.at(one.event, t, y)
+            rate = float(e.of_t[0] + e.of_y[0] @ self._rate(t, y)) or np.inf
+            found.append((-e.of_y[0] / rate, -e.of_p[0] / rate))
+        alike = all(np.allclose(np.concatenate(found[0]), np.concatenate(one), rtol=_ALIKE) for one in found)
+        self._require(alike, t, "together with that of another event, which has another time for other parameters")
+        return found[0]
 
     def _of_condition(self, sol: Result, i: int) -> list[Jump]:
         condition = self._conditions[i]
@@ -153,20 +243,12 @@ class Jumps:
             if crossing is None:
                 continue
             condition.tell(t, crossing)
-            e = Partials(condition.difference, t, y)
+            e = Partials.at(condition.difference, t, y)
             moved = crossing.before - crossing.behind
             of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
             A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
             found.append(Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False))
         return found
-
-    def _of_point(self, sol: Result, point: Breakpoint) -> Jump:
-        action = self._derivatives(point.action, "the action in breakpoints", m=self._n)
-        before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
-        k, n = self._k, self._n
-        h_p = action.columns(point.t, before, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
-        h_y, after = action.jacobian(point.t, before), action.value(point.t, before)
-        return Jump(point.t, before, after, h_y, h_p, np.zeros(n), np.zeros(k), reholds=True, moves=True)
 
     def _of_rest(self, sol: Result, rest: Rest) -> Jump:
         """Where it begins: S_i is 0."""

@@ -327,7 +327,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
     )
     if problem.sensitivities is not None:
-        plan = _with_sensitivities(plan, problem, options, breakpoints)
+        plan = _with_sensitivities(plan, problem, breakpoints)
     if system is not None:
         plan = _with_expansion(plan, problem, system)
     return plan
@@ -346,9 +346,13 @@ def _require_fitting(problem: Description, method: Method) -> None:
         warn(f"touching=True has no effect with {method.name}: only the steps of taylor are polynomials that can tell")
 
 
-def _with_sensitivities(plan: Plan, problem: Description, options: Options, breakpoints: list[Breakpoint]) -> Plan:
+def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Breakpoint]) -> Plan:
     """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
-    varied = _variations(problem, options, plan.y0, plan.tolerances, plan.bound, breakpoints)
+    from .actions import Weights
+    from .variations import make_variations
+
+    weights = Weights(plan.tolerances.rtol, plan.tolerances.threshold)
+    varied = make_variations(problem, plan.y0, weights, plan.bound.specs, breakpoints)
     return plan._replace(
         varied=varied,
         bound=plan.bound.varied(varied.tangents),
@@ -542,21 +546,6 @@ def _functions(
         value=bound.value,
         bounds=problem.bounds,
     )
-
-
-def _variations(
-    problem: Description,
-    options: Options,
-    y0: Array,
-    weights: Tolerances,
-    bound: BoundInvariants,
-    breakpoints: list[Breakpoint],
-) -> Variations:
-    """The sensitivities, if the problem asks for them."""
-    from .variations import Weights, make_variations, require_direct
-
-    require_direct(options["linear_solver"])
-    return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)
 
 
 def _system(problem: Description, parameters: Array) -> System:

@@ -391,7 +391,7 @@ def _parted(
     y_end, S_end = states_and_sensitivities(end[:, None], n, k)
     recorded = plan.records_events
     at_events = varied.at_events(happened, n)
-    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened] if recorded else None
+    states = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened] if recorded else None
     found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
     return y, y_end[:, 0], states, found
 

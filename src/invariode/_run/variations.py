@@ -1,60 +1,40 @@
 """The sensitivities of a run: their equations, their tolerances, and what they do at events, as the core takes it.
 
-With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p. An event e(t, y, p) = 0 occurs at τ(p), with
-
-    ∂τ/∂p = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),
-
-and behind its action y⁺ = h(τ, y⁻, p)
-
-    S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
+With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'; for events and actions see `actions`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
 from .._base.arguments import EPS, Array, warn
-from .._functions.compiled import CoreFunction, NativeWithInputs, is_native
+from .._functions.compiled import NativeWithInputs, is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
-from .._functions.layout import Parameters, with_numbers
+from .._functions.layout import Parameters
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, event_spec
-from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
 from .algebraic import Algebraic, dense_mass
+from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
+from .pairs import for_complex, in_complex, real_form, require_analytic
 
-#: A change of a parameter that a mass matrix which depends on it shows.
-_CHANGE = 1e-3
-#: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
-_AHEAD = 1e-6
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
 _NEAR = 0.02
 #: Relative distance within which two conditions change together.
 _TOGETHER = 1e-9
-
-
-class Weights(NamedTuple):
-    """The weights of y in the error test, max(rtol |y_i|, rtol thr_i)."""
-
-    rtol: float
-    threshold: float | Array
-
-    def of(self, y: Array) -> Array:
-        """At a state."""
-        return self.rtol * np.maximum(np.abs(y), self.threshold)
 
 
 @dataclass
@@ -87,6 +67,8 @@ class Variations:
         Whether the conditions of f are known.
     derivatives_of : list of Directional
         Of all functions.
+    is_complex : bool
+        Whether the state is; `start` has pairs then.
     """
 
     names: list[str]
@@ -95,12 +77,13 @@ class Variations:
     tangents: list[Any]
     how: dict[str, str]
     times: list[EventTime]
-    actions: list[_Jump | None]
+    actions: list[ActionOfEvent | None]
     switches: list[EventSpec]
     log: list[tuple[float, str]]
     near: float
     follows_jumps: bool
     derivatives_of: list[Directional]
+    is_complex: bool = False
 
     def tangent_nodes(self) -> list[Node]:
         """f_y S + f_p as a graph, of (t, Y).
@@ -147,7 +130,8 @@ class Variations:
 
     def tell_of_steps(self, t: Array, y: Array) -> None:
         """A warning if complex steps, which were tested at the start, are wrong in the middle or at the last output."""
-        points = [Point(float(t[i]), y[:, i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
+        rows = np.ascontiguousarray(y.T).view(float)
+        points = [Point(float(t[i]), rows[i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
         wrong = [one.called for one in self.derivatives_of if not all(map(one.takes_complex_at, points))]
         if wrong:
             warn(
@@ -159,16 +143,17 @@ class Variations:
 
     def in_words(self, message: str, component: int) -> str:
         """A message about a component of Y behind y."""
-        n = self.start.shape[1]
+        pairs = 1 + self.is_complex
+        n, component = self.start.shape[1] // pairs, component // pairs
         j, i = divmod(component - n, n)
         return message.replace(f"omponent {component}", f"omponent {i} of the sensitivity to {self.names[j]}", 1)
 
     def at_events(self, happened: Sequence[tuple[Array, Array]], n: int) -> AtEvents:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
         before, after, times = [], [], []
-        k = len(self.names)
+        k, n = len(self.names), n * (1 + self.is_complex)
         for (t, rows), time, action in zip(happened, self.times, self.actions, strict=True):
-            states = rows.reshape(len(t), 1 + k, n)
+            states = np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([time.at(*one) for one in zip(t.tolist(), states, strict=True)]).reshape(len(t), k))
             log = {} if action is None else action.taken()
@@ -176,6 +161,8 @@ class Variations:
             behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t.tolist()])
             after.append(behind.reshape(len(t), n, k))
             time.tell()
+        if self.is_complex:
+            before, after = ([in_complex(one, 1) for one in each] for each in (before, after))
         return AtEvents(before, after, times)
 
 
@@ -189,41 +176,41 @@ def make_variations(
     TypeError, ValueError
         An unknown parameter; a derivative of a wrong shape; something for which there are no sensitivities.
     """
-    wanted, names = problem.sensitivities, problem.parameters()
-    assert wanted is not None
+    names, sizes, is_complex = problem.parameters(), np.abs(y0), y0.dtype.kind == "c"
     require_possible(problem, names)
+    if is_complex:
+        problem, names, points = real_form(problem, points)
+        y0, sizes = y0.view(float), np.repeat(sizes, 2)
+    wanted = problem.sensitivities
+    assert wanted is not None
     t0, args, n = problem.t_span[0], problem.args, len(y0)
     at = Point(t0, y0)
     about = _Derivatives(args, names, n, at)
     fun, given = given_derivatives(problem, names)
     slope = about.of(fun, "fun", m=n, given=given)
+    if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
+        require_analytic(slope, at, of_start[0])
     laws = [
         about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
         for one, spec in zip(problem.invariants, specs, strict=True)
     ]
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
-    times = [EventTime(event, about, rate, weights) for event in problem.events]
-    jumps = [
-        None
-        if event.action is None
-        else _Jump(about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True), time, rate)
-        for event, time in zip(problem.events, times, strict=True)
-    ]
-    actions = {id(one.action): one.action for one in points if one.action is not None}
-    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
-    doses = [made.get(id(point.action)) for point in points]
+    mass = about.of_mass(problem, rate)
+    times = [EventTime(event, about.of, rate, weights) for event in problem.events]
+    jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
-    sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
-    tangents = [law.for_core for law in laws]
+    scale = wanted.sizes(names, _default_sizes(names, problem, sizes, weights))
+    form = for_complex if is_complex else _as_it_is
+    tangents = [form(law.for_core, complex_values=False) for law in laws]
     for_core = _core.Variations(
         k=len(names),
-        slope=slope.for_core,
-        thresholds=np.ascontiguousarray(_absolute(y0, weights) / sizes[:, None]),
+        slope=form(slope.for_core if mass is None else WithMass(slope, mass)),
+        thresholds=np.ascontiguousarray(_absolute(y0, weights) / scale[:, None]),
         invariants=tangents,
-        jumps=[*jumps, *(one.jump for one in switches)],
-        breakpoints=doses,
+        jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
+        breakpoints=[form(one) for one in doses],
         error_test=wanted.error_test,
     )
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
@@ -236,12 +223,23 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
-        switches=[event_spec(one.event, n, parameters) for one in switches],
+        switches=[_condition(one, n, parameters, form) for one in switches],
         log=log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
         derivatives_of=about.made,
+        is_complex=is_complex,
     )
+
+
+def _as_it_is(function: Any, complex_values: bool = True) -> Any:
+    return function
+
+
+def _condition(one: Switching, n: int, parameters: Array, form: Callable[..., Any]) -> EventSpec:
+    """A condition of f as an event."""
+    found = event_spec(one.event, n, parameters)
+    return found._replace(fun=form(found.fun, complex_values=False), action=form(found.action))
 
 
 class _Derivatives:
@@ -254,10 +252,49 @@ class _Derivatives:
 
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
         """Those of a function."""
-        made = Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more)
-        self.how[called] = made.how
+        return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
+
+    def _note(self, made: Directional) -> Directional:
+        self.how[made.called] = made.how
         self.made.append(made)
         return made
+
+    def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
+        """Those of the mass matrix; None: it does not depend on the parameters."""
+        found = mass_derivatives(problem, self._names, rate)
+        if found is not None:
+            self._note(found.derivatives)
+        return found
+
+    def of_actions(
+        self,
+        problem: Description,
+        points: Sequence[Breakpoint],
+        times: Sequence[EventTime],
+        rate: Rate,
+        restored: Directional | None,
+    ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
+        """What the actions of events, and at breakpoints, do to S."""
+        together, n = Together(), self._n
+        jumps = [
+            None
+            if event.action is None
+            else ActionOfEvent(
+                self.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True),
+                restored if event.rehold else None,
+                time,
+                rate,
+                together,
+            )
+            for event, time in zip(problem.events, times, strict=True)
+        ]
+        together = Together()
+        actions = {id(one.action): one.action for one in points if one.action is not None}
+        made = {
+            key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
+            for key, one in actions.items()
+        }
+        return jumps, [made.get(id(point.action)) for point in points]
 
     def tell(self) -> None:
         """A warning if some are differences."""
@@ -269,105 +306,6 @@ class _Derivatives:
                 "give jac, and Sensitivities(dfdp=...)",
                 AccuracyWarning,
             )
-
-
-class Rate:
-    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these."""
-
-    def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
-        self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
-        self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
-        self._derivatives = None if self._algebraic is None else slope()
-
-    def __call__(self, t: float, y: Array) -> Array:
-        f = self._slope(np.array([t]), y[:, None])[:, 0]
-        if self._algebraic is not None and self._derivatives is not None:
-            ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
-            return self._algebraic.rate(self._derivatives.jacobian(t, y), f, ft)
-        M = dense_mass(self._mass, t, self._args)
-        return f if M is None else np.asarray(np.linalg.solve(M, f))
-
-
-class EventTime:
-    """The derivatives of the times at which an event occurs."""
-
-    def __init__(self, event: Event, about: _Derivatives, rate: Rate, weights: Weights) -> None:
-        self._name, self._rate, self._weights = event.__name__, rate, weights
-        self._function = about.of(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
-        self._grazing: list[float] = []
-
-    def at(self, t: float, Y: Array) -> Array:
-        """∂τ/∂p for an occurrence, of shape (k,); 0 if the event does not cross zero."""
-        return self.with_slope(t, Y, self._rate(t, Y[0]))
-
-    def with_slope(self, t: float, Y: Array, f: Array) -> Array:
-        """The same with y' before the event."""
-        k = len(Y) - 1
-        rates = self._function.columns(
-            t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
-        )[:, 0]
-        if self._is_grazing(t, Y[0], f, rates[0], k):
-            self._grazing.append(t)
-        return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(k)
-
-    def _is_grazing(self, t: float, y: Array, f: Array, rate: float, k: int) -> bool:
-        """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
-        w, none = self._weights.of(y), np.zeros((2, k))
-        moved = self._function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
-        with np.errstate(all="ignore"):
-            ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
-            try:
-                there = y + ahead * f
-                then = self._function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
-            except (ValueError, ArithmeticError):  # f is not defined there
-                return rate == 0
-            bend = abs(then[0] - rate) / ahead
-        return bool(rate**2 <= 2 * bend * np.abs(moved).max())
-
-    def tell(self) -> None:
-        """A warning if the event has grazed zero, once for each occurrence."""
-        if self._grazing:
-            warn(
-                f"sensitivities: event {self._name} only grazes zero at t = {self._grazing[0]:.6g}: within the "
-                "tolerance it may not occur at all, and its time has no derivative there. Sensitivities are not "
-                "reliable from there on",
-                AccuracyWarning,
-            )
-            self._grazing.clear()
-
-
-@dataclass
-class _Jump:
-    """S behind the action of an event."""
-
-    _action: Directional
-    _time: EventTime
-    _rate: Rate
-    _log: list[tuple[float, Array]] = field(default_factory=list)
-
-    def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        f = self._rate(t, Y[0])
-        times = self._time.with_slope(t, Y, f)
-        moved = self._action.columns(t, Y[0], times, Y[1:] + np.outer(times, f), np.eye(len(times)))
-        found: Array = moved - np.outer(times, self._rate(t, after))
-        self._log.append((t, found.T.copy()))
-        return found
-
-    def taken(self) -> dict[float, Array]:
-        """S (n, k) by the time of the occurrence, since the last call."""
-        found = dict(self._log)
-        self._log.clear()
-        return found
-
-
-@dataclass
-class _Dose:
-    """S behind the action at a breakpoint, whose time does not depend on parameters."""
-
-    _action: Directional
-
-    def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        return self._action.tangent(t, Y)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -517,42 +455,16 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
         )
-    if isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder):
-        raise ValueError(
-            "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "
-            "equations as a function, or use invariode.symbolic"
-        )
-    for law in problem.invariants:
-        if law.sense:
-            raise ValueError(
-                "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
-            )
-    mass = problem.matrices.mass
-    t0, args = problem.t_span[0], problem.args
-    if callable(mass) and problem.events and Algebraic.of(dense_mass(mass, t0, args)) is not None:
-        raise ValueError(
-            "sensitivities are not possible with events and a singular mass matrix that is a function of t, since y' "
-            "of its algebraic components is not known where an event occurs: leave out the events, or solve the "
-            "algebraic equations in fun"
-        )
-    if not callable(mass):
+    mass, t0 = problem.matrices.mass, problem.t_span[0]
+    if not callable(mass) or Algebraic.of(dense_mass(mass, t0, problem.args)) is None or not moves_in_time(problem):
         return
-    own = [one for one in names if one.kind == "args"]
-    values = values_of(args, problem.y0, own)
-    for one, value in zip(own, values.tolist(), strict=True):
-        changed = value * (1 + _CHANGE) if value else _CHANGE
-        other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
-        if abs(as_matrix("mass", other, False) - as_matrix("mass", mass(t0, *args), False)).max() != 0:
+    for what, needed in (("events", bool(problem.events)), ("parameters in it", depends_on(problem, names))):
+        if needed:
             raise ValueError(
-                f"sensitivities: mass depends on {one.name}, and the derivative of a mass matrix is not known: solve "
-                "M y' = f for y' in fun, or leave the parameter out"
+                f"sensitivities are not possible with {what} and a singular mass matrix that is a function of t, since "
+                "y' of its algebraic components is not known: solve the algebraic equations in fun, or leave out the "
+                f"{what}"
             )
-
-
-def require_direct(solver: object) -> None:
-    """That linear systems are solved with factors, which all columns of S share."""
-    if isinstance(solver, GMRES):
-        raise ValueError("sensitivities need linear_solver='direct': GMRES has no factors that their columns share")
 
 
 def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> tuple[Any, Given]:
@@ -607,10 +519,10 @@ def _dfdp(given: Any, problem: Description, names: Sequence[ParameterName]) -> A
     return fed(given, problem.inputs)
 
 
-def _default_sizes(names: Sequence[ParameterName], problem: Description, y0: Array, weights: Weights) -> Array:
-    """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
-    values = np.abs(values_of(problem.args, y0, names))
-    floor = np.broadcast_to(weights.threshold, y0.shape)
+def _default_sizes(names: Sequence[ParameterName], problem: Description, sizes: Array, weights: Weights) -> Array:
+    """|p|, 1 of a parameter that is zero; of initial values, of these sizes, at least atol / rtol."""
+    values = np.abs(values_of(problem.args, sizes, names))
+    floor = np.broadcast_to(weights.threshold, sizes.shape)
     for j, one in enumerate(names):
         if one.kind != "args":
             values[j] = max(values[j], floor[one.index])

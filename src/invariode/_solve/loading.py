@@ -278,7 +278,8 @@ def _tangents(path: PathLike, solution: Solution, problem: Description | None, b
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
             "load(path, problem)"
         )
-    from .._run.variations import Weights, make_variations
+    from .._run.actions import Weights
+    from .._run.variations import make_variations
 
     rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
     weights = Weights(rtol, threshold)

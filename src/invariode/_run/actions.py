@@ -1,0 +1,250 @@
+"""What events and actions do to sensitivities.
+
+An event e(t, y, p) = 0 occurs at τ(p), with
+
+    ∂τ/∂p = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),
+
+and behind its action y⁺ = h(τ, y⁻, p)
+
+    S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
+
+Where the run puts y⁺ back onto constraints, as after a blow against a mechanism, that is a part of h; so are all
+further actions at the same time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import RTOL, Array, warn
+from .._functions.compiled import CoreFunction
+from .._functions.directional import Directional, Point
+from .._laws.imposing import impose
+from .._problem.description import Description
+from .._problem.events import Event
+from .._problem.invariants import AccuracyWarning, Invariants
+from .._problem.parameters import ParameterName
+from .algebraic import Algebraic, dense_mass
+
+#: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
+_AHEAD = 1e-6
+#: Relative differences of ∂τ of events at one time beyond the errors of the run.
+_ALIKE = 1e-3
+
+
+class Weights(NamedTuple):
+    """The weights of y in the error test, max(rtol |y_i|, rtol thr_i)."""
+
+    rtol: float
+    threshold: float | Array
+
+    def of(self, y: Array) -> Array:
+        """At a state."""
+        return self.rtol * np.maximum(np.abs(y), self.threshold)
+
+
+class Rate:
+    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these."""
+
+    def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
+        self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
+        self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
+        self._derivatives = None if self._algebraic is None else slope()
+
+    @property
+    def is_singular(self) -> bool:
+        """Whether M is."""
+        return self._algebraic is not None
+
+    def __call__(self, t: float, y: Array) -> Array:
+        f = self._slope(np.array([t]), y[:, None])[:, 0]
+        if self._algebraic is not None and self._derivatives is not None:
+            ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
+            return self._algebraic.rate(self._derivatives.jacobian(t, y), f, ft)
+        M = dense_mass(self._mass, t, self._args)
+        return f if M is None else np.asarray(np.linalg.solve(M, f))
+
+
+class EventTime:
+    """The derivatives of the times at which an event occurs."""
+
+    def __init__(self, event: Event, derivatives: Callable[..., Directional], rate: Rate, weights: Weights) -> None:
+        self._name, self._rate, self._weights = event.__name__, rate, weights
+        self._function = derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
+        self._grazing: list[float] = []
+
+    def at(self, t: float, Y: Array) -> Array:
+        """∂τ/∂p for an occurrence, of shape (k,); 0 if the event does not cross zero."""
+        return self.with_slope(t, Y, self._rate(t, Y[0]))
+
+    def with_slope(self, t: float, Y: Array, f: Array) -> Array:
+        """The same with y' before the event."""
+        k = len(Y) - 1
+        rates = self._function.columns(
+            t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
+        )[:, 0]
+        if self._is_grazing(t, Y[0], f, rates[0], k):
+            self._grazing.append(t)
+        return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(k)
+
+    def compare(self, before: _Moment) -> None:
+        """A warning if this event, which acts together with others, does not do so for other parameters."""
+        times = self.with_slope(before.t, before.start, before.f)
+        if not np.allclose(times, before.times, rtol=_ALIKE, atol=_ALIKE * np.abs(before.times).max(initial=0)):
+            warn(
+                f"sensitivities: event {self._name} acts at t = {before.t:.6g} together with others, and not so for "
+                "other parameters. Sensitivities are not reliable from there on",
+                AccuracyWarning,
+            )
+
+    def _is_grazing(self, t: float, y: Array, f: Array, rate: float, k: int) -> bool:
+        """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
+        w, none = self._weights.of(y), np.zeros((2, k))
+        moved = self._function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
+        with np.errstate(all="ignore"):
+            ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
+            try:
+                there = y + ahead * f
+                then = self._function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
+            except (ValueError, ArithmeticError):  # f is not defined there
+                return rate == 0
+            bend = abs(then[0] - rate) / ahead
+        return bool(rate**2 <= 2 * bend * np.abs(moved).max())
+
+    def tell(self) -> None:
+        """A warning if the event has grazed zero, once for each occurrence."""
+        if self._grazing:
+            warn(
+                f"sensitivities: event {self._name} only grazes zero at t = {self._grazing[0]:.6g}: within the "
+                "tolerance it may not occur at all, and its time has no derivative there. Sensitivities are not "
+                "reliable from there on",
+                AccuracyWarning,
+            )
+            self._grazing.clear()
+
+
+class _Restored(CoreFunction):
+    """The state behind an action, moved onto the demanded values of invariants."""
+
+    def __init__(self, demanded: Sequence[Invariants], threshold: float | Array) -> None:
+        self._demanded, self._atol = demanded, RTOL * threshold
+        self.__name__ = "restored"
+
+    def __call__(self, t: float, y: Array, *args: Any) -> Array:
+        if np.iscomplexobj(y) or np.iscomplexobj(t):
+            raise TypeError("it is found by iterations, for real states")
+        return np.asarray(impose([*self._demanded], t, y, args=args, rtol=RTOL, atol=self._atol).y)
+
+
+def restoration(problem: Description, names: Sequence[ParameterName], threshold: float | Array) -> Directional | None:
+    """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
+    differences, which do not depend on the tolerance."""
+    demanded = [one for one in problem.invariants if one.value is not None]
+    if not any(one.level > 0 for one in demanded):
+        return None
+    at, n = Point(problem.t_span[0], problem.y0), len(problem.y0)
+    return Directional(_Restored(demanded, threshold), problem.args, names, n, at=at, m=n, moves_t=True)
+
+
+class _Moment(NamedTuple):
+    """Actions at one time.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    start, f : ndarray, (1 + k, n) and (n,)
+        Y and y' before all of them.
+    times : ndarray, (k,)
+        ∂τ.
+    moved : ndarray, (k, n)
+        The derivatives of the state behind them at τ(p).
+    behind : ndarray, (1 + k, n)
+        Y as the core has it then.
+    """
+
+    t: float
+    start: Array
+    f: Array
+    times: Array
+    moved: Array
+    behind: Array
+
+
+@dataclass
+class Together:
+    """Which actions are taken at one time: constraints are imposed again behind all of them."""
+
+    _last: _Moment | None = None
+
+    def before(self, t: float, Y: Array) -> _Moment | None:
+        """The actions that come right before one in this state."""
+        last = self._last
+        return last if last is not None and last.t == t and np.array_equal(last.behind, Y) else None
+
+    def note(self, moment: _Moment) -> None:
+        """What has been done."""
+        self._last = moment
+
+
+@dataclass
+class ActionOfEvent:
+    """S behind the action of an event."""
+
+    _action: Directional
+    _restored: Directional | None
+    _time: EventTime
+    _rate: Rate
+    _together: Together
+    _log: list[tuple[float, Array]] = field(default_factory=list)
+
+    def __call__(self, t: float, Y: Array, after: Array) -> Array:
+        before = self._together.before(t, Y)
+        if before is None:
+            before = self._first(t, Y)
+        else:
+            self._time.compare(before)
+        parameters = np.eye(len(before.times))
+        moved = landed = self._action.columns(t, Y[0], before.times, before.moved, parameters)
+        state = after
+        if self._restored is not None:
+            landed = self._restored.columns(t, after, before.times, moved, parameters)
+            state = self._restored.value(t, after)
+        found: Array = landed - np.outer(before.times, self._rate(t, state))
+        self._together.note(before._replace(moved=moved, behind=np.vstack([after, found])))
+        self._log.append((t, found.T.copy()))
+        return found
+
+    def _first(self, t: float, Y: Array) -> _Moment:
+        f = self._rate(t, Y[0])
+        times = self._time.with_slope(t, Y, f)
+        return _Moment(t, Y.copy(), f, times, Y[1:] + np.outer(times, f), Y)
+
+    def taken(self) -> dict[float, Array]:
+        """S (n, k) by the time of the occurrence, since the last call."""
+        found = dict(self._log)
+        self._log.clear()
+        return found
+
+
+@dataclass
+class ActionAtPoint:
+    """S behind the action at a breakpoint, whose time does not depend on parameters."""
+
+    _action: Directional
+    _restored: Directional | None
+    _together: Together
+
+    def __call__(self, t: float, Y: Array, after: Array) -> Array:
+        if self._restored is None:
+            return self._action.tangent(t, Y)
+        none, parameters = np.zeros(len(Y) - 1), np.eye(len(Y) - 1)
+        before = self._together.before(t, Y) or _Moment(t, Y, none, none, Y[1:], Y)
+        moved = self._action.columns(t, Y[0], none, before.moved, parameters)
+        found = self._restored.columns(t, after, none, moved, parameters)
+        self._together.note(before._replace(moved=moved, behind=np.vstack([after, found])))
+        return found

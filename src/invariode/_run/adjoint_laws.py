@@ -1,0 +1,143 @@
+"""What the projection onto invariants does to sensitivities, transposed.
+
+Where a solution is held on r(t, y, p) = c(p), its sensitivities are moved onto the tangent,
+
+    S ← S − K (R S + ∂r/∂p − c'),
+
+with K = W² Rᵀ (R W² Rᵀ)⁺, or the corrections of the levels, one after the other. A cost ∂G/∂y of S behind is the cost
+∂G/∂y − νᵀ R of S before, ν = Kᵀ (∂G/∂y)ᵀ, and νᵀ (c' − ∂r/∂p) besides. c' is R S + ∂r/∂p where the value has been
+taken, at the start or behind an action, so that ν is carried there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.compiled import CoreFunction, as_python, is_native, to_native
+from .._functions.directional import Directional, Given
+from .._functions.layout import Parameters
+from .._problem.description import Description
+from .._problem.invariants import Invariants
+
+
+@dataclass
+class _Law:
+    """An invariant r = c.
+
+    Attributes
+    ----------
+    about : Invariants
+        As it is given.
+    law : Directional
+        The derivatives of r.
+    carried : ndarray, (m,)
+        The derivative of the objective with respect to c, for what comes later than the current time.
+    """
+
+    about: Invariants
+    law: Directional
+    carried: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.carried = np.zeros(self.law.m)
+
+    @property
+    def demanded(self) -> bool:
+        """Whether c is a given number; otherwise it is the value that r had at the start, or behind the last action."""
+        return self.about.value is not None
+
+    def of_parameters(self, t: float, y: Array) -> Array:
+        """∂r/∂p, (m, k)."""
+        k, n = self.law.k, self.law.n
+        return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
+
+
+class Laws:
+    """The invariants of a problem.
+
+    Parameters
+    ----------
+    problem : Description
+        The problem.
+    derivatives : callable
+        Makes derivatives of its functions.
+    weights : callable
+        y -> the weights of the error test.
+    """
+
+    def __init__(
+        self, problem: Description, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
+    ) -> None:
+        self._laws, self._args, self._weights = [], problem.args, weights
+        self._k = len(problem.parameters())
+        for one in problem.invariants:
+            jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
+            law = derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
+            self._laws.append(_Law(one, law))
+
+    def on_tangent(self, t: float, y: Array, cost: Array, *, taking: bool = False) -> tuple[Array, Array]:
+        """A cost before S is moved onto the tangent, and what that adds to the gradient here. `taking`: laws without a
+        demanded value take new ones at this point, of S before it is moved."""
+        beside = np.zeros(self._k)
+        if not self._laws:
+            return cost, beside
+        rows = [one.law.jacobian(t, y) for one in self._laws]
+        nu = self._corrections(t, y, np.vstack(rows)).T @ cost
+        parts = np.split(nu, np.cumsum([one.law.m for one in self._laws])[:-1])
+        for one, R, own in zip(self._laws, rows, parts, strict=True):
+            if one.demanded or not taking:
+                cost = cost - R.T @ own
+                beside -= own @ one.of_parameters(t, y)
+                one.carried = one.carried + own
+        return self._taken(t, y, cost, beside) if taking else (cost, beside)
+
+    def _taken(self, t: float, y: Array, cost: Array, beside: Array) -> tuple[Array, Array]:
+        """With what laws carry that take their values here."""
+        for one in self._laws:
+            if not one.demanded:
+                cost = cost + one.law.jacobian(t, y).T @ one.carried
+                beside = beside + one.carried @ one.of_parameters(t, y)
+            one.carried = np.zeros(one.law.m)
+        return cost, beside
+
+    def _corrections(self, t: float, y: Array, R: Array) -> Array:
+        """K, of shape (n, m)."""
+        m, n = R.shape
+        levels = np.repeat([one.about.level for one in self._laws], [one.law.m for one in self._laws])
+        K = np.zeros((n, m))
+        for level in np.unique(levels):
+            root, upto = self._root(t, y, level), levels <= level
+            right = np.where((levels == level)[:, None], np.eye(m) - R @ K, 0)
+            K += root @ np.linalg.lstsq(R[upto] @ root, right[upto], rcond=None)[0]
+        return K
+
+    def _root(self, t: float, y: Array, level: int) -> Array:
+        """D, such that the corrections of a level are D z with the smallest |z|."""
+        first = next(one.about for one in self._laws if one.about.level == level)
+        moves = np.arange(len(y)) if first.moves is None else np.asarray(first.moves, dtype=int)
+        root = np.eye(len(y))[:, moves]
+        metric = self._metric(first, t, y, len(moves))
+        try:
+            if metric is not None:
+                return np.asarray(root @ np.linalg.inv(np.linalg.cholesky(metric)).T)
+        except np.linalg.LinAlgError:  # not positive definite
+            pass
+        return np.asarray(root * self._weights(y)[moves])
+
+    def _metric(self, one: Invariants, t: float, y: Array, size: int) -> Array | None:
+        """The metric of a level, (size, size)."""
+        if one.metric is None:
+            return None
+        found: Any = one.metric
+        if is_native(found) and not isinstance(found, CoreFunction):
+            p = Parameters.of(self._args)
+            found = as_python(to_native("metric", found, len(y), size * size, p), size * size)(t, y, p)
+        elif callable(found):
+            found = found(t, y.copy(), *self._args)
+        found = np.asarray(found, dtype=float)
+        return np.diag(found) if found.size == size else found.reshape(size, size)

@@ -1,0 +1,109 @@
+"""The part of a mass matrix in the equations of sensitivities: M S' = J S + ∂f/∂p − (∂M/∂p) y'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array
+from .._functions.directional import Directional, Point
+from .._functions.layout import with_numbers
+from .._problem.description import Description
+from .._problem.matrices import as_matrix
+from .._problem.parameters import ParameterName, values_of
+
+#: A change of a parameter that a mass matrix which depends on it shows.
+_CHANGE = 1e-3
+#: Parts of the interval at which a mass matrix is compared with itself.
+_TIMES = (0.0, 0.3819660112501051, 1.0)
+
+
+class _Rows:
+    """A mass matrix (t, *args) as a function of (t, y, *args), row by row."""
+
+    def __init__(self, mass: Any) -> None:
+        self._mass = mass
+        self.__name__ = "mass"
+
+    def __call__(self, t: Any, y: Any, *args: Any) -> Any:
+        found = self._mass(t, *args)
+        return np.ravel(np.asarray(found.toarray() if hasattr(found, "toarray") else found))
+
+
+class MassDerivatives:
+    """(∂M/∂p_j) y' of a problem.
+
+    Parameters
+    ----------
+    problem : Description
+        The problem.
+    names : sequence of ParameterName
+        The parameters.
+    rate : callable
+        (t, y) -> y'.
+
+    Attributes
+    ----------
+    derivatives : Directional
+        Those of the mass matrix.
+    """
+
+    def __init__(
+        self, problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
+    ) -> None:
+        n = len(problem.y0)
+        at = Point(problem.t_span[0], problem.y0)
+        rows = _Rows(problem.matrices.mass)
+        self.derivatives = Directional(rows, problem.args, names, n, at=at, called="mass", m=n * n)
+        self._rate, self._n = rate, n
+
+    def __call__(self, t: float, y: Array) -> Array:
+        """(∂M/∂p_j) y' in row j, (k, n)."""
+        n, k = self._n, self.derivatives.k
+        of_p = self.derivatives.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k))
+        return np.asarray(of_p.reshape(k, n, n) @ self._rate(t, y))
+
+
+class WithMass:
+    """J S_j + ∂f/∂p_j − (∂M/∂p_j) y', as the core calls it."""
+
+    def __init__(self, slope: Directional, mass: MassDerivatives) -> None:
+        self._slope, self._mass = slope, mass
+
+    def __call__(self, t: float, Y: ArrayLike) -> Array:
+        rows = np.asarray(Y, dtype=float).reshape(1 + self._slope.k, self._slope.n)
+        return self._slope.tangent(t, rows) - self._mass(t, rows[0])
+
+
+def mass_derivatives(
+    problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
+) -> MassDerivatives | None:
+    """Those of the mass matrix of a problem; None: it depends on none of these parameters."""
+    return MassDerivatives(problem, names, rate) if depends_on(problem, names) else None
+
+
+def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
+    """Whether the mass matrix depends on one of these parameters."""
+    mass, t0, args = problem.matrices.mass, problem.t_span[0], problem.args
+    if not callable(mass):
+        return False
+    own = [one for one in names if one.kind == "args"]
+    here = as_matrix("mass", mass(t0, *args), False)
+    for one, value in zip(own, values_of(args, problem.y0, own).tolist(), strict=True):
+        changed = value * (1 + _CHANGE) if value else _CHANGE
+        other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
+        if abs(as_matrix("mass", other, False) - here).max() != 0:
+            return True
+    return False
+
+
+def moves_in_time(problem: Description) -> bool:
+    """Whether the mass matrix is a function of t."""
+    mass, (t0, tf) = problem.matrices.mass, problem.t_span
+    if not callable(mass):
+        return False
+    first, *others = (as_matrix("mass", mass(t0 + part * (tf - t0), *problem.args), False) for part in _TIMES)
+    return any(abs(one - first).max() != 0 for one in others)
