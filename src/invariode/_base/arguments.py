@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._core import all_finite
+from .._core import all_finite, order
 from .suggestions import meant
 
 Array = NDArray[Any]
@@ -31,6 +31,8 @@ LARGEST_INT = 2**31 - 1
 
 #: The same for its counts.
 LARGEST_COUNT = 2**63 - 1
+
+_FLOAT = np.dtype(float)
 
 #: The kinds of NumPy's types that are numbers; objects may be, which is tested.
 _NUMERIC = "biufcO"
@@ -220,6 +222,9 @@ def interval(t_span: object) -> tuple[float, float]:
 
 def kept(value: _Value) -> _Value:
     """A copy of what was given, which the caller could change."""
+    if isinstance(value, np.ndarray) and type(value) is np.ndarray:  # the common case
+        same: _Value = value.copy()
+        return same
     return value if value is None or isinstance(value, float) else copy(value)
 
 
@@ -246,6 +251,8 @@ def as_array(name: str, value: object) -> Array:
 def numbers(name: str, value: object) -> Array:
     """A new array of float64 or complex128."""
     array = as_array(name, value)
+    if array.dtype is _FLOAT:  # the common case
+        return array.copy()
     try:
         # NumPy makes numbers of dates and of digits in text, and NaN of None.
         if array.dtype.kind not in _NUMERIC or (array.dtype.kind == "O" and any(one is None for one in array.flat)):
@@ -326,8 +333,7 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     if times.ndim != 1:
         raise ValueError(f"`t_eval` must be 1-dimensional, got shape {times.shape}")
     low, high = min(t0, tf), max(t0, tf)
-    earlier, later = (times[:-1], times[1:]) if tf >= t0 else (times[1:], times[:-1])
-    in_order = bool((earlier < later).all())
+    in_order = times.size < 2 or order(times) == (1 if tf >= t0 else -1)
     if in_order and (not times.size or (low <= times[0] <= high and low <= times[-1] <= high)):
         return times
     outside = ~((times >= low) & (times <= high))
