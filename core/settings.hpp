@@ -41,7 +41,7 @@ struct Settings {
   int iterations = 1;            ///< of the projection in a step
   int refine = 1;                ///< points per step
   bool output_at_times = false;  ///< `times` instead of the steps
-  Times times = {};
+  Times times;
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
   bool save_all = true;   ///< false: the final point only

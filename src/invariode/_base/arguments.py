@@ -251,8 +251,6 @@ def as_array(name: str, value: object) -> Array:
 def numbers(name: str, value: object) -> Array:
     """A new array of float64 or complex128."""
     array = as_array(name, value)
-    if array.dtype is _FLOAT:  # the common case
-        return array.copy()
     try:
         # NumPy makes numbers of dates and of digits in text, and NaN of None.
         if array.dtype.kind not in _NUMERIC or (array.dtype.kind == "O" and any(one is None for one in array.flat)):
@@ -266,6 +264,8 @@ def numbers(name: str, value: object) -> Array:
 
 def real_numbers(name: str, value: object) -> Array:
     """A new array of float64."""
+    if type(value) is np.ndarray and value.dtype is _FLOAT:  # the common case
+        return value.copy()
     try:
         array = numbers(name, value)
     except TypeError:
@@ -280,7 +280,7 @@ def state(y0: ArrayLike) -> Array:
     y = as_array("y0", y0)
     if y.ndim != 1:
         raise ValueError(f"`y0` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
-    y = numbers("y0", y)
+    y = y.copy() if y.dtype is _FLOAT else numbers("y0", y)
     if not all_finite(y):
         i = int(np.flatnonzero(~np.isfinite(y))[0])
         raise ValueError(f"All components of the initial state `y0` must be finite, got y0[{i}] = {y[i]}")

@@ -44,7 +44,7 @@ class Posed:
     """y' = f(t, y, *args), y(t0) = y0, checked: all that many problems are, and what each of them has. It becomes a
     problem when somebody asks for one."""
 
-    __slots__ = ("_kind", "_problem", "_title", "args", "fun", "t_span", "y0")
+    __slots__ = ("_kind", "_problem", "_title", "args", "fun", "is_plain", "t_span", "y0")
 
     _labels: None = None
 
@@ -59,17 +59,14 @@ class Posed:
     ) -> None:
         self.fun, self.t_span, self.y0 = _posed(fun, t_span, y0)
         self.args = extra_arguments(args)
+        self.is_plain = is_plain_function(self.fun)
         self._kind = kind
         self._title = title
         self._problem: Description | None = None
 
     @property
     def name(self) -> str:
-        return _named(self._title, self.fun)
-
-    @property
-    def is_plain(self) -> bool:
-        return is_plain_function(self.fun)
+        return call_name(self.fun, "problem") if self._title is None else self._title
 
     def described(self) -> Description:
         if self._problem is None:

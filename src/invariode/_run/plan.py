@@ -89,11 +89,6 @@ class Course(NamedTuple):
     max_points: int
     max_bytes: int
 
-    @property
-    def forward(self) -> float:
-        """The direction of integration."""
-        return 1.0 if self.tf >= self.t0 else -1.0
-
 
 class Settings(NamedTuple):
     """How the core goes from t0 to tf, and what it keeps. The first fields are those of `Course`."""

@@ -345,7 +345,8 @@ def _solution(
     run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
 ) -> Solution:
     dtype, functions = plan.y0.dtype, plan.functions
-    status, message = plan.verdict(run)
+    ordinary = None if plan.varied is not None or run.remarkable else MESSAGES.get(run.state)
+    status, message = ordinary or plan.verdict(run)
     bound = plan.bound
     if (functions.events or functions.breakpoints) and (jumps := run.take_jumps()):
         bound = bound.jumped(jumps)

@@ -43,8 +43,8 @@ class Template:
         self.members = core.members
         self._choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
         nothing_held = bind([], 0.0, plan.y0, (), 0.0)
-        #: By the direction of integration.
-        self._bound = {forward: replace(nothing_held, forward=forward) for forward in (1.0, -1.0)}
+        #: Of runs forwards and backwards.
+        self._bound = {True: replace(nothing_held, forward=1.0), False: replace(nothing_held, forward=-1.0)}
         functions = plan.functions._replace(fun=None, args=())
         self._plan = plan._replace(
             settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=nothing_held
@@ -63,7 +63,7 @@ class Template:
         start = problem.y0.view(float) if self._plan.functions.complex else problem.y0
         run = core.integrate_other(problem.fun, problem.args, start, course)
         self._idle.append(core)  # but not after an exception
-        return run, self._plan.on(course, self._bound[course.forward], self._names_of(problem))
+        return run, self._plan.on(course, self._bound[course.tf >= course.t0], self._names_of(problem))
 
     def _names_of(self, problem: Posed | Description) -> Names:
         """Those of the last problem, if they are the same."""

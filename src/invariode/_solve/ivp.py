@@ -112,7 +112,8 @@ def solve_ivp(
     True
     """
     describing, running = parted(solve_options(**options), DescribingOptions)
-    unused(method, describing)
+    if describing:
+        unused(method, describing)
     alone = one_column(fun) if flag("vectorized", vectorized) else fun
     running["t_eval"], running["dense_output"] = t_eval, dense_output
     if events is None and not describing:

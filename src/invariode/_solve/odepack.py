@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
@@ -207,7 +206,7 @@ def odeint(
     given: Options = {
         **call.options,
         "t_eval": asked.times,
-        "callback": counter.callback,
+        "callback": counter.step if call.most or call.full else None,
         "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
         "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
     }
@@ -350,23 +349,18 @@ def _times(t: ArrayLike) -> _Times:
     return _Times(given[new], np.cumsum(new) - 1)
 
 
-@dataclass
 class _Counter:
     """Counts during a run, and the step limit between two times of the output."""
 
-    times: Array
-    most: int  # steps between them; 0: any number
-    counting: bool
-    calls: list[int] = field(default_factory=lambda: [0])  # of f, so far
-    jacobians: int = 0
-    after: list[tuple[int, int]] = field(default_factory=list)  # both, after each step
-    place: int = 0  # in which interval the last step ended
-    steps: int = 0  # in this interval
-
-    @property
-    def callback(self) -> Callable[[float, Array], bool] | None:
-        """For the run; None where nothing is counted."""
-        return self.step if self.most or self.counting else None
+    def __init__(self, times: Array, most: int, counting: bool) -> None:
+        self.times = times
+        self.most = most  # steps between them; 0: any number
+        self.counting = counting
+        self.calls = [0]  # of f, so far
+        self.jacobians = 0
+        self.after: list[tuple[int, int]] = []  # both, after each step
+        self.place = 0  # in which interval the last step ended
+        self.steps = 0  # in this interval
 
     def step(self, t: float, y: Array) -> bool:
         """An accepted step; whether it was one too many."""
