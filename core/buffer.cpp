@@ -13,7 +13,7 @@ namespace {
 #ifdef __linux__
 /// From this size on pages of 2 MB pay, of which the first touch costs a fraction of that of 512 small ones. (NumPy
 /// asks for them from 4 MB on too.)
-constexpr std::size_t large = std::size_t{1} << 22, page = std::size_t{1} << 12;
+constexpr std::size_t large = std::size_t{4} * 1024 * 1024, page = 4096;
 
 /// A wish, which the system may ignore.
 void ask_for_large_pages(void* block, std::size_t bytes) {

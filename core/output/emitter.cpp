@@ -8,7 +8,7 @@ namespace invariode {
 namespace {
 
 /// Doubles for which room is made before a run that may end early: a quarter of a gigabyte.
-constexpr std::size_t most_reserved = std::size_t{1} << 25;
+constexpr std::size_t most_reserved = std::size_t{32} * 1024 * 1024;
 
 }  // namespace
 

@@ -8,15 +8,6 @@ namespace {
 constexpr std::size_t block = 16;  // of θ: their sums are independent of each other, and wait less for their terms
 constexpr std::size_t wide = 8;    // components: from so many on those of one θ fill the vectors
 
-void series_at(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
-  const double* c = data + (size - n);
-  for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
-  while (c != data) {
-    c -= n;
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
-  }
-}
-
 /// One component at a block of θ.
 void component_at_block(const double* last, std::size_t terms, std::size_t n, const double* theta, double* out) {
   std::array<double, block> sum;
@@ -38,7 +29,7 @@ void power_series(const double* data, std::size_t size, std::size_t n, std::span
     out += block * n;
   }
   for (const double one : theta) {
-    series_at(data, size, n, one, out);
+    power_series(data, size, n, one, out);
     out += n;
   }
 }
