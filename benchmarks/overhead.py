@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
 from statistics import median
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -288,11 +289,11 @@ def set_up(case: Case) -> str:
     """What a solve costs apart from its steps: an interval that one step covers."""
     end = 1e-6
     runs: dict[str, Callable[[], Any]] = {
-        "invariode ode45": partial(iv.solve_ivp, case.f, (0.0, end), case.y0, max_step=math.inf),
-        "SciPy RK45": partial(scipy.integrate.solve_ivp, case.f, (0.0, end), case.y0),
+        "invariode ode45": partial(iv.solve_ivp, case.f, (0.0, end), case.y0, first_step=end),
+        "SciPy RK45": partial(scipy.integrate.solve_ivp, case.f, (0.0, end), case.y0, first_step=end),
     }
     if pysolve_ivp is not None:
-        runs["CyRK RK45"] = partial(pysolve_ivp, case.f_into, (0.0, end), case.y0, pass_dy_as_arg=True)
+        runs["CyRK RK45"] = partial(pysolve_ivp, case.f_into, (0.0, end), case.y0, first_step=end, pass_dy_as_arg=True)
     for name, run in runs.items():
         require(len(run().t) == 2, f"{name}: more than one step")
     many = 100
@@ -303,6 +304,49 @@ def set_up(case: Case) -> str:
         for name, seconds in times.items()
     ]
     return table(["solve of one step", "total, µs", "÷ ours"], rows)
+
+
+def circle(y: Array, t: float) -> tuple[float, float]:
+    return y[1], -y[0]
+
+
+#: Times of output and `tcrit`, and how many calls are timed together.
+CALLS: dict[str, tuple[Array, Array | None, int]] = {
+    "an interval of 0.1": (np.array([0.0, 0.1]), None, 100),
+    "50 times in 10": (np.linspace(0.0, 10.0, 50), None, 30),
+    "20 times in 1, tcrit=t": (np.linspace(0.0, 1.0, 20), np.linspace(0.0, 1.0, 20), 20),
+    "10⁶ times in 100": (np.linspace(0.0, 100.0, 10**6), None, 1),
+}
+
+
+def odeint_calls() -> str:
+    """Calls of `odeint`, which controllers and optimisers make in a loop, and one with many times of output."""
+    rows = []
+    for name, (times, critical, many) in CALLS.items():
+        solvers = {"ours": iv.odeint, "SciPy": scipy.integrate.odeint}
+        runs = {who: partial(solve, circle, [1.0, 0.0], times, tcrit=critical) for who, solve in solvers.items()}
+        for who, run in runs.items():
+            error = np.abs(np.asarray(run())[:, 0] - np.cos(times)).max()
+            require(error < 1e-5, f"odeint, {name}, {who}: error {error:.1e}")
+        calls = {who: _calls_of(solve, times, critical) for who, solve in solvers.items()}
+        loops = {who: partial(_each, [run] * many) for who, run in runs.items()}
+        seconds = interleaved(loops, REPETITIONS, process_time)
+        each = {who: [s / many for s in seconds[who]] for who in runs}
+        row = [name, f"{calls['ours']} ({calls['SciPy']})", *(spread(each[who], US, 0) for who in runs)]
+        rows.append([*row, f"{ratio(seconds['ours'], seconds['SciPy']):.2f}"])
+    return table(["odeint of y'' = -y", "f calls (SciPy's)", "ours, µs", "SciPy, µs", "ours ÷ SciPy"], rows)
+
+
+def _calls_of(solve: Callable[..., Any], times: Array, critical: Array | None) -> int:
+    calls = 0
+
+    def counted(y: Array, t: float) -> tuple[float, float]:
+        nonlocal calls
+        calls += 1
+        return circle(y, t)
+
+    solve(counted, [1.0, 0.0], times, tcrit=critical)
+    return calls
 
 
 def times_at_equal_error(case: Case) -> dict[str, float]:
@@ -463,6 +507,8 @@ def report() -> str:
         peers(plain),
         "## The fixed cost of a solve",
         set_up(plain),
+        "## `odeint`",
+        odeint_calls(),
         "## Other right-hand sides",
         right_hand_sides(cases),
         "## One invariant, one event",

@@ -28,12 +28,9 @@ namespace invariode::binding {
 class PythonFunction final : public Callable {
  public:
   PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, Takes takes, Returns returns)
-      : callable_(nb::borrow(callable)),
-        args_(args),
-        name_(std::move(name)),
-        looks_for_signals_(PyFunction_Check(callable.ptr())),
-        takes_(takes),
-        returns_(returns) {}
+      : args_(args), name_(std::move(name)), takes_(takes), returns_(returns) {
+    take(nb::borrow(callable));
+  }
   ~PythonFunction() override {
     for (PyArrayObject* spare : spare_) Py_XDECREF(reinterpret_cast<PyObject*>(spare));
   }
@@ -41,8 +38,7 @@ class PythonFunction final : public Callable {
   [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
   /// Another one that takes and returns the same.
   void exchange(nb::object callable, nb::tuple args) {
-    looks_for_signals_ = PyFunction_Check(callable.ptr());
-    std::swap(callable_, callable);  // what it was is given up at the end, which may run Python code
+    const nb::object before = take(std::move(callable));  // is given up at the end, which may run Python code
     std::swap(args_, args);
   }
   int visit(visitproc visit, void* arg) const override {
@@ -54,6 +50,14 @@ class PythonFunction final : public Callable {
  private:
   static Status entry(void* self, double t, const double* y, double* out) noexcept {
     return in_python([&] { return static_cast<PythonFunction*>(self)->call(t, y, out); }) ? Status::ok : Status::stop;
+  }
+
+  /// The callable from now on. Returns what it was.
+  nb::object take(nb::object callable) {
+    state_first_ = nb::isinstance<StateFirst>(callable);
+    if (state_first_) callable = nb::cast<const StateFirst&>(callable).fun;
+    looks_for_signals_ = PyFunction_Check(callable.ptr()) != 0;
+    return std::exchange(callable_, std::move(callable));
   }
 
   // None of these throws, but each may end its thread (`in_python`).
@@ -74,7 +78,8 @@ class PythonFunction final : public Callable {
   nb::object callable_;
   nb::tuple args_;
   std::string name_;
-  bool looks_for_signals_;  // a function written in Python does so itself when it is entered
+  bool looks_for_signals_ = false;  // a function written in Python does so itself when it is entered
+  bool state_first_ = false;        // it takes (y, t), not (t, y)
   Takes takes_;
   Returns returns_;
   PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
@@ -141,8 +146,8 @@ PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts)
   if (extra > on_stack) return call_with_tuple(time, parts);
   PyObject* arguments[on_stack + 4];
   std::size_t count = 1;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
-  arguments[count++] = time;
-  arguments[count++] = reinterpret_cast<PyObject*>(parts[0]);
+  arguments[count++] = state_first_ ? reinterpret_cast<PyObject*>(parts[0]) : time;
+  arguments[count++] = state_first_ ? time : reinterpret_cast<PyObject*>(parts[0]);
   if (parts[1] != nullptr) arguments[count++] = reinterpret_cast<PyObject*>(parts[1]);
   for (std::size_t i = 0; i < extra; ++i)
     arguments[count++] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
@@ -154,9 +159,9 @@ PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* const* 
   const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr()), own = parts[1] == nullptr ? 2 : 3;
   PyObject* arguments = PyTuple_New(own + extra);
   if (arguments == nullptr) return nullptr;
-  PyTuple_SET_ITEM(arguments, 0, Py_NewRef(time));
-  for (Py_ssize_t i = 1; i < own; ++i)
-    PyTuple_SET_ITEM(arguments, i, Py_NewRef(reinterpret_cast<PyObject*>(parts[i - 1])));
+  PyTuple_SET_ITEM(arguments, state_first_ ? 1 : 0, Py_NewRef(time));
+  PyTuple_SET_ITEM(arguments, state_first_ ? 0 : 1, Py_NewRef(reinterpret_cast<PyObject*>(parts[0])));
+  if (own == 3) PyTuple_SET_ITEM(arguments, 2, Py_NewRef(reinterpret_cast<PyObject*>(parts[1])));
   for (Py_ssize_t i = 0; i < extra; ++i)
     PyTuple_SET_ITEM(arguments, own + i, Py_NewRef(PyTuple_GET_ITEM(args_.ptr(), i)));
   PyObject* result = PyObject_Call(callable_.ptr(), arguments, nullptr);
@@ -769,6 +774,17 @@ void define_machine_code(nb::module_& module) {
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
           nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
       .def_prop_ro("address", [](const Native& self) { return self.address; });
+  nb::class_<StateFirst>(module, "StateFirst", nb::type_slots(slots<StateFirst>),
+                         "A Python function of (y, t, ...) as one of (t, y, ...).")
+      .def(
+          "__init__", [](StateFirst* self, nb::object fun) { new (self) StateFirst{std::move(fun)}; }, nb::arg("fun"))
+      .def(
+          "__call__",
+          [](const StateFirst& self, const nb::object& t, const nb::object& y, const nb::args& rest) {
+            return self.fun(y, t, *rest);
+          },
+          nb::sig("def __call__(self, t: object, y: object, /, *args: object) -> object"))
+      .def_prop_ro("__wrapped__", [](const StateFirst& self) { return self.fun; }, "The function as it was given.");
   nb::class_<SecondOrderSpec>(module, "SecondOrder", nb::type_slots(slots<SecondOrderSpec>),
                               "f of (t, q) with y'' = f(t, y), as y' of (q, v).")
       .def(

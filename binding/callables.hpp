@@ -59,6 +59,13 @@ struct Native {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
 
+/// A Python function of (y, t, …), as SciPy's `odeint` has it. The core calls it in that order.
+struct StateFirst {
+  nb::object fun;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+};
+
 /// The right-hand side of y'' = f(t, y), a Python function or a `Native`, of states y = (q, v).
 struct SecondOrderSpec {
   nb::object fun;  ///< of (t, q)

@@ -9,6 +9,7 @@
 #include <span>
 #include <utility>
 
+#include "arrays.hpp"
 #include "weights.hpp"
 
 namespace invariode::binding {
@@ -52,6 +53,14 @@ bool finite_numbers(nb::handle values) {
   return all_finite(static_cast<const double*>(PyArray_DATA(array)), size);
 }
 
+/// 1 where each number is above the one before, −1 where each is below, 0 where neither holds.
+int order(const ConstVector& values) {
+  const double* v = values.data();
+  const auto count = static_cast<std::ptrdiff_t>(values.size());
+  if (std::adjacent_find(v, v + count, [](double a, double b) { return !(a < b); }) == v + count) return 1;
+  return std::adjacent_find(v, v + count, [](double a, double b) { return !(a > b); }) == v + count ? -1 : 0;
+}
+
 npy_intp components(std::size_t n, bool complex) { return static_cast<npy_intp>(complex ? n / 2 : n); }
 
 }  // namespace
@@ -75,6 +84,7 @@ void define_outputs(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   module.def("all_finite", &finite_numbers, nb::arg("values"),
              "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
+  module.def("order", &order, nb::arg("values"), "1: they rise strictly; -1: they fall strictly; 0: neither.");
 }
 
 }  // namespace invariode::binding

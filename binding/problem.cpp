@@ -416,11 +416,15 @@ constexpr Setting plain(const char* name) {
 
 void set_times(RunSettings& s, nb::handle times) {
   s.output_at_times = !times.is_none();
-  s.times = s.output_at_times ? to_vector(nb::cast<ConstVector>(times)) : std::vector<double>{};
+  s.times = {};
+  if (!s.output_at_times) return;
+  const auto array = nb::cast<ConstVector>(times);
+  s.times = Times({array.data(), array.size()});
 }
 nb::object get_times(const RunSettings& s) {
   if (!s.output_at_times) return nb::none();
-  return nb::cast(to_array<Vector>(std::vector<double>(s.times), s.times.size()), nb::rv_policy::move);
+  const std::span<const double> all = s.times.from(0);
+  return nb::cast(to_array<Vector>(std::vector<double>(all.begin(), all.end()), all.size()), nb::rv_policy::move);
 }
 
 /// A method by its name; "": none.

@@ -302,26 +302,39 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
   return finished;
 }
 
-/// A Python function in the place of f, for a run: afterwards the solver holds nothing of the user's.
+/// Settings of a run, with a Python function in the place of f: afterwards the solver holds nothing of the user's.
 class Lent {
  public:
-  Lent(BoundProblem& bound, nb::object fun, nb::tuple args) : bound_(bound) {
-    bound_.lend(std::move(fun), std::move(args));
+  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings) : solver_(solver) {
+    solver_.solver.cover(std::move(settings));
+    solver_.bound.lend(std::move(fun), std::move(args));
   }
   Lent(const Lent&) = delete;
   Lent& operator=(const Lent&) = delete;
-  ~Lent() { bound_.lend(nb::none(), nb::tuple()); }
+  ~Lent() {
+    solver_.bound.lend(nb::none(), nb::tuple());
+    Settings settings = solver_.solver.settings();
+    settings.times = {};
+    solver_.solver.cover(std::move(settings));
+  }
 
  private:
-  BoundProblem& bound_;
+  BoundSolver& solver_;
 };
+
+/// The fields of `Settings` that depend on the problem, in the order of their names in Python.
+using Course = std::tuple<double, double, double, std::optional<ConstVector>, std::int64_t, std::int64_t>;
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
 FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, const ConstVector& y0,
-                            const RunSettings& settings) {
+                            const Course& course) {
   require_state(y0, self.solver.problem().extent().size());
-  self.solver.cover(settings);
-  const Lent lent(self.bound, std::move(fun), std::move(args));
+  Settings settings = self.solver.settings();
+  std::optional<ConstVector> times;
+  std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) = course;
+  settings.output_at_times = times.has_value();
+  if (times) settings.times = Times({times->data(), times->size()});
+  const Lent lent(self, std::move(fun), std::move(args), std::move(settings));
   const nb::object nobody = nb::none();
   return drive(self, {.y0 = y0.data()}, nobody, nullptr, nobody, 0);
 }
@@ -722,9 +735,10 @@ void define_solver(nb::module_& module) {
            nb::arg("cover") = nb::none(),
            "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
-      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("settings"),
-           "Integrates y' = fun(t, y, *args) from y0 with these settings of the loop, in the place of the Python "
-           "function that it was made with; afterwards it holds no function.");
+      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
+           "Integrates y' = fun(t, y, *args) from y0, in the place of the Python function that it was made with, with "
+           "other values of the settings (t0, tf, max_step, times, max_points, max_bytes); afterwards it holds nothing "
+           "of them.");
 }
 
 void define_stepper(nb::module_& module) {

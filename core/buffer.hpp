@@ -1,17 +1,20 @@
 #pragma once
-// A growing array for output. Large blocks grow where they are, or by moving pages: a std::vector would copy them and
-// touch new memory each time, which costs as much as the steps that fill it.
+// A growing array for output. Large blocks grow where they are, or by moving pages, and consist of large pages where
+// the system has them: a std::vector would copy them, and touch new memory each time, which costs as much as the steps
+// that fill it.
 
 #include <cassert>
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
-#include <new>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 namespace invariode {
+
+/// The block with room for so many bytes, perhaps elsewhere.
+[[nodiscard]] void* resized_block(void* block, std::size_t bytes);
 
 template <class T>
 class Buffer {
@@ -41,6 +44,15 @@ class Buffer {
     if (count == 0) return;
     if (size_ + count > capacity_) grow(size_ + count);
     std::memcpy(data_ + size_, values, count * sizeof(T));
+    size_ += count;
+  }
+  /// Room for so many values behind the last, which `fill_room` makes part of the array once they have been written.
+  [[nodiscard]] T* room(std::size_t count) {
+    if (size_ + count > capacity_) grow(size_ + count);
+    return data_ + size_;
+  }
+  void fill_room(std::size_t count) {
+    assert(size_ + count <= capacity_);
     size_ += count;
   }
   void reserve(std::size_t capacity) {
@@ -83,9 +95,7 @@ class Buffer {
     resize_block(capacity < least ? least : capacity);
   }
   void resize_block(std::size_t capacity) {
-    void* block = std::realloc(data_, capacity * sizeof(T));
-    if (block == nullptr) throw std::bad_alloc();
-    data_ = static_cast<T*>(block);
+    data_ = static_cast<T*>(resized_block(data_, capacity * sizeof(T)));
     capacity_ = capacity;
   }
   void swap(Buffer& other) noexcept {

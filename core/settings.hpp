@@ -3,11 +3,35 @@
 
 #include <cstdint>
 #include <limits>
-#include <vector>
+#include <memory>
+#include <span>
+#include <utility>
 
+#include "buffer.hpp"
 #include "output/interpolant.hpp"
 
 namespace invariode {
+
+/// Times of output, in the order of integration, inside the interval. Copies share them.
+class Times {
+ public:
+  Times() = default;
+  explicit Times(std::span<const double> times) {
+    auto values = std::make_shared<Buffer<double>>();
+    values->append(times.data(), times.size());
+    values_ = std::move(values);
+  }
+
+  [[nodiscard]] std::size_t size() const { return values_ ? values_->size() : 0; }
+  [[nodiscard]] bool empty() const { return size() == 0; }
+  [[nodiscard]] const double* data() const { return values_ ? values_->data() : nullptr; }
+  [[nodiscard]] double operator[](std::size_t i) const { return (*values_)[i]; }
+  /// From number i on.
+  [[nodiscard]] std::span<const double> from(std::size_t i) const { return {data() + i, size() - i}; }
+
+ private:
+  std::shared_ptr<const Buffer<double>> values_;
+};
 
 struct Settings {
   double t0 = 0;
@@ -17,7 +41,7 @@ struct Settings {
   int iterations = 1;            ///< of the projection in a step
   int refine = 1;                ///< points per step
   bool output_at_times = false;  ///< `times` instead of the steps
-  std::vector<double> times;     ///< in the order of integration, inside the interval
+  Times times;
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
   bool save_all = true;   ///< false: the final point only

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <span>
 #include <vector>
 
 #include "archive.hpp"
@@ -19,9 +20,20 @@ namespace invariode {
 /// `bounds`: the candidate is outside of them.
 enum class Cause { error, newton, projection, not_finite, bounds };
 
-/// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at θ ∈ [0, 1], into out (n,). A plain
-/// function of the data alone, so that a step can be interpolated long after the method has moved on.
-using Interpolate = void (*)(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+/// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at some θ ∈ [0, 1], into out
+/// (count of θ, n). A plain function of the data alone, so that a step can be interpolated long after the method has
+/// moved on. What it gives at one θ does not depend on the others.
+using Interpolate = void (*)(const double* data, std::size_t size, std::size_t n, std::span<const double> theta,
+                             double* out);
+
+/// One that evaluates at one θ after the other.
+template <void (*at)(const double* data, std::size_t size, std::size_t n, double theta, double* out)>
+void in_turn(const double* data, std::size_t size, std::size_t n, std::span<const double> theta, double* out) {
+  for (const double one : theta) {
+    at(data, size, n, one, out);
+    out += n;
+  }
+}
 
 /// One attempted or accepted step of a method, and the method's memory.
 ///

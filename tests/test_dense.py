@@ -37,6 +37,18 @@ def test_stored_values_at_the_ends_of_steps(method, problem, interpolation):
     np.testing.assert_array_equal(sol.sol.ts, sol.t)
 
 
+@families_and_series
+def test_a_value_does_not_depend_on_the_other_times(method):
+    """Those of a step are evaluated together, in blocks of which the last is not full."""
+    t = np.linspace(0, 1, 1501)
+    few, many = (iv.solve_ivp(spring, (0, 1), [1.0, 0.0, 0.5], method, t_eval=t[::k]).y for k in (100, 1))
+    np.testing.assert_array_equal(many[:, ::100], few)
+
+
+def spring(t, y):
+    return [y[1], -y[0], y[0] * y[2]]
+
+
 @dealt(24, method=METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_output_at_given_times_is_the_dense_output(method, problem, interpolation):
     dense = problem.solve(method, dense_output=True, interpolation=interpolation)

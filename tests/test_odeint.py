@@ -247,6 +247,43 @@ def test_what_has_no_effect_says_so(capsys):
     assert capsys.readouterr().out == "Integration successful.\n"
 
 
+def test_the_order_of_arguments_changes_no_bit():
+    """With few further arguments and many, a lambda, a bound method and an object; functions keep their names in
+    errors."""
+
+    class Pendulum:
+        def of_state(self, y, t, *args):
+            return pendulum(y, t, 0.25, 5.0 + len(args))
+
+        __call__ = of_state
+
+    t = np.linspace(0, 3, 40)
+    for fun in (Pendulum().of_state, Pendulum(), lambda y, t, *args: pendulum(y, t, 0.25, 5.0)):
+        for args in ((), (1,), tuple(range(12))):
+            for _ in range(2):
+                y = iv.odeint(fun, [1.0, 0.5], t, args=args)
+                first = iv.odeint(lambda t, y, *args, fun=fun: fun(y, t, *args), [1.0, 0.5], t, args=args, tfirst=True)
+                np.testing.assert_array_equal(y, first)
+    with pytest.raises(TypeError, match="pendulum") as info:
+        iv.odeint(pendulum, [1.0, 0.5], t, args=(1.0,))
+    assert info.value.__notes__
+
+
+def test_calls_of_one_kind_say_the_same():
+    """Values that are equal and of another type are other arguments, and warnings come with every call."""
+    t = np.linspace(0, 1, 5)
+    for _ in range(2):
+        with pytest.warns(UserWarning, match="hmin has no effect"):
+            iv.odeint(lambda y, t: -y, [1.0], t, hmin=1e-3)
+        iv.odeint(lambda y, t: -y, [1.0], t, mxstep=100)
+        with pytest.raises(TypeError, match="mxstep must be an integer"):
+            iv.odeint(lambda y, t: -y, [1.0], t, mxstep=100.0)
+        for tolerance in (1e-6, [1e-6], np.array([1e-6])):
+            np.testing.assert_allclose(iv.odeint(lambda y, t: -y, [1.0], t, rtol=tolerance)[:, 0], np.exp(-t), 1e-5)
+        with pytest.raises(ValueError, match="nothing"):
+            iv.odeint(lambda y, t: -y, [1.0], t, method="nothing")
+
+
 def test_invariants_are_kept():
     t = np.linspace(0, 100, 11)
     y = iv.odeint(lambda y, t: [y[1], -y[0]], [1.0, 0.0], t, rtol=1e-3, atol=1e-6, invariants=lambda t, y: y @ y)

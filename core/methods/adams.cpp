@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "methods/initial_step.hpp"
+#include "output/polynomial.hpp"
 
 namespace invariode {
 namespace {
@@ -23,26 +24,6 @@ constexpr double indistinct = 1000 * eps;  // y₁ − p, in the weights: below,
 constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
 
 }  // namespace
-
-void integrate_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
-  const std::size_t terms = (size - n) / (n + 1);
-  const double* phi = data + n;
-  const double* psi = phi + terms * n;
-  const double distance = (theta - 1) * psi[terms - 1];
-  double w[Adams::highest_order + 1];
-  for (std::size_t i = 0; i < terms; ++i) w[i] = 1 / static_cast<double>(i + 1);
-  std::copy(data, data + n, out);
-  double before = 0;  // ψ_{j−1}
-  for (std::size_t j = 0; j < terms; ++j) {
-    if (j > 0) {
-      const double grow = (distance + before) / psi[j - 1], shrink = distance / psi[j - 1];
-      for (std::size_t i = 0; i + j < terms; ++i) w[i] = grow * w[i] - shrink * w[i + 1];
-      before = psi[j - 1];
-    }
-    const double weight = distance * w[0];
-    for (std::size_t i = 0; i < n; ++i) out[i] += weight * phi[j * n + i];
-  }
-}
 
 Adams::Adams(Callback& f, const Weights& weights, int max_order)
     : Step(f, weights),
@@ -296,16 +277,33 @@ void Adams::state(Archive& archive) {
   predicted_ = false;
 }
 
-Interpolate Adams::interpolate() const { return integrate_polynomial; }
+Interpolate Adams::interpolate() const { return power_series; }
 
-std::size_t Adams::extension_size() const { return n() + (static_cast<std::size_t>(previous_order_) + 1) * (n() + 1); }
-std::size_t Adams::max_extension_size() const { return n() + (static_cast<std::size_t>(max_order_) + 1) * (n() + 1); }
+std::size_t Adams::extension_size() const { return (static_cast<std::size_t>(previous_order_) + 2) * n(); }
+std::size_t Adams::max_extension_size() const { return (static_cast<std::size_t>(max_order_) + 2) * n(); }
 
+/// With θ = (t − t₀)/h, y' = Σ_j φ_{j+1} c_j(θ), c₀ = 1 and c_j = c_{j−1} (h/ψ_j) (θ + ψ_{j−1}/h − 1), ψ₀ = 0. Since
+/// ψ_j grows with j, the sizes of the coefficients of each c_j sum to at most 2: sums of powers lose no digits.
 Status Adams::extension(double* data) {
-  data = std::copy(y(), y() + n(), data);
-  data = std::copy(phi(1), phi(previous_order_ + 2), data);
-  data = std::copy(&psi_[1], &psi_[1] + previous_order_, data);
-  *data = previous_h_;
+  const std::size_t terms = static_cast<std::size_t>(previous_order_) + 1;
+  const double h = previous_h_;
+  double c[highest_order + 2] = {1};  // coefficients of c_j
+  std::copy(y(), y() + n(), data);
+  std::fill(data + n(), data + extension_size(), 0);
+  for (std::size_t j = 0; j < terms; ++j) {
+    if (j > 0) {
+      const double shift = (j > 1 ? psi_[j - 1] / h : 0) - 1, scale = h / psi_[j];
+      for (std::size_t m = j + 1; m-- > 0;) c[m] = scale * ((m > 0 ? c[m - 1] : 0) + shift * c[m]);
+    }
+    const double* difference = phi(static_cast<int>(j) + 1);
+    for (std::size_t m = 0; m <= j; ++m) {
+      const double weight = h * c[m] / static_cast<double>(m + 1);
+      double* coefficient = data + (m + 1) * n();
+      for (std::size_t i = 0; i < n(); ++i) coefficient[i] += weight * difference[i];
+    }
+  }
+  for (std::size_t m = 1; m <= terms; ++m)
+    for (std::size_t i = 0; i < n(); ++i) data[i] -= data[m * n() + i];
   return Status::ok;
 }
 

@@ -11,12 +11,9 @@
 
 namespace invariode {
 
-/// The polynomial of [SG] 'INTRP': y₁ + (t − t₁) Σ_{i≤k+1} g_i(t) φ_i, the integral of the polynomial that interpolates
-/// f at t₁ and at the k points before it. data = [y₁ | φ_1 … φ_{k+1} | ψ_1 … ψ_k | h].
-void integrate_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
-
 /// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
-/// of the projected solution.
+/// of the projected solution. Its continuous extension is the polynomial of [SG] 'INTRP', the integral of the
+/// polynomial that interpolates f at t₁ and at the k points before it, in powers of θ.
 class Adams final : public Step {
  public:
   static constexpr int highest_order = 12;
@@ -35,6 +32,7 @@ class Adams final : public Step {
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;
   [[nodiscard]] std::size_t max_extension_size() const override;
+  [[nodiscard]] bool extends_by_powers() const override { return true; }
   [[nodiscard]] int degree() const override { return previous_order_ + 1; }
   [[nodiscard]] int max_degree() const override { return max_order_ + 1; }
   Status extension(double* data) override;

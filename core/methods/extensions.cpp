@@ -3,28 +3,23 @@
 #include <algorithm>
 #include <iterator>
 
-#include "methods/adams.hpp"
 #include "methods/ndf.hpp"
 #include "methods/runge_kutta.hpp"
-#include "methods/taylor.hpp"
 #include "methods/trbdf2.hpp"
+#include "output/polynomial.hpp"
 
 namespace invariode {
 namespace {
 
 bool rows_of_n(const double*, std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
 bool two_cubics(const double*, std::size_t size, std::size_t n) { return size == TrBdf2::extension_rows * n; }
-bool rows_and_steps(const double*, std::size_t size, std::size_t n) {
-  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
-}
 bool numbered(const double* data, std::size_t size, std::size_t n);
 
-constexpr NamedExtension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n},
-                                   {"Adams", integrate_polynomial, rows_and_steps},
-                                   {"NDF", newton_backward, rows_of_n},
-                                   {"TR-BDF2", two_hermite_cubics, two_cubics},
-                                   {"numbered", numbered_extension, numbered},
-                                   {"power series", power_series, rows_of_n}};
+constexpr NamedExtension list[] = {{"Runge-Kutta", in_turn<runge_kutta::nested_polynomial>, rows_of_n},
+                                   {"power series", power_series, rows_of_n},
+                                   {"NDF", in_turn<newton_backward>, rows_of_n},
+                                   {"TR-BDF2", in_turn<two_hermite_cubics>, two_cubics},
+                                   {"numbered", numbered_extension, numbered}};
 
 /// The extension with that number; null if the number is unknown, or names a numbered extension.
 const NamedExtension* of_number(double number) {
@@ -54,7 +49,8 @@ const NamedExtension& find_extension(Interpolate evaluate) {
 
 double number_of_extension(Interpolate evaluate) { return static_cast<double>(&find_extension(evaluate) - list); }
 
-void numbered_extension(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+void numbered_extension(const double* data, std::size_t size, std::size_t n, std::span<const double> theta,
+                        double* out) {
   of_number(data[0])->evaluate(data + 1, size - 1, n, theta, out);
 }
 

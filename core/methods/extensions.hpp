@@ -22,7 +22,8 @@ struct NamedExtension {
 [[nodiscard]] const NamedExtension& find_extension(Interpolate evaluate);
 
 /// That of a method whose steps are made by others: data = [number of the extension in the list | what that reads].
-void numbered_extension(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+void numbered_extension(const double* data, std::size_t size, std::size_t n, std::span<const double> theta,
+                        double* out);
 [[nodiscard]] double number_of_extension(Interpolate evaluate);
 
 }  // namespace invariode

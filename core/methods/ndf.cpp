@@ -241,7 +241,7 @@ void Ndf::state(Archive& archive) {
   for (const int k : {order_, memory_order_}) archive.require(k >= 1 && k <= options_.max_order);
 }
 
-Interpolate Ndf::interpolate() const { return newton_backward; }
+Interpolate Ndf::interpolate() const { return in_turn<newton_backward>; }
 std::size_t Ndf::extension_size() const { return static_cast<std::size_t>(memory_order_ + 1) * n(); }
 std::size_t Ndf::max_extension_size() const { return static_cast<std::size_t>(options_.max_order + 1) * n(); }
 

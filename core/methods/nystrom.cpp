@@ -125,7 +125,7 @@ class NystromStep final : public Step {
     archive(remainder_, failed_);
   }
 
-  [[nodiscard]] Interpolate interpolate() const override { return runge_kutta::nested_polynomial; }
+  [[nodiscard]] Interpolate interpolate() const override { return in_turn<runge_kutta::nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }

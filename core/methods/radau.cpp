@@ -408,7 +408,7 @@ void Radau::state(Archive& archive) {
   solver_.state(archive);
 }
 
-Interpolate Radau::interpolate() const { return runge_kutta::nested_polynomial; }
+Interpolate Radau::interpolate() const { return in_turn<runge_kutta::nested_polynomial>; }
 
 /// y + Σ of the nested terms; the first of them is that of the last stage.
 Status Radau::extension(double* data) {

@@ -133,7 +133,7 @@ void Rosenbrock::state(Archive& archive) {
   archive(f0_, slope_, ft_, ft_known_, failed_);
 }
 
-Interpolate Rosenbrock::interpolate() const { return runge_kutta::nested_polynomial; }
+Interpolate Rosenbrock::interpolate() const { return in_turn<runge_kutta::nested_polynomial>; }
 
 /// y + h (θ (1 − θ) k₁ + θ (θ − 2d) k₂) / (1 − 2d) = y + θ (h k₂ + (1 − θ) h (k₁ − k₂) / (1 − 2d))
 Status Rosenbrock::extension(double* data) {

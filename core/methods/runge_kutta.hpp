@@ -19,7 +19,7 @@ namespace invariode::runge_kutta {
 /// result by O(h^{q+1}) and saves an evaluation per step (paper, section 4); `evaluate` computes f(t₁, y₁).
 enum class Fsal { reuse, evaluate };
 
-/// `nested_polynomial` of output/polynomial.hpp, as an `Interpolate`.
+/// `nested_polynomial` of output/polynomial.hpp.
 void nested_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// `size` doubles in `v`, which not every run needs. (Inlined, it would cost each step registers.)

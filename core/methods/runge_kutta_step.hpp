@@ -121,7 +121,7 @@ class RungeKuttaStep final : public Step {
     archive(failed_);
   }
 
-  [[nodiscard]] Interpolate interpolate() const override { return nested_polynomial; }
+  [[nodiscard]] Interpolate interpolate() const override { return in_turn<nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }

@@ -8,6 +8,7 @@
 
 #include "aim.hpp"
 #include "methods/initial_step.hpp"
+#include "output/polynomial.hpp"
 
 namespace invariode {
 
@@ -24,16 +25,6 @@ constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients o
 double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
 
 }  // namespace
-
-void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
-  if (n == 0) return;
-  const double* c = data + (size - n);
-  for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
-  while (c != data) {
-    c -= n;
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
-  }
-}
 
 Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool projected)
     : Step(f, weights),

@@ -112,7 +112,4 @@ class Taylor final : public Step {
   Undefined undefined_;
 };
 
-/// Its extension, an `Interpolate`: Σ c_k θ^k.
-void power_series(const double* data, std::size_t size, std::size_t n, double theta, double* out);
-
 }  // namespace invariode

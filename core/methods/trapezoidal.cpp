@@ -108,7 +108,7 @@ void Trapezoidal::state(Archive& archive) {
   archive(second_, bent_, last_missed_, rise_[0], rise_[1], rise_[2], h2_, h3_, last_error_);
 }
 
-Interpolate Trapezoidal::interpolate() const { return runge_kutta::nested_polynomial; }
+Interpolate Trapezoidal::interpolate() const { return in_turn<runge_kutta::nested_polynomial>; }
 
 /// The cubic Hermite interpolant, y + θ (Δ + (1 − θ) (z₀ − Δ + θ (2Δ − z₀ − z₁))) with Δ = y* − y.
 Status Trapezoidal::extension(double* data) {

@@ -19,7 +19,7 @@ class TrBdf2 final : public OrderTwo {
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return 3; }
 
-  [[nodiscard]] Interpolate interpolate() const override { return two_hermite_cubics; }
+  [[nodiscard]] Interpolate interpolate() const override { return in_turn<two_hermite_cubics>; }
   static constexpr std::size_t extension_rows = 6;
   [[nodiscard]] std::size_t extension_size() const override { return extension_rows * n(); }
   [[nodiscard]] int degree() const override { return 6; }  // 3 in each part

@@ -5,11 +5,20 @@
 #include <utility>
 
 namespace invariode {
+namespace {
+
+/// Doubles for which room is made before a run that may end early: a quarter of a gigabyte.
+constexpr std::size_t most_reserved = std::size_t{32} * 1024 * 1024;
+
+}  // namespace
 
 Emitter::Emitter(const Settings& settings, StepInterpolant& interpolant, std::size_t n, std::size_t events,
                  std::optional<DenseOutput> dense)
     : settings_(settings), interpolant_(interpolant), n_(n), forward_(settings.tf >= settings.t0 ? 1 : -1) {
-  if (settings_.output_at_times || settings_.refine > 1) inside_.resize(n_);
+  if (at_times()) {
+    output.points.t.reserve(std::min(settings_.times.size(), most_reserved));
+    output.points.y.reserve(std::min(settings_.times.size() * n_, most_reserved));
+  }
   output.occurrences.resize(events);
   output.dense = std::move(dense);
 }
@@ -33,7 +42,7 @@ Status Emitter::emit(double t0, double t1, const Reached& reached, bool jumps) {
   for (int j = 1; j < settings_.refine && t != t0; ++j) {
     const double at = t0 + (t1 - t0) * (static_cast<double>(j) / settings_.refine);
     if (forward_ * at >= forward_ * t) break;
-    if (emit_inside(at) == Status::stop) return Status::stop;
+    if (emit_inside({&at, 1}) == Status::stop) return Status::stop;
   }
   output.points.add(t, y, n_);
   return Status::ok;
@@ -42,21 +51,24 @@ Status Emitter::emit(double t0, double t1, const Reached& reached, bool jumps) {
 Status Emitter::emit_times(const Reached& reached, bool jumps) {
   if (!at_times()) return Status::ok;
   const auto& [t, y] = reached;
-  for (; next_time_ < settings_.times.size(); ++next_time_) {
-    const double at = settings_.times[next_time_];
-    if (forward_ * at > forward_ * t || (at == t && jumps)) break;  // the value after the jump is put out
-    if (at == t)
-      output.points.add(at, y, n_);
-    else if (emit_inside(at) == Status::stop)
-      return Status::stop;
-  }
+  const std::span<const double> left = settings_.times.from(next_time_);
+  std::size_t inside = 0;
+  while (inside < left.size() && forward_ * left[inside] < forward_ * t) ++inside;
+  if (emit_inside(left.first(inside)) == Status::stop) return Status::stop;
+  next_time_ += inside;
+  if (inside == left.size() || left[inside] != t || jumps) return Status::ok;  // the value after the jump is put out
+  output.points.add(t, y, n_);
+  ++next_time_;
   return Status::ok;
 }
 
-Status Emitter::emit_inside(double t) {
-  if (interpolant_.value(t, inside_.data()) == Status::stop) return Status::stop;
-  assert(inside_.size() == n_);
-  output.points.add(t, inside_.data(), n_);
+/// At some times within the step.
+Status Emitter::emit_inside(std::span<const double> times) {
+  if (times.empty()) return Status::ok;
+  Trajectory& points = output.points;
+  if (interpolant_.values(times, points.y.room(times.size() * n_)) == Status::stop) return Status::stop;
+  points.y.fill_room(times.size() * n_);
+  points.t.append(times.data(), times.size());
   return Status::ok;
 }
 

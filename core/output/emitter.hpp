@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "output/interpolant.hpp"
@@ -59,14 +60,13 @@ class Emitter {
 
  private:
   [[nodiscard]] bool at_times() const { return settings_.save_all && settings_.output_at_times; }
-  Status emit_inside(double t);
+  Status emit_inside(std::span<const double> times);
 
   const Settings& settings_;
   StepInterpolant& interpolant_;
   std::size_t n_;
   double forward_;
   std::size_t next_time_ = 0;
-  std::vector<double> inside_;  // a value inside a step
 };
 
 }  // namespace invariode

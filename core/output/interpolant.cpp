@@ -1,6 +1,7 @@
 #include "output/interpolant.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 
 #include "manifold/active_set.hpp"
@@ -11,17 +12,25 @@
 namespace invariode {
 namespace {
 
+constexpr std::size_t points_at_once = 64;    // whose θ are kept together
 constexpr std::size_t fewest_directions = 4;  // of corrections there: as many as a cubic extension has, and one more
+constexpr std::array<double, 2> ends_of_step = {0, 1};
 
 }  // namespace
 
-void Interpolant::corrected(const Segment& segment, double t, double* y) const {
+void Interpolant::corrected(const Segment& segment, std::span<const double> t, double* y) const {
   assert(segment.t0 != segment.t1 && segment.size >= overhead());
-  const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   const std::size_t raw_size = segment.size - overhead();
-  raw_(segment.data, raw_size, n_, theta, y);
-  if (mode_ != Interpolation::raw) correct_ends(segment.data + raw_size, theta, y);
-  if (bounds_ != nullptr) clip(*bounds_, extent_, y);
+  for (std::array<double, points_at_once> room; !t.empty(); t = t.subspan(std::min(t.size(), room.size()))) {
+    const std::span<double> theta(room.data(), std::min(t.size(), room.size()));
+    for (std::size_t p = 0; p < theta.size(); ++p) theta[p] = (t[p] - segment.t0) / (segment.t1 - segment.t0);
+    raw_(segment.data, raw_size, n_, theta, y);
+    for (const double one : theta) {
+      if (mode_ != Interpolation::raw) correct_ends(segment.data + raw_size, one, y);
+      if (bounds_ != nullptr) clip(*bounds_, extent_, y);
+      y += n_;
+    }
+  }
 }
 
 void Interpolant::correct_ends(const double* e0, double theta, double* y) const {
@@ -101,8 +110,7 @@ Status StepInterpolant::make() {
   if (interpolant_.mode_ != Interpolation::raw) {
     double* e0 = data_.data() + raw_size;
     double* e1 = e0 + n;
-    interpolant_.raw_(data_.data(), raw_size, n, 0, e0);
-    interpolant_.raw_(data_.data(), raw_size, n, 1, e1);
+    interpolant_.raw_(data_.data(), raw_size, n, ends_of_step, e0);
     for (std::size_t i = 0; i < n; ++i) e0[i] = start_y_[i] - e0[i];
     for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
     if (interpolant_.projects()) {
@@ -168,6 +176,18 @@ Status StepInterpolant::powers(std::vector<double>& c) {
     c[2 * n + i] += 3 * (e1[i] - e0[i]);
     c[3 * n + i] += 2 * (e0[i] - e1[i]);
   }
+  return Status::ok;
+}
+
+Status StepInterpolant::values(std::span<const double> t, double* y) {
+  const Segment s = segment();
+  if (!s.data) return Status::stop;
+  if (!interpolant_.projects()) {
+    interpolant_.corrected(s, t, y);
+    return Status::ok;
+  }
+  for (std::size_t p = 0; p < t.size(); ++p)
+    if (interpolant_.value(s, t[p], y + p * interpolant_.n_) == Status::stop) return Status::stop;
   return Status::ok;
 }
 

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "manifold/bounds.hpp"
@@ -57,7 +58,9 @@ class Interpolant {
   /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
   Status value(const Segment& segment, double t, double* y);
   /// The same without projection: cheap, and equal to `value` at both ends.
-  void corrected(const Segment& segment, double t, double* y) const;
+  void corrected(const Segment& segment, double t, double* y) const { corrected(segment, {&t, 1}, y); }
+  /// At several t, (count, n).
+  void corrected(const Segment& segment, std::span<const double> t, double* y) const;
 
  private:
   void correct_ends(const double* e0, double theta, double* y) const;
@@ -103,6 +106,8 @@ class StepInterpolant {
   void state(Archive& archive) { archive(g_known_, g_t_, g_end_, tangent_end_); }
 
   Status value(double t, double* y);
+  /// At several t, (count, n).
+  Status values(std::span<const double> t, double* y);
   Status corrected(double t, double* y);
   /// The order up to which `powers` has coefficients. Nothing: the step is not known by powers of θ.
   [[nodiscard]] std::optional<int> order_of_powers() const {

@@ -2,6 +2,7 @@
 // Polynomials between the ends of a step: of doubles, or of packs of them, one trajectory in each lane.
 
 #include <cstddef>
+#include <span>
 
 namespace invariode {
 
@@ -17,6 +18,21 @@ void nested_polynomial(const Real* coefficients, std::size_t size, std::size_t n
     for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
   }
 }
+
+/// Σ c_k θ^k, the coefficients c_k (n,) one after the other.
+template <class Real>
+void power_series(const Real* data, std::size_t size, std::size_t n, const Real& theta, Real* out) {
+  if (n == 0) return;
+  const Real* c = data + (size - n);
+  for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
+  while (c != data) {
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
+  }
+}
+
+/// The same at several θ, as an `Interpolate`.
+void power_series(const double* data, std::size_t size, std::size_t n, std::span<const double> theta, double* out);
 
 /// The part that a correction of the end has at θ ∈ [0, 1]: flat at both.
 template <class Real>

@@ -12,6 +12,9 @@ def all_finite(values: object) -> bool:
     Whether all numbers of a contiguous array of float64 or complex128 are finite.
     """
 
+def order(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> int:
+    """1: they rise strictly; -1: they fall strictly; 0: neither."""
+
 class PiecewisePolynomial:
     """Functions of t that are polynomials between times."""
 
@@ -30,6 +33,17 @@ class Native:
 
     @property
     def address(self) -> int: ...
+
+class StateFirst:
+    """A Python function of (y, t, ...) as one of (t, y, ...)."""
+
+    def __init__(self, fun: object) -> None: ...
+
+    def __call__(self, t: object, y: object, /, *args: object) -> object: ...
+
+    @property
+    def __wrapped__(self) -> object:
+        """The function as it was given."""
 
 class SecondOrder:
     """f of (t, q) with y'' = f(t, y), as y' of (q, v)."""
@@ -561,9 +575,9 @@ class Solver:
         Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
         """
 
-    def integrate_other(self, fun: object, args: tuple, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], settings: Settings) -> Run:
+    def integrate_other(self, fun: object, args: tuple, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], course: tuple[float, float, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, int, int]) -> Run:
         """
-        Integrates y' = fun(t, y, *args) from y0 with these settings of the loop, in the place of the Python function that it was made with; afterwards it holds no function.
+        Integrates y' = fun(t, y, *args) from y0, in the place of the Python function that it was made with, with other values of the settings (t0, tf, max_step, times, max_points, max_bytes); afterwards it holds nothing of them.
         """
 
 class Stepper:

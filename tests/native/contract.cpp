@@ -1,5 +1,6 @@
 // The step contract: attempt proposes, accept alone commits, and what fails leaves no trace.
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -82,6 +83,24 @@ TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
     }
 }
 
+TEST(an_extension_gives_at_each_theta_what_it_gives_at_that_alone) {
+  for (const Method& method : methods_of_second_order()) {
+    const check::Case label(method.name);
+    Bench bench(method, Fsal::reuse);
+    CHECK(bench.step->accept(bench.candidate(h).data()) == Outcome::ok);
+    const std::vector<double> data = extension_of(*bench.step);
+    std::array<double, 37> theta;
+    for (std::size_t p = 0; p < theta.size(); ++p) theta[p] = static_cast<double>(p) / (theta.size() - 1);
+    std::array<double, 4 * theta.size()> together;
+    bench.step->interpolate()(data.data(), data.size(), 4, theta, together.data());
+    for (std::size_t p = 0; p < theta.size(); ++p) {
+      double alone[4];
+      bench.step->interpolate()(data.data(), data.size(), 4, std::array{theta[p]}, alone);
+      CHECK(same_bits(alone, &together[4 * p], 4));
+    }
+  }
+}
+
 TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
   for (const Method& method : methods_of_second_order())
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
@@ -96,13 +115,13 @@ TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
       CHECK(bench.step->extension_size() <= bench.step->max_extension_size());
       double y[4];
       const bool one_step = takes_one_step(method);
-      bench.step->interpolate()(data.data(), data.size(), 4, 0, y);
+      bench.step->interpolate()(data.data(), data.size(), 4, std::array{0.0}, y);
       if (one_step)
         CHECK(same_bits(y, bench.problem.y0.data(), 4));
       else  // Adams: as far as the formula goes; NDF: to roundoff
         CHECK_CLOSE(distance(y, bench.problem.y0.data(), 4), 0,
                     is(method, "ode113") || method.switches() ? 1e-1 : 20 * eps);
-      bench.step->interpolate()(data.data(), data.size(), 4, 1, y);
+      bench.step->interpolate()(data.data(), data.size(), 4, std::array{1.0}, y);
       if (one_step)
         y1[0] -= 1e-4;  // the raw extension of a Runge-Kutta pair ends at y*, that of a multistep method at y1
       CHECK_CLOSE(distance(y, y1.data(), 4), 0, 20 * eps);

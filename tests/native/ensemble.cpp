@@ -63,7 +63,7 @@ class Solvers {
 Settings at_times() {
   Settings settings = Oscillator::settings();
   settings.output_at_times = true;
-  settings.times = {0.5, 3, 9.75, 20};
+  settings.times = Times(std::array{0.5, 3.0, 9.75, 20.0});
   return settings;
 }
 

@@ -1,6 +1,7 @@
 // The loop: where it lands, what it puts out, how it ends.
 
 #include <algorithm>
+#include <array>
 #include <random>
 #include <vector>
 
@@ -168,15 +169,16 @@ TEST(output_at_times_gives_those_times_and_no_others) {
     for (const double forward : {1.0, -1.0}) {
       const check::Case label(method.name, ", direction ", forward);
       Settings settings{.tf = 5 * forward, .output_at_times = true};
-      for (const double t : {0.0, 0.1, 0.1000001, 2.0, 4.99, 5.0}) settings.times.push_back(forward * t);
+      std::vector<double> times{0.0, 0.1, 0.1000001, 2.0, 4.99, 5.0};
+      for (double& t : times) t *= forward;
+      settings.times = Times(times);
       Run at_times(method, kepler(0.5), {.settings = settings});
       Run dense(method, kepler(0.5), {.settings = {.tf = 5 * forward, .dense = true}});
       CHECK(at_times.run() == State::reached_end && dense.run() == State::reached_end);
-      CHECK(at_times->output().points.t == settings.times);
+      CHECK(at_times->output().points.t == times);
       Projector projector(*dense.invariants, dense.weights, 1);
       std::vector<double> y(at_times->output().points.y.size());
-      CHECK(dense->output().dense->evaluate(settings.times.data(), settings.times.size(), y.data(), &projector) ==
-            Status::ok);
+      CHECK(dense->output().dense->evaluate(times.data(), times.size(), y.data(), &projector) == Status::ok);
       CHECK(same_bits(y, at_times->output().points.y));
       CHECK(at_times->counts().steps == dense->counts().steps);
     }
@@ -347,7 +349,7 @@ TEST(where_f_is_not_defined_at_a_stage_of_the_extension_the_cubic_takes_its_plac
     std::vector<double> data(step.extension_size()), y(2), start(2), exact(2);
     CHECK(step.extension(data.data()) == Status::ok);
     for (const double theta : {0.0, 0.5, 1.0}) {
-      step.interpolate()(data.data(), data.size(), 2, theta, y.data());
+      step.interpolate()(data.data(), data.size(), 2, std::array{theta}, y.data());
       problem.solution(0.1 * theta, nullptr, exact.data());
       CHECK_CLOSE(distance(y.data(), exact.data(), 2), 0, theta == 0.5 ? 1e-6 : 1e-12);
     }

@@ -260,7 +260,7 @@ std::vector<Case> random_cases(std::mt19937_64& random) {
     if (starts) settings.first_step = 1e-2;
     settings.save_all = settings.output_at_times = between(0, 1) < 0.5;
     settings.record = false;
-    if (settings.output_at_times) settings.times = random_times(settings, random);
+    if (settings.output_at_times) settings.times = Times(random_times(settings, random));
     if (between(0, 1) < 0.3) settings.max_steps = 40;
     const std::vector<double> scale = vector ? std::vector{1.0, 10.0, 3.0} : std::vector<double>{};
     Beside beside{.events = between(0, 1) < 0.5};

@@ -3,6 +3,7 @@
 #include "methods/nystrom.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <numeric>
@@ -76,7 +77,7 @@ Errors march(const Method& method, Problem problem, int count) {
     CHECK(proposal.outcome == Outcome::ok && step->accept(proposal.y) == Outcome::ok);
     CHECK(step->extension(data.data()) == Status::ok);
     for (const double theta : {0.3, 0.5, 0.8}) {
-      step->interpolate()(data.data(), data.size(), n, theta, inside.data());
+      step->interpolate()(data.data(), data.size(), n, std::array{theta}, inside.data());
       problem.solution(t0 + theta * (t1 - t0), nullptr, exact.data());
       errors.between = std::max(errors.between, distance(inside.data(), exact.data(), n));
     }

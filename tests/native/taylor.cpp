@@ -3,6 +3,7 @@
 #include "methods/taylor.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <random>
@@ -160,7 +161,7 @@ Errors march(System system, double t, double tf, int count) {
     errors.steps = std::max(errors.steps, distance(step.y(), exact.data(), n));
     CHECK(step.extension(data.data()) == Status::ok);
     for (const double theta : {0.3, 0.7}) {
-      step.interpolate()(data.data(), data.size(), n, theta, y.data());
+      step.interpolate()(data.data(), data.size(), n, std::array{theta}, y.data());
       system.solution(t0 + theta * (t1 - t0), exact.data());
       errors.between = std::max(errors.between, distance(y.data(), exact.data(), n));
     }
@@ -311,9 +312,9 @@ TEST(what_fails_leaves_no_trace) {
       std::vector<double> data(step.extension_size()), other(data.size()), end(4);
       CHECK(step.extension(data.data()) == Status::ok && plain.extension(other.data()) == Status::ok);
       CHECK(same_bits(data, other));
-      step.interpolate()(data.data(), data.size(), 4, 0, end.data());
+      step.interpolate()(data.data(), data.size(), 4, std::array{0.0}, end.data());
       CHECK(same_bits(end, reached));
-      step.interpolate()(data.data(), data.size(), 4, 1, end.data());
+      step.interpolate()(data.data(), data.size(), 4, std::array{1.0}, end.data());
       expected[1] -= 1e-5;
       CHECK_CLOSE(distance(end.data(), expected.data(), 4), 0, 20 * eps);
     }

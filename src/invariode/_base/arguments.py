@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._core import all_finite
+from .._core import all_finite, order
 from .suggestions import meant
 
 Array = NDArray[Any]
@@ -31,6 +31,8 @@ LARGEST_INT = 2**31 - 1
 
 #: The same for its counts.
 LARGEST_COUNT = 2**63 - 1
+
+_FLOAT = np.dtype(float)
 
 #: The kinds of NumPy's types that are numbers; objects may be, which is tested.
 _NUMERIC = "biufcO"
@@ -220,6 +222,9 @@ def interval(t_span: object) -> tuple[float, float]:
 
 def kept(value: _Value) -> _Value:
     """A copy of what was given, which the caller could change."""
+    if isinstance(value, np.ndarray) and type(value) is np.ndarray:  # the common case
+        same: _Value = value.copy()
+        return same
     return value if value is None or isinstance(value, float) else copy(value)
 
 
@@ -259,6 +264,8 @@ def numbers(name: str, value: object) -> Array:
 
 def real_numbers(name: str, value: object) -> Array:
     """A new array of float64."""
+    if type(value) is np.ndarray and value.dtype is _FLOAT:  # the common case
+        return value.copy()
     try:
         array = numbers(name, value)
     except TypeError:
@@ -273,7 +280,7 @@ def state(y0: ArrayLike) -> Array:
     y = as_array("y0", y0)
     if y.ndim != 1:
         raise ValueError(f"`y0` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
-    y = numbers("y0", y)
+    y = y.copy() if y.dtype is _FLOAT else numbers("y0", y)
     if not all_finite(y):
         i = int(np.flatnonzero(~np.isfinite(y))[0])
         raise ValueError(f"All components of the initial state `y0` must be finite, got y0[{i}] = {y[i]}")
@@ -326,8 +333,7 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     if times.ndim != 1:
         raise ValueError(f"`t_eval` must be 1-dimensional, got shape {times.shape}")
     low, high = min(t0, tf), max(t0, tf)
-    earlier, later = (times[:-1], times[1:]) if tf >= t0 else (times[1:], times[:-1])
-    in_order = bool((earlier < later).all())
+    in_order = times.size < 2 or order(times) == (1 if tf >= t0 else -1)
     if in_order and (not times.size or (low <= times[0] <= high and low <= times[-1] <= high)):
         return times
     outside = ~((times >= low) & (times <= high))

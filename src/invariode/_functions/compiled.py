@@ -372,7 +372,7 @@ class NativeWithInputs(NamedTuple):
         return Arguments([*entries, *further.entries])
 
 
-_PLAIN = (FunctionType, MethodType)
+_PLAIN = (FunctionType, MethodType, _core.StateFirst)
 _POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
 
 

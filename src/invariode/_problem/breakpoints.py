@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from .._base.arguments import function, items, number, shown
 from .._functions.compiled import is_native
@@ -40,7 +39,7 @@ def _one(name: str, entry: Any) -> Breakpoint:
     if action is not None and not is_native(action):
         function(f"the action in {name}", action, "action(t, y)")
     time = number(f"a time in {name}", t)
-    if not np.isfinite(time):
+    if not math.isfinite(time):
         raise ValueError(f"a time in {name} must be finite, got {shown(t)}")
     return Breakpoint(time, action)
 

@@ -40,6 +40,40 @@ from .slope import Slope
 _ARGUMENTS = ProblemArguments.__annotations__.keys()
 
 
+class Posed:
+    """y' = f(t, y, *args), y(t0) = y0, checked: all that many problems are, and what each of them has. It becomes a
+    problem when somebody asks for one."""
+
+    __slots__ = ("_kind", "_problem", "_title", "args", "fun", "is_plain", "t_span", "y0")
+
+    _labels: None = None
+
+    def __init__(
+        self,
+        kind: type[Description],
+        fun: Any,
+        t_span: Span,
+        y0: ArrayLike,
+        args: Iterable[Any] | None,
+        title: str | None = None,
+    ) -> None:
+        self.fun, self.t_span, self.y0 = _posed(fun, t_span, y0)
+        self.args = extra_arguments(args)
+        self.is_plain = is_plain_function(self.fun)
+        self._kind = kind
+        self._title = title
+        self._problem: Description | None = None
+
+    @property
+    def name(self) -> str:
+        return call_name(self.fun, "problem") if self._title is None else self._title
+
+    def described(self) -> Description:
+        if self._problem is None:
+            self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args, name=self._title)
+        return self._problem
+
+
 class Description:
     """The data of a `Problem`, which does not change."""
 
@@ -83,9 +117,7 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        span, start = interval(t_span), state(y0)
-        called = _as_called(fun, start)
-        start.flags.writeable = False
+        called, span, start = _posed(fun, t_span, y0)
         is_complex = start.dtype.kind == "c"
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         named = None if labels is None else distinct_labels(labels, len(start))
@@ -159,6 +191,10 @@ class Description:
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
 
+    def described(self) -> Self:
+        """This problem: see `Posed`."""
+        return self
+
     @property
     def slope(self) -> Slope:
         """f as runs call it."""
@@ -208,6 +244,14 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _posed(fun: Any, t_span: Span, y0: ArrayLike) -> tuple[Any, tuple[float, float], Array]:
+    """f as the solvers call it, the interval, and the initial state, which nobody changes."""
+    span, start = interval(t_span), state(y0)
+    called = _as_called(fun, start)
+    start.setflags(write=False)
+    return called, span, start
 
 
 def _as_called(fun: Any, y0: Array) -> Any:

@@ -752,8 +752,9 @@ def unknown_option(name: str, known: Iterable[str], text: str = "unknown option"
 def keep_arrays(options: Options) -> None:
     """Puts copies in the place of what the caller could change later."""
     for name in _OF_ARRAYS:
-        if options.get(name) is not None:
-            options[name] = kept(options[name])
+        value = options.get(name)
+        if value is not None and type(value) is not float:
+            options[name] = kept(value)
 
 
 def changed(options: Options, changes: Mapping[str, Any]) -> Options:

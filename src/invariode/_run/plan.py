@@ -37,7 +37,7 @@ from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
-from .._problem.description import Description
+from .._problem.description import Description, Posed
 from .._problem.events import EventSpec, event_spec
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
@@ -79,8 +79,19 @@ class Tolerances(NamedTuple):
     scale: Array | None
 
 
+class Course(NamedTuple):
+    """Those of the settings that depend on the problem."""
+
+    t0: float
+    tf: float
+    max_step: float
+    times: Array | None
+    max_points: int
+    max_bytes: int
+
+
 class Settings(NamedTuple):
-    """How the core goes from t0 to tf, and what it keeps. The first fields are those of `on_interval`."""
+    """How the core goes from t0 to tf, and what it keeps. The first fields are those of `Course`."""
 
     t0: float
     tf: float
@@ -117,7 +128,7 @@ class Settings(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What the core evaluates. The first fields are those that `Plan.of` exchanges."""
+    """What the core evaluates."""
 
     fun: Any
     args: tuple[Any, ...]
@@ -149,13 +160,13 @@ class Choice(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does, and the names in its messages. The first fields are those that `of` exchanges."""
+    """What a run does, and the names in its messages. The first fields are those that `on` exchanges."""
 
     settings: Settings
-    functions: Functions
-    y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
     bound: BoundInvariants
     called: Names  # the names in tables and pictures
+    functions: Functions
+    y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
     method: Method
     tolerances: Tolerances
     moved: bool
@@ -187,10 +198,10 @@ class Plan(NamedTuple):
         """What messages say of the invariants."""
         return Laws(self.names, self.bound.demanded, self.bound.senses)
 
-    def of(self, problem: Description, settings: Settings, bound: BoundInvariants) -> Plan:
-        """The same for another problem, of f and its arguments alone."""
-        functions = Functions._make((problem.fun, problem.args, *self.functions[2:]))
-        return Plan._make((settings, functions, problem.y0, bound, names_of(problem, []), *self[5:]))
+    def on(self, course: Course, bound: BoundInvariants, called: Names) -> Plan:
+        """The same on another interval."""
+        settings = Settings._make((*course, *self.settings[_OF_COURSE:]))
+        return Plan._make((settings, bound, called, *self[3:]))
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -288,7 +299,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
-    settings = on_interval(settings, problem, options)
+    settings = Settings._make((*course_of(choice, problem, options["t_eval"]), *settings[_OF_COURSE:]))
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
@@ -374,7 +385,7 @@ def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
 # Options
 
 
-def names_of(problem: Description, event_names: list[str]) -> Names:
+def names_of(problem: Posed | Description, event_names: list[str]) -> Names:
     """The names in tables and pictures."""
     return Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
 
@@ -419,16 +430,19 @@ def _settings(method: Method, options: Options) -> Settings:
     )
 
 
-def on_interval(settings: Settings, problem: Description, options: Options) -> Settings:
-    """The settings on the interval of a problem, with its output times, which fill what may be kept."""
+def course_of(choice: Choice, problem: Posed | Description, t_eval: Any) -> Course:
+    """The interval of a problem, with its output times, which fill what may be kept."""
     t0, tf = problem.t_span
-    span, t_eval = abs(tf - t0), options["t_eval"]
+    span, options = abs(tf - t0), choice.options
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    if settings.first_step > span:
-        first = shown(settings.first_step)
+    if choice.settings.first_step > span:
+        first = shown(choice.settings.first_step)
         raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {first}")
     most = _most_kept(options["limits"] or _UNLIMITED, 0 if times is None else len(times), reals(problem.y0))
-    return Settings._make((t0, tf, longest_step(options["max_step"], span), times, *most, *settings[6:]))
+    return Course(t0, tf, longest_step(options["max_step"], span), times, *most)
+
+
+_OF_COURSE = len(Course._fields)
 
 
 def longest_step(given: LargestStep, span: float) -> float:
@@ -516,7 +530,7 @@ def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearS
         yield chosen.jac_product
     yield from (f for one in problem.invariants for f in (one.fun, one.jac))
     yield from (f for event in problem.events for f in (event.fun, event.action))
-    yield from (point.action for point in breakpoints)
+    yield from (point.action for point in breakpoints if point.action is not None)
 
 
 def _functions(
@@ -538,7 +552,9 @@ def _functions(
         linear=linear,
         events=[event_spec(event, n, parameters) for event in problem.events],
         breakpoints=[
-            point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
+            point
+            if point.action is None
+            else point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
             for point in breakpoints
         ],
         callback=callback,

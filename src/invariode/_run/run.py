@@ -20,7 +20,7 @@ from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._laws.bound import Jump, as_columns
 from .._problem.breakpoints import to_breakpoints
-from .._problem.description import Description
+from .._problem.description import Description, Posed
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
@@ -55,7 +55,7 @@ from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
 from .second_order import require_no_velocities
-from .template import plan_and_template
+from .template import Template, plan_or_template
 
 if TYPE_CHECKING:
     from .variations import Variations
@@ -175,23 +175,26 @@ class RunOrigin:
         return float(np.sign(self.source.problem.t_span[1] - self.source.problem.t_span[0]))
 
 
-def solve(problem: Description, method: MethodName, options: Options) -> Solution:
+def solve(problem: Posed | Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
     try:
-        return _solved(problem, method, options)
+        found = plan_or_template(problem, method, options)
+        given = options.copy()
+        given.pop("progress", None)
+        keep_arrays(given)
+        source = Solved(problem.described, method, given)
+        if not isinstance(found, Template):
+            return _solved(found, source)
+        run, plan = found.run(problem, options.get("t_eval"))
+        return concluded(presented(run, plan, source, found.members), plan.on_failure)
     except (TypeError, ValueError) as error:
-        explain(error, problem)
+        explain(error, problem.described())
         raise
 
 
-def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
-    plan, template = plan_and_template(problem, method, options)
-    given = options.copy()
-    given.pop("progress", None)
-    keep_arrays(given)
-    source = Solved(problem, method, given)
-    if template is not None:
-        return concluded(presented(template.run(plan), plan, source, template.members), plan.on_failure)
+def _solved(plan: Plan, source: Solved) -> Solution:
+    """The solution by a solver of its own."""
+    problem = source.problem
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
         sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
@@ -201,7 +204,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
     else:
         sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
     compiled = problem if plan.expansion is None else plan.expansion.problem
-    compare(compiled, sol, options.get("check", True))
+    compare(compiled, sol, source.options.get("check", True))
     return concluded(sol, plan.on_failure)
 
 
@@ -342,7 +345,8 @@ def _solution(
     run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
 ) -> Solution:
     dtype, functions = plan.y0.dtype, plan.functions
-    status, message = plan.verdict(run)
+    ordinary = None if plan.varied is not None or run.remarkable else MESSAGES.get(run.state)
+    status, message = ordinary or plan.verdict(run)
     bound = plan.bound
     if (functions.events or functions.breakpoints) and (jumps := run.take_jumps()):
         bound = bound.jumped(jumps)

@@ -10,16 +10,16 @@ import threading
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 from .. import _core
 from .._base.arguments import warnings_given
 from .._base.types import MethodName
 from .._laws.bound import bind
-from .._problem.description import Description
+from .._problem.description import Description, Posed
 from .._problem.options import Options
 from .._results.result import Names
-from .plan import Choice, Plan, choose, on_interval, planned, solver
+from .plan import Choice, Plan, choose, course_of, names_of, planned, solver
 
 #: Values of options that cannot change: a copy of them says what was given. (1, 1.0 and True are equal: their types are
 #: looked at too.)
@@ -30,8 +30,6 @@ _LARGE = 200
 
 #: So many templates are kept, which is more than a script has calls of different kinds; the oldest goes first.
 _MOST = 64
-
-_NAMELESS = Names("", None, None, 0, [])
 
 _templates: dict[Hashable, Template] = {}
 _keeping = threading.Lock()
@@ -45,36 +43,35 @@ class Template:
         self.members = core.members
         self._choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
         nothing_held = bind([], 0.0, plan.y0, (), 0.0)
-        #: By the direction of integration.
-        self._bound = {forward: replace(nothing_held, forward=forward) for forward in (1.0, -1.0)}
+        #: Of runs forwards and backwards.
+        self._bound = {True: replace(nothing_held, forward=1.0), False: replace(nothing_held, forward=-1.0)}
         functions = plan.functions._replace(fun=None, args=())
         self._plan = plan._replace(
-            settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), called=_NAMELESS, bound=nothing_held
+            settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=nothing_held
         )
+        self._called = plan.called
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
 
-    def plan_of(self, problem: Description, options: Options) -> Plan:
-        """The plan of a problem of this kind."""
-        chosen = self._choice.options
-        if options.get("t_eval") is not None:
-            chosen = cast("Options", {**chosen, "t_eval": options["t_eval"]})
-        settings = on_interval(self._choice.settings, problem, chosen)
-        bound = self._bound[settings.forward]
-        if problem.args:
-            bound = replace(bound, args=problem.args)
-        return self._plan.of(problem, settings, bound)
-
-    def run(self, plan: Plan) -> _core.Run:
-        """A run of the plan, which is one of this template."""
+    def run(self, problem: Posed | Description, t_eval: Any) -> tuple[_core.Run, Plan]:
+        """A run of a problem of this kind, and its plan, without what is the user's."""
+        course = course_of(self._choice, problem, t_eval)
         try:
             core = self._idle.pop()
         except IndexError:
-            core = _solver_for_all(plan)
-        functions = plan.functions
-        run = core.integrate_other(functions.fun, functions.args, plan.start, _core.Settings(plan.settings))
+            core = _solver_for_all(planned(problem.described(), self._choice))
+        start = problem.y0.view(float) if self._plan.functions.complex else problem.y0
+        run = core.integrate_other(problem.fun, problem.args, start, course)
         self._idle.append(core)  # but not after an exception
-        return run
+        return run, self._plan.on(course, self._bound[course.tf >= course.t0], self._names_of(problem))
+
+    def _names_of(self, problem: Posed | Description) -> Names:
+        """Those of the last problem, if they are the same."""
+        called = self._called
+        named = called.problem == problem.name and called.title == problem._title
+        if not named or called.labels != problem._labels:
+            called = self._called = names_of(problem, [])
+        return called
 
 
 def _solver_for_all(plan: Plan) -> _core.Solver:
@@ -82,26 +79,26 @@ def _solver_for_all(plan: Plan) -> _core.Solver:
     return solver(plan._replace(functions=plan.functions._replace(args=())))
 
 
-def plan_and_template(problem: Description, method: MethodName, options: Options) -> tuple[Plan, Template | None]:
-    """The plan; and the template that it is of, if there is one."""
+def plan_or_template(problem: Posed | Description, method: MethodName, options: Options) -> Plan | Template:
+    """The template for the problem, or a plan of its own if there can be none."""
     kind = _kind(problem, method, options)
     known = None if kind is None else _templates.get(kind)
     if known is not None:
-        return known.plan_of(problem, options), known
+        return known
     before = warnings_given()
-    choice = choose(method, options)
-    plan = planned(problem, choice)
-    if kind is None or warnings_given() != before or not _holds_for_all(plan, problem):
-        return plan, None
+    described, choice = problem.described(), choose(method, options)
+    plan = planned(described, choice)
+    if kind is None or warnings_given() != before or not _holds_for_all(plan, described):
+        return plan
     template = Template(choice, plan)
     with _keeping:
         if len(_templates) >= _MOST:
             del _templates[next(iter(_templates))]
         _templates[kind] = template
-    return plan, template
+    return template
 
 
-def _kind(problem: Description, method: MethodName, options: Options) -> Hashable | None:
+def _kind(problem: Posed | Description, method: MethodName, options: Options) -> Hashable | None:
     """What problems have in common that have a plan in common. None: this problem is the only one of its kind."""
     n = len(problem.y0)
     if not problem.is_plain or n >= _LARGE or type(method) is not str:

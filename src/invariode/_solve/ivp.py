@@ -14,6 +14,7 @@ from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
 from .._functions.second_order import SecondOrder
 from .._problem.accepted import solve_options
+from .._problem.description import Posed
 from .._problem.docstrings import documented
 from .._problem.options import (
     CallingOptions,
@@ -111,11 +112,13 @@ def solve_ivp(
     True
     """
     describing, running = parted(solve_options(**options), DescribingOptions)
-    unused(method, describing)
+    if describing:
+        unused(method, describing)
     alone = one_column(fun) if flag("vectorized", vectorized) else fun
-    problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
     running["t_eval"], running["dense_output"] = t_eval, dense_output
-    return solve(problem, method, running)
+    if events is None and not describing:
+        return solve(Posed(Problem, alone, t_span, y0, args), method, running)
+    return solve(Problem(alone, t_span, y0, args=args, events=events, **describing), method, running)
 
 
 def one_column(fun: Any) -> Any:

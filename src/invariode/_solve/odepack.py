@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
@@ -25,11 +24,14 @@ from .._base.arguments import (
 )
 from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
+from .._core import StateFirst, order
 from .._functions.compiled import is_native
+from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
 from .._problem.options import Options
 from .._results.solution import Solution
+from .._run.run import solve
 from .problem import Problem
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
@@ -190,39 +192,112 @@ def odeint(
     >>> y.shape
     (101, 2)
     """
-    _warn_idle({"hmin": number("hmin", hmin), "ixpr": _switch("ixpr", ixpr), "mxhnil": number("mxhnil", mxhnil)})
-    asked, first = _times(t), _switch("tfirst", tfirst)
+    how: tuple[Any, ...] = (col_deriv, full_output, ml, mu, rtol, atol, h0, hmax, hmin, ixpr, mxstep)
+    how = (*how, mxhnil, mxordn, mxords, printmessg, tfirst, method)
+    try:
+        call = _call_by_value(*how)
+    except TypeError:  # an array of tolerances, or a wrong argument
+        call = _call(*how)
+    for text in call.warnings:
+        warn(text)
+    asked = _times(t)
+    span = float(asked.times[0]), float(asked.times[-1])
+    counter = _Counter(asked.times, call.most, call.full)
+    given: Options = {
+        **call.options,
+        "t_eval": asked.times,
+        "callback": counter.step if call.most or call.full else None,
+        "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
+        "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
+    }
+    sol = solve(_problem(call, counter, func, span, y0, args, Dfun, invariants), call.method, given)
+    message = _message(sol, counter, call.prints)
+    y = _rows(sol, asked)
+    return (y, _information(sol, asked, counter, message)) if call.full else y
+
+
+class _Call(NamedTuple):
+    """What the arguments say that are the same in many calls, checked."""
+
+    tfirst: bool
+    transposed: bool
+    full: bool
+    prints: bool
+    most: int  # steps between two times; 0: any number
+    bands: tuple[int, int] | None  # diagonals below and above
+    first_step: float  # 0: the method's own
+    method: MethodName
+    options: Options
+    warnings: list[str]
+
+
+def _call(
+    col_deriv: Any,
+    full_output: Any,
+    ml: Any,
+    mu: Any,
+    rtol: Any,
+    atol: Any,
+    h0: Any,
+    hmax: Any,
+    hmin: Any,
+    ixpr: Any,
+    mxstep: Any,
+    mxhnil: Any,
+    mxordn: Any,
+    mxords: Any,
+    printmessg: Any,
+    tfirst: Any,
+    method: Any,
+) -> _Call:
+    idle = {"hmin": number("hmin", hmin), "ixpr": _switch("ixpr", ixpr), "mxhnil": number("mxhnil", mxhnil)}
+    texts = [f"{name} has no effect: it controls ODEPACK's internals; leave it out" for name in idle if idle[name]]
+    chosen: MethodName = "auto" if method is None else method
     full = _switch("full_output", full_output)
-    most = positive_integer("mxstep", mxstep) if _integer("mxstep", mxstep) else 0
-    bands = (_count("ml", ml), _count("mu", mu)) if ml is not None or mu is not None else (None, None)
-    counter = _Counter(asked.times, most, full)
-    problem = Problem(
-        _in_order(func, "func", first, counter.calls if full else None),
-        (float(asked.times[0]), float(asked.times[-1])),
-        np.atleast_1d(as_array("y0", y0)),
-        args=args,
-        invariants=invariants,
-        jac=None if Dfun is None else _jacobian(Dfun, first, _switch("col_deriv", col_deriv), counter),
-        lband=bands[0],
-        uband=bands[1],
-        name=call_name(func, "func"),
-    )
-    chosen = "auto" if method is None else method
     options: Options = {
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
         "max_step": number("hmax", hmax) or np.inf,
-        "t_eval": asked.times,
         "keep": "all" if full else "outputs",
-        "callback": counter.callback,
-        "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
-        "first_step": min(number("h0", h0), abs(asked.times[-1] - asked.times[0])) or None,
-        **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}),
+        **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}, texts),
     }
-    sol = problem.solve(chosen, **options)
-    message = _message(sol, counter, _switch("printmessg", printmessg))
-    y = _rows(sol, asked)
-    return (y, _information(sol, asked, counter, message)) if full else y
+    return _Call(
+        tfirst=_switch("tfirst", tfirst),
+        transposed=_switch("col_deriv", col_deriv),
+        full=full,
+        prints=_switch("printmessg", printmessg),
+        most=positive_integer("mxstep", mxstep) if _integer("mxstep", mxstep) else 0,
+        bands=None if ml is None and mu is None else (_count("ml", ml), _count("mu", mu)),
+        first_step=number("h0", h0),
+        method=chosen,
+        options=options,
+        warnings=texts,
+    )
+
+
+def _problem(
+    call: _Call,
+    counter: _Counter,
+    func: Any,
+    span: tuple[float, float],
+    y0: ArrayLike,
+    args: Iterable[Any],
+    dfun: Any,
+    invariants: InvariantsLike | None,
+) -> Posed | Problem:
+    fun = _in_order(func, "func", call.tfirst, counter.calls if call.full else None)
+    start, name = as_array("y0", y0), call_name(func, "func")
+    if not start.ndim:
+        start = start[np.newaxis]
+    if dfun is None and invariants is None and call.bands is None:
+        return Posed(Problem, fun, span, start, args, name)
+    jac = None if dfun is None else _jacobian(dfun, call.tfirst, call.transposed, counter)
+    lower, upper = call.bands or (None, None)
+    return Problem(fun, span, start, args=args, invariants=invariants, jac=jac, lband=lower, uband=upper, name=name)
+
+
+#: Of equal values of equal types; like templates, so many are kept.
+_call_by_value = functools.lru_cache(maxsize=64, typed=True)(_call)
 
 
 def _switch(name: str, value: object) -> bool:
@@ -242,16 +317,11 @@ def _integer(name: str, value: object) -> int:
         raise TypeError(f"{name} must be an integer or a flag, got {shown(value)}") from None
 
 
-def _warn_idle(given: dict[str, float]) -> None:
-    """A warning for each given parameter that controls only ODEPACK's internals."""
-    for name in (name for name, value in given.items() if value):
-        warn(f"{name} has no effect: it controls ODEPACK's internals; leave it out")
-
-
-def _highest_order(method: MethodName, limits: dict[OwnName, int]) -> Options:
+def _highest_order(method: MethodName, limits: dict[OwnName, int], warnings: list[str]) -> Options:
     about = find_method(method)[0]
     if "prefer" in about.options and any(limits[name] < METHODS[name].order for name in limits):
-        warn(f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}")
+        text = f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}"
+        warnings.append(text)
     if about.name not in limits:
         return {}
     return {"max_order": min(positive_integer("mxordn and mxords", limits[about.name]), about.order)}
@@ -261,39 +331,36 @@ class _Times(NamedTuple):
     """The requested times: without repetitions, and where each is in that list."""
 
     times: Array
-    place: Array | slice
+    place: Array | None  # None: none is repeated
 
 
 def _times(t: ArrayLike) -> _Times:
-    given = np.atleast_1d(real_numbers("t", t))
+    given = real_numbers("t", t)
+    if not given.ndim:
+        given = given[np.newaxis]
     if not given.size:  # nothing to integrate, and no output: SciPy's shape, (0, n)
         return _Times(np.zeros(1), np.zeros(0, dtype=np.intp))
+    if given.ndim == 1 and order(given):
+        return _Times(given, None)
     steps = given[1:] - given[:-1]
-    if given.ndim == 1 and ((steps > 0).all() or (steps < 0).all()):
-        return _Times(given, slice(None))
     if given.ndim != 1 or not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
     new = np.concatenate([[True], steps != 0])
     return _Times(given[new], np.cumsum(new) - 1)
 
 
-@dataclass
 class _Counter:
     """Counts during a run, and the step limit between two times of the output."""
 
-    times: Array
-    most: int  # steps between them; 0: any number
-    counting: bool
-    calls: list[int] = field(default_factory=lambda: [0])  # of f, so far
-    jacobians: int = 0
-    after: list[tuple[int, int]] = field(default_factory=list)  # both, after each step
-    place: int = 0  # in which interval the last step ended
-    steps: int = 0  # in this interval
-
-    @property
-    def callback(self) -> Callable[[float, Array], bool] | None:
-        """For the run; None where nothing is counted."""
-        return self.step if self.most or self.counting else None
+    def __init__(self, times: Array, most: int, counting: bool) -> None:
+        self.times = times
+        self.most = most  # steps between them; 0: any number
+        self.counting = counting
+        self.calls = [0]  # of f, so far
+        self.jacobians = 0
+        self.after: list[tuple[int, int]] = []  # both, after each step
+        self.place = 0  # in which interval the last step ended
+        self.steps = 0  # in this interval
 
     def step(self, t: float, y: Array) -> bool:
         """An accepted step; whether it was one too many."""
@@ -316,16 +383,14 @@ def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None)
     if calls is None and tfirst:
         return fun
 
-    counts = calls or []
-
-    def ordered(t: float, y: Array, *args: Any) -> Any:
-        return fun(y, t, *args)
+    if calls is None:
+        return StateFirst(fun)
 
     def counted(t: float, y: Array, *args: Any) -> Any:
-        counts[0] += 1
+        calls[0] += 1
         return fun(t, y, *args) if tfirst else fun(y, t, *args)
 
-    return functools.wraps(fun)(ordered if calls is None else counted)
+    return functools.wraps(fun)(counted)
 
 
 def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> Any:
@@ -344,28 +409,29 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> A
     return jacobian
 
 
-def _critical_points(tcrit: ArrayLike, times: Array) -> Array:
+def _critical_points(tcrit: ArrayLike, times: Array) -> list[float]:
     """Where the run starts again: not at its ends, where there is nothing to do."""
     points = np.atleast_1d(real_numbers("tcrit", tcrit))
     low, high = sorted((times[0], times[-1]))
-    inside: Array = points[(points > low) & (points < high)]
+    inside: list[float] = points[(points > low) & (points < high)].tolist()
     return inside
 
 
 def _rows(sol: Solution, asked: _Times) -> Array:
     """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
-    rows = np.ascontiguousarray(sol.y.T)
+    rows = np.ascontiguousarray(sol["y"].T)  # items are faster than attributes: see `Result`
     if missing := len(asked.times) - len(rows):
         rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])
-    return rows[asked.place]
+    return rows if asked.place is None else rows[asked.place]
 
 
 def _message(sol: Solution, counter: _Counter, printed: bool) -> str:
     """How the run ended; a warning if that was not at the last time."""
-    message = "Integration successful." if sol.status == 0 else sol.message
-    if sol.status == 2:
+    status = sol["status"]
+    message = "Integration successful." if status == 0 else sol.message
+    if status == 2:
         message = f"More than mxstep = {counter.most} steps between two times, at t = {sol.t_end:.6g}: raise mxstep."
-    if sol.status != 0:
+    if status != 0:
         from scipy.integrate import ODEintWarning
 
         warn(message, ODEintWarning)
@@ -378,7 +444,7 @@ def _information(sol: Solution, asked: _Times, counter: _Counter, message: str) 
     """What full_output tells of each time but the first."""
     ends = sol.steps.t
     forward = 1.0 if asked.times[-1] >= asked.times[0] else -1.0
-    times = asked.times[asked.place][1:]
+    times = (asked.times if asked.place is None else asked.times[asked.place])[1:]
     steps = np.minimum(np.searchsorted(forward * ends, forward * times), max(len(ends) - 1, 0))
     counts = np.array(counter.after, dtype=np.int64).reshape(-1, 2)
     used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for name in sol.steps.method]
