@@ -83,7 +83,8 @@ class MechanicalSystem(HasPoints):
     differences. If all functions are native, no Python is called in the run.
 
     Problems of a system take ``sensitivities=`` and ``adjoint=True``: derivatives with respect to `args` and initial
-    values are exact if all functions can be traced (plain NumPy, or `invariode.compile`).
+    values are exact if all functions can be traced (plain NumPy, or `invariode.compile`) and v and the constraints have
+    at most 36 components together; otherwise they are differences, with a warning.
 
     A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times (several times as many near
     singular positions, where bars line up), and factorises M, dense, in
