@@ -203,6 +203,30 @@ def test_they_are_those_of_neighbouring_motions(name):
         np.testing.assert_allclose(sol.sensitivities[:, j, -1], expected, atol=2e-9 * (1 + np.abs(expected).max()))
 
 
+def links(t, q, length, gravity):
+    ends = np.concatenate([np.zeros(2), q]).reshape(-1, 2)
+    return (np.diff(ends, axis=0) ** 2).sum(axis=1) - length**2
+
+
+def test_large_mechanisms_have_differences():
+    """Of the core's accelerations: a graph with a linear system of this size would take long to compile. From rest, q
+    is a function of g t², so that ∂q/∂g = t v / (2 g)."""
+    count, gravity, end = 13, 9.81, 0.3
+    chain = iv.MechanicalSystem(
+        np.ones(2 * count),
+        lambda t, q, v, length, gravity: np.tile([0.0, -1.0], count) * gravity,
+        links,
+        args=(1.0, gravity),
+    )
+    start = np.stack([np.arange(1, count + 1), np.zeros(count)], axis=1).ravel()
+    problem = chain.problem((0, end), start, np.zeros(2 * count)).replace(sensitivities=["gravity"])
+    with pytest.warns(iv.AccuracyWarning, match="the derivatives of fun are differences"):
+        sol = problem.solve("dop853", rtol=1e-9, atol=1e-11)
+    assert sol.stats.sensitivities.startswith("fun: differences")
+    v = sol.y[2 * count :, -1]
+    np.testing.assert_allclose(sol.sensitivities[: 2 * count, 0, -1], end * v / (2 * gravity), atol=1e-8)
+
+
 def arm(gravity, restitution):
     """Two links whose tip bounces off a wall: the blow alone breaks the joints, which react."""
 

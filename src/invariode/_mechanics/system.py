@@ -82,6 +82,10 @@ class MechanicalSystem(HasPoints):
     (n, n). Native constraints not made by `compile` need names, which give their number, and are differentiated by
     differences. If all functions are native, no Python is called in the run.
 
+    Problems of a system take ``sensitivities=`` and ``adjoint=True``: derivatives with respect to `args` and initial
+    values are exact if all functions can be traced (plain NumPy, or `invariode.compile`) and v and the constraints have
+    at most 36 components together; otherwise they are differences, with a warning.
+
     A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times (several times as many near
     singular positions, where bars line up), and factorises M, dense, in
     O(n³) operations. With 24 velocities or more, entries of M and Φ that are always zero are looked for. If most are,

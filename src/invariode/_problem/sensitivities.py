@@ -22,7 +22,7 @@ _Components: TypeAlias = bool | int | str | Sequence[int | str]
 class Sensitivities:
     """Derivatives of the solution with respect to parameters: ``sensitivities=Sensitivities(...)``.
 
-    With S = ∂y/∂p, of shape (n, k), the run solves M S' = (∂f/∂y) S + ∂f/∂p together with M y' = f.
+    With S = ∂y/∂p, of shape (n, k), the run solves M S' = (∂f/∂y) S + ∂f/∂p - (∂M/∂p) y' together with M y' = f.
 
     Parameters
     ----------
@@ -30,14 +30,15 @@ class Sensitivities:
         Numbers in `args`: True for all, names of f's arguments (``"k1"``; ``"p[2]"`` in an array p; ``"args[0]"`` if f
         takes ``*args``), or indices of arguments. Default: all, unless `y0` is given.
     y0 : bool, str, int, or list of these, optional
-        Initial values: True for all, or labels or indices of components. In the results they come after `args`.
+        Initial values: True for all, or labels or indices of components. In the results they come after `args`. Those
+        of complex problems need an f that is analytic in y.
     dfdp : callable, optional
         ``dfdp(t, y, *args)`` returns ∂f/∂p, of shape (n, k): a column for each selected parameter in `args`. Default:
         from the expressions of f if it can be traced, otherwise by complex steps if f accepts complex numbers,
         otherwise by finite differences, with a warning.
     dy0dp : array_like of shape (n, k) or callable, optional
         ∂y0/∂p, if `y0` depends on parameters: a column for each selected parameter in `args`; or a function
-        ``dy0dp(*args)`` that returns it. Default: 0.
+        ``dy0dp(*args)`` that returns it. Complex if y0 is. Default: 0.
     scale : array_like or dict, optional
         The sizes of the parameters, one number for each, or numbers by name: the error of ∂y_i/∂p_j is controlled with
         the tolerance ``max(rtol_i |∂y_i/∂p_j|, atol_i / scale_j)``. Default: the absolute value of the parameter, or 1
