@@ -87,6 +87,11 @@ class Description:
         called = _as_called(fun, start)
         start.flags.writeable = False
         is_complex = start.dtype.kind == "c"
+        in_halves = flag("second_order", second_order) or states_second_order(called)
+        if in_halves and len(start) % 2:
+            raise ValueError(
+                f"second-order equations have as many velocities as positions: y0 has {len(start)} components"
+            )
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
@@ -112,7 +117,7 @@ class Description:
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
-            second_order=flag("second_order", second_order) or states_second_order(called),
+            second_order=in_halves,
             _title=name,
             _labels=named,
             _as_given=given,
