@@ -87,11 +87,6 @@ class Description:
         called = _as_called(fun, start)
         start.flags.writeable = False
         is_complex = start.dtype.kind == "c"
-        in_halves = flag("second_order", second_order) or states_second_order(called)
-        if in_halves and len(start) % 2:
-            raise ValueError(
-                f"second-order equations have as many velocities as positions: y0 has {len(start)} components"
-            )
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
@@ -117,7 +112,7 @@ class Description:
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
-            second_order=in_halves,
+            second_order=_is_second_order(second_order, called, start),
             _title=name,
             _labels=named,
             _as_given=given,
@@ -218,6 +213,13 @@ def _as_called(fun: Any, y0: Array) -> Any:
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
         called = compile(called)
     return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
+
+
+def _is_second_order(given: bool, fun: Any, y0: Array) -> bool:
+    found = flag("second_order", given) or states_second_order(fun)
+    if found and len(y0) % 2:
+        raise ValueError(f"second-order equations have as many velocities as positions: y0 has {len(y0)} components")
+    return found
 
 
 def _named(name: str | None, fun: Any) -> str:
