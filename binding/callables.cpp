@@ -71,6 +71,7 @@ class PythonFunction final : public Callable {
   bool read_truth(PyObject* result, double* out) const;
   [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
   bool read_array(PyArrayObject* array, double* out);
+  bool holds_numbers(PyObject* items) const;
   bool read_objects(PyArrayObject* array, double* out) const;
   [[nodiscard]] bool fits(PyArrayObject* array) const;
   void complain(PyObject* returned) const;
@@ -275,13 +276,26 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
   return true;
 }
 
-/// float() of each item, or complex(): what has neither (None) is an error, which NumPy would read as NaN.
+/// An error if what is no number at all (None, which NumPy would read as NaN) is among the items.
+bool PythonFunction::holds_numbers(PyObject* items) const {
+  for (Py_ssize_t i = 0; i < PyList_GET_SIZE(items); ++i) {
+    PyObject* item = PyList_GET_ITEM(items, i);
+    if (PyNumber_Check(item) != 0) continue;
+    PyErr_Format(PyExc_TypeError, "%s returned %R among its values, expected %s numbers", name_.c_str(), item,
+                 returns_.complex ? "complex" : "real");
+    return false;
+  }
+  return true;
+}
+
+/// float() of each item, or complex().
 bool PythonFunction::read_objects(PyArrayObject* array, double* out) const {
   PyObject* flat = PyArray_Ravel(array, NPY_CORDER);
   PyObject* items = flat == nullptr ? nullptr : PyArray_ToList(reinterpret_cast<PyArrayObject*>(flat));
   Py_XDECREF(flat);
   if (items == nullptr) return false;
-  for (Py_ssize_t i = 0; i < PyList_GET_SIZE(items) && PyErr_Occurred() == nullptr; ++i) {
+  const bool numbers = holds_numbers(items);
+  for (Py_ssize_t i = 0; numbers && i < PyList_GET_SIZE(items) && PyErr_Occurred() == nullptr; ++i) {
     if (returns_.complex) {
       const Py_complex z = PyComplex_AsCComplex(PyList_GET_ITEM(items, i));
       *out++ = z.real;

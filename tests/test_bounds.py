@@ -140,6 +140,29 @@ def test_an_asymptote_at_the_bound_is_stable(method):
     assert np.abs(y - np.exp(-t)).max() < 2e-3
 
 
+@families_and_series
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_sensitivities_are_zero_while_a_bound_holds_the_solution(method, mirrored, backwards):
+    """y' = k cos t from 1/2: y is 0 from 7π/6 on, and leaves it at 3π/2."""
+    sign, direction = 1 - 2 * mirrored, 1 - 2 * backwards
+    times = direction * np.array([2.0, 4.2, 2 * np.pi])
+    sol = iv.solve_ivp(
+        lambda t, y, k: [sign * direction * k * np.cos(t)],
+        (0, times[-1]),
+        [sign * 0.5],
+        method,
+        times,
+        args=(1.0,),
+        bounds=(None, 0) if mirrored else (0, None),
+        sensitivities=True,
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    np.testing.assert_allclose(sol.y[0], [sign * (0.5 + np.sin(2)), 0, sign], atol=1e-4)
+    np.testing.assert_allclose(sol.sensitivities[0, 0], [sign * np.sin(2), 0, sign], atol=1e-4)
+
+
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_the_knee(method):
     def knee(t, y):

@@ -206,10 +206,14 @@ def test_wrong_shapes(fun, message):
         iv.solve_ivp(fun, (0, 1), [1, 1])
 
 
-@pytest.mark.parametrize("returned", ["ab", ["a", "b"], [1j, 1.0], np.array([1, 1j]), {"a": 1}, [None, None]])
-def test_wrong_types(returned):
-    with pytest.raises((TypeError, ValueError)):
-        iv.solve_ivp(lambda t, y: returned, (0, 1), [1, 1])
+@pytest.mark.parametrize("options", [{}, {"method": "rkn64", "second_order": True}])
+@pytest.mark.parametrize(
+    "returned", ["ab", ["a", "b"], [1j, 1.0], np.array([1, 1j]), {"a": 1}, [None, None], [1.0], np.ones((2, 2)), None]
+)
+def test_wrong_values_are_said_to_be_those_of_f(returned, options):
+    """Wherever they are read: in the core, and before it in the test for second-order equations."""
+    with pytest.raises((TypeError, ValueError), match=r"fun\(t, y\) return"):
+        iv.solve_ivp(lambda t, y: returned, (0, 1), [1, 1], **options)
 
 
 def test_complex_values_in_a_real_problem_say_what_to_do():

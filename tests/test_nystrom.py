@@ -238,6 +238,15 @@ def test_other_methods_integrate_the_first_order_form(method):
     assert same(orbit(method), iv.solve_ivp(first_order, SPAN, START, method, **TOLERANCES))
 
 
+@pytest.mark.parametrize("method", [*PAIRS, "dop853", "taylor", "ode15s"])
+@pytest.mark.parametrize("stated", ["SecondOrder", "compiled", "option"])
+def test_there_are_as_many_velocities_as_positions(method, stated):
+    fun = iv.SecondOrder(lambda t, q: -q)
+    given = {"SecondOrder": fun, "compiled": iv.compile(fun), "option": lambda t, y: [y[1], -y[0], 0.0]}[stated]
+    with pytest.raises(ValueError, match="as many velocities as positions: y0 has 3 components"):
+        iv.solve_ivp(given, (0, 1), [1.0, 2.0, 3.0], method, second_order=stated == "option")
+
+
 def test_machine_code():
     """As f of (t, q), with its parameters, and compiled from Python, in all three ways."""
     kind = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)

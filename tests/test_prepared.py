@@ -249,6 +249,18 @@ def test_what_is_wrong_for_every_call_is_an_error_at_once() -> None:
         problem.prepare("ode45", max_order=3)
 
 
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+@pytest.mark.parametrize("method", ["ode45", "taylor"])
+@pytest.mark.parametrize("t_span", [(3.0, 5.0), (0.5, 5.0), (2.0, -1.0)])
+def test_other_intervals_have_jumps_and_bounds_of_their_own(method, t_span):
+    """Both are part of the series of f: at the times of the interval, in its direction."""
+    jumping = iv.Problem(lambda t, y: [np.floor(t) - y[0]], (0, 2), [1.0])
+    bounded = iv.Problem(lambda t, y: [0 * y[0] - 1.0], (0, 2), [1.0], nonnegative=True)
+    for problem in (jumping, bounded):
+        prepared = problem.prepare(method, max_steps=1000)
+        same(prepared(t_span=t_span), problem.replace(t_span=t_span).solve(method, max_steps=1000))
+
+
 def test_what_is_dissipated_backward_in_time_rises():
     pytest.importorskip("numba")
     falls = iv.Dissipated(iv.compile(lambda t, y: y[0] ** 2), names="square")

@@ -11,7 +11,7 @@ import pytest
 
 import invariode as iv
 import invariode.scipy
-from cases import explicit_and_implicit, families
+from cases import FAMILIES, SERIES, dealt, explicit_and_implicit, families, families_and_series
 from invariode._functions.directional import Directional, Given, Point
 from invariode._problem.parameters import parameter_names, values_of, with_values
 
@@ -473,6 +473,36 @@ def test_where_f_jumps_sensitivities_jump(method):
     )
     assert sol.sensitivities[0, 0, [0, -1]] == pytest.approx([0, -2], abs=1e-9)
     assert sol.t_events is None
+
+
+STAIRS = {
+    "floor": lambda t, y, a: [np.floor(a * t)],
+    "ceil": lambda t, y, a: [np.ceil(a * t)],
+    "truncated": lambda t, y, a: [np.trunc(a * t)],
+    "modulo": lambda t, y, a: [2 * a * t - (a * t) % 1.0],
+    "of 1 / a": lambda t, y, a: [(t - t % (1 / a)) * a],
+    "heaviside": lambda t, y, a: [sum(np.heaviside(a * t - i, 0.5) for i in range(1, 4))],
+}
+
+
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+@dealt(18, name=STAIRS, method=[*FAMILIES, *SERIES])
+def test_sensitivities_jump_at_every_step_of_a_staircase(method, name):
+    """The area below stairs of 0, 1, 2 and 3, each 1/a long, up to t = 3.6/a: (0 + 1 + 2)/a + 3 (t - 3/a)."""
+    a, t0, tf = 0.8, 0.1, 4.5
+    sol = iv.solve_ivp(STAIRS[name], (t0, tf), [0.0], method, args=(a,), rtol=1e-6, atol=1e-8, sensitivities=True)
+    slopes = {"modulo": (tf**2 - t0**2) / 2}  # of the line that is added
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(6 / a**2 + slopes.get(name, 0), rel=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+@families_and_series
+def test_stairs_may_depend_on_the_solution(method):
+    """y' = 1 + floor(y/p): p, p/2 and p/3 until y = 3 p, and 4 from there on."""
+    sol = iv.solve_ivp(
+        lambda t, y, p: [1 + np.floor(y[0] / p)], (0, 1.8), [1e-3], method, args=(0.9,), rtol=1e-6, sensitivities="p"
+    )
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(3 - 4 * (1 + 1 / 2 + 1 / 3), rel=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")

@@ -223,6 +223,20 @@ def test_where_the_solution_slides_along_a_jump_steps_have_the_size_of_the_toler
     assert sol.stats.steps < 1e4
 
 
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # which says that it slides
+@pytest.mark.parametrize("t0", [0.0, 2.0**17])
+def test_sliding_costs_as_much_wherever_t_is(t0):
+    """Dry friction, which the spring cannot overcome in the end: units of roundoff of t do not set the pace."""
+
+    def friction(t, y):
+        return [y[1], -y[0] - 0.3 * np.sign(y[1])]
+
+    tf = t0 + 7.0
+    sol = solve(friction, (t0, tf), [1.0, 0.2], rtol=1e-4, atol=1e-4, keep="end", max_steps=5000)
+    assert sol.success
+    assert abs(sol.y[1, -1]) < 1e-3
+
+
 def test_conditions_of_f_are_no_events_of_the_user():
     event = iv.Event(lambda t, y: y[1])
     sol = solve(BRANCHES["sign"][0], (0, 19), [1.0, 0.0], events=event)

@@ -16,7 +16,7 @@ using namespace taylor;
 
 namespace {
 
-constexpr double shortly = 0x1p-20;    // of h: the solution may slide along a condition that is zero so soon
+constexpr double shortly = 0x1p-20;    // of the reach: the solution may slide along a condition zero so soon
 constexpr int most_close = 8;          // cuts in a row so shortly after the start, each twice as far as the last
 constexpr double beyond = 4;           // ulp of t, from the root of a condition to the end of the step
 constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients overflow
@@ -61,16 +61,17 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
   if (!current_.finite) return Outcome::not_finite;
   h_ = with_exact_square(initial_step(1 / reach(current_), t, span));
   close_ = 0;
-  return look_ahead(t, current_, span.tf >= t ? h_ : -h_) == Status::stop ? Outcome::stop : Outcome::ok;
+  return look_ahead(t, current_, span.tf >= t ? h_ : -h_, h_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
 /// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
-Status Taylor::look_ahead(double t, const Expansion& expansion, double length) {
+/// What is soon is measured by the reach of the coefficients: after sliding the length has the size of the tolerance.
+Status Taylor::look_ahead(double t, const Expansion& expansion, double length, double reach) {
   h_ = free_ = std::abs(length);
   if (!conditions_.any()) return Status::ok;
   if (find_cut(t, expansion, length) == Status::stop) return Status::stop;
   const double least = shortest(t, free_);
-  const bool close = cut_ <= shortly * free_ + least, slides = close_ > most_close;
+  const bool close = cut_ <= shortly * reach + least, slides = close_ > most_close;
   close_ = slides ? (cut_ < free_ ? close_ : 0) : close ? close_ + 1 : 0;
   if (close_ > most_close)
     cut_ = std::numeric_limits<double>::infinity();  // the acceptance test limits h
@@ -205,8 +206,10 @@ Outcome Taylor::accept(const double* y1) {
   }
   if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
   const double longest = crosses_ ? free_ : failed_ ? h_ : largest_growth * h_;
-  const double length = next_.finite ? with_exact_square(std::min(reach(next_), longest)) : h_;
-  if (look_ahead(t1_, next_, std::copysign(length, length_)) == Status::stop) return Outcome::stop;
+  const double allowed = next_.finite ? reach(next_) : h_;
+  const double length = next_.finite ? with_exact_square(std::min(allowed, longest)) : h_;
+  const double scale = std::isfinite(allowed) ? allowed : length;  // infinite beside polynomials
+  if (look_ahead(t1_, next_, std::copysign(length, length_), scale) == Status::stop) return Outcome::stop;
   if (moved_onto_bounds_)
     remainder_.clear();
   else

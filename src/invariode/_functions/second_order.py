@@ -76,8 +76,6 @@ class SecondOrder(CoreFunction):
         return FirstOrderForm(self.fun.fun if isinstance(self.fun, CompiledFunction) else self.fun)
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
-        if n % 2:
-            raise ValueError(f"{self!r} needs as many velocities as positions: y0 has {n} components")
         return _core.SecondOrder(to_native("fun", self.fun, n // 2, size // 2, parameters))
 
 

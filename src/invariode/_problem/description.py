@@ -144,7 +144,7 @@ class Description:
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
-            second_order=flag("second_order", second_order) or states_second_order(called),
+            second_order=_is_second_order(second_order, called, start),
             _title=name,
             _labels=named,
             _as_given=given,
@@ -260,6 +260,13 @@ def _as_called(fun: Any, y0: Array) -> Any:
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
         called = compile(called)
     return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
+
+
+def _is_second_order(given: bool, fun: Any, y0: Array) -> bool:
+    found = flag("second_order", given) or states_second_order(fun)
+    if found and len(y0) % 2:
+        raise ValueError(f"second-order equations have as many velocities as positions: y0 has {len(y0)} components")
+    return found
 
 
 def _named(name: str | None, fun: Any) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.arguments import Array, reals
+from .._base.arguments import Array, numbers, real_numbers, reals
 from .._functions.compiled import CoreFunction, NativeWithInputs, as_python, is_native, native_parameters, to_native
 from .inputs import Input, fed
 
@@ -36,7 +36,7 @@ class Slope(NamedTuple):
         fun = self.fun
         if isinstance(fun, CoreFunction) or not is_native(fun):
             for value, at, state in zip(values, t.tolist(), rows, strict=True):
-                value[:] = fun(at, state.copy(), *self.args)
+                value[:] = checked_slope(fun(at, state.copy(), *self.args), state)
             return values.T
         n = rows.view(float).shape[1]
         p = native_parameters(self.args, [fun])
@@ -46,3 +46,17 @@ class Slope(NamedTuple):
             now = np.concatenate([*(one.evaluate(np.array([at]))[0] for one in fed_by), p]) if fed_by else p
             value[:] = call(at, state.view(float), now).view(value.dtype)
         return values.T
+
+
+def checked_slope(given: Any, y: Array) -> Array:
+    """What f returned at y (n,), as numbers of its shape, which are real if y is.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is something else.
+    """
+    values = (numbers if y.dtype.kind == "c" else real_numbers)("what fun(t, y) returns", given)
+    if values.shape != y.shape and not values.size == y.size == 1:
+        raise ValueError(f"fun(t, y) returned shape {values.shape}, expected shape {y.shape}")
+    return values.reshape(y.shape)

@@ -126,6 +126,8 @@ class System(NamedTuple):
         Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
     times : list of float
         When it changes its branch, if that depends on t alone.
+    scheduled : bool
+        Whether there may be other such times on another interval.
     conditions : list of Node
         What changes its sign where it changes its branch otherwise; none if there are too many.
     own : bool
@@ -134,6 +136,7 @@ class System(NamedTuple):
 
     outputs: list[Node]
     times: list[float]
+    scheduled: bool
     conditions: list[Node]
     own: bool
 
@@ -147,7 +150,7 @@ def system_of(problem: Description, parameters: Array) -> System:
     t0, tf = problem.t_span
     where = kinks(outputs, t0, tf)
     conditions = where.differences if len(where.differences) <= _MOST_CONDITIONS else []
-    return System(outputs, where.times, conditions, found.elementary == "own")
+    return System(outputs, where.times, where.scheduled, conditions, found.elementary == "own")
 
 
 def _with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
@@ -198,6 +201,8 @@ class Expansion(NamedTuple):
         y' of the solution, and of its sensitivities.
     form : SeriesForm
         Of its series.
+    of_any_span : bool
+        Whether it is the same on every interval: neither times of branches nor bounds, which depend on the direction.
     """
 
     series: _core.Series
@@ -207,6 +212,7 @@ class Expansion(NamedTuple):
     problem: Description
     outputs: list[Node]
     form: SeriesForm
+    of_any_span: bool
 
     def for_core(self) -> dict[str, Any]:
         """What the core's problem takes, besides its events."""
@@ -224,9 +230,8 @@ def make_expansion(
 ) -> Expansion:
     """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
-    outputs = _within_bounds(system.outputs, problem.bounds, forward)
-    if varied is not None:
-        outputs = [*outputs, *_with_inputs(varied.tangent_nodes(), problem.inputs)]
+    tangents = [] if varied is None else _with_inputs(varied.tangent_nodes(), problem.inputs)
+    outputs = _within_bounds(system.outputs, tangents, problem.bounds, forward)
     makes = _Maker(len(outputs), order, system.own)
     given = [
         makes.expanded(spec, _graph_of_event(event.fun, problem))
@@ -241,6 +246,7 @@ def make_expansion(
         problem=problem,
         outputs=outputs,
         form=makes.form(along=False),
+        of_any_span=not system.scheduled and problem.bounds is None,
     )
 
 
@@ -273,18 +279,25 @@ class _Maker:
         return spec._replace(series=self.series(value, along=True))
 
 
-def _within_bounds(outputs: Sequence[Node], bounds: Bounds | None, forward: float) -> list[Node]:
-    """f without what leads out of the bounds."""
+def _within_bounds(
+    outputs: Sequence[Node], tangents: Sequence[Node], bounds: Bounds | None, forward: float
+) -> list[Node]:
+    """f without what leads out of the bounds, and the slopes of sensitivities, zero where a bound holds y."""
     if bounds is None:
-        return list(outputs)
-    graph = outputs[0].graph
+        return [*outputs, *tangents]
+    graph, n = outputs[0].graph, len(outputs)
     zero = graph.node(0.0)
-    found = []
+    found = [*outputs, *tangents]
+
+    def hold(i: int, at_bound: Node, outward: Node) -> None:
+        for place in range(i, len(found), n):
+            found[place] = graph.select(at_bound, graph.select(outward, zero, found[place]), found[place])
+
     for i, (f, lower, upper) in enumerate(zip(outputs, bounds.lower, bounds.upper, strict=True)):
-        y, inward, outward = graph.y(i), *(("maximum", "minimum") if forward > 0 else ("minimum", "maximum"))
+        y, falls, rises = graph.y(i), graph.make("less", f, zero), graph.make("less", zero, f)
+        downwards, upwards = (falls, rises) if forward > 0 else (rises, falls)
         if lower > -math.inf:
-            f = graph.select(graph.make("less_equal", y, graph.node(lower)), graph.make(inward, f, zero), f)
+            hold(i, graph.make("less_equal", y, graph.node(lower)), downwards)
         if upper < math.inf:
-            f = graph.select(graph.make("less_equal", graph.node(upper), y), graph.make(outward, f, zero), f)
-        found.append(f)
+            hold(i, graph.make("less_equal", graph.node(upper), y), upwards)
     return found

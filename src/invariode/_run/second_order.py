@@ -30,15 +30,12 @@ def require_second_order(problem: Description, method: Method) -> None:
     ValueError
         It does not, its accelerations depend on the velocities, or it has what the method does not take.
     """
-    n = len(problem.y0)
     if not problem.second_order:
         raise ValueError(
             f"{method.name} is for y'' = f(t, y), and fun is given as y' = f(t, y): pass invariode.SecondOrder(f) with "
             "the accelerations f(t, q) and y0 = (q, v), or second_order=True if fun returns (v, f(t, q)). ode89 and "
             "dop853 take any fun"
         )
-    if n % 2:
-        raise ValueError(f"{method.name} needs as many velocities as positions: y0 has {n} components")
     if problem.bounds is not None:
         raise ValueError(f"{method.name} does not take bounds, which change y' of positions; use dop853 or ode89")
     if states_second_order(problem.fun):

@@ -120,9 +120,8 @@ class Variations:
                 continue
             warn(
                 f"sensitivities: fun looks discontinuous at t = {t:.6g}, and not all of its conditions are known. "
-                "Sensitivities may jump there too, and be wrong from there on: write fun with comparisons, "
-                "without floor and %, so that invariode.compile(fun, by='trace') takes it; give jumps at fixed times "
-                "as breakpoints",
+                "Sensitivities may jump there too, and be wrong from there on: write fun so that "
+                "invariode.compile(fun, by='trace') takes it; give jumps at fixed times as breakpoints",
                 AccuracyWarning,
             )
             return False

@@ -20,7 +20,6 @@ from .._base.arguments import (
     interval,
     positive_integer,
     quietly,
-    real_numbers,
     shown,
     state,
 )
@@ -29,6 +28,7 @@ from .._base.public import public
 from .._base.types import Span
 from .._linear.null_space import echelon, null_space
 from .._problem.invariants import Invariants
+from .._problem.slope import checked_slope
 from .._solve.ivp import solve_ivp
 
 Exponents = tuple[int, ...]
@@ -184,13 +184,6 @@ def find_invariants(
     return found
 
 
-def _require_shape(slope: Any, y0: Array) -> None:
-    """What f returns at y0: elsewhere it may not be defined, and points where it fails are left out."""
-    values = real_numbers("what fun(t, y) returns", slope)
-    if values.shape != y0.shape:
-        raise ValueError(f"fun(t, y) returned shape {values.shape}, expected shape {y0.shape}")
-
-
 class _Search:
     """Sample points of a problem, and the rates of polynomials there.
 
@@ -202,7 +195,7 @@ class _Search:
         self._exponent = math.frexp(np.abs(y0).max(initial=0) or 1.0)[1] - 1
         self._unit = math.ldexp(1.0, self._exponent)
         self._users_fun, self._t_span, self._args = fun, t_span, args
-        _require_shape(fun(t_span[0], y0.copy(), *args), y0)
+        checked_slope(fun(t_span[0], y0.copy(), *args), y0)  # elsewhere f may not be defined
         y0 = y0 / self._unit
         self._random = np.random.default_rng(20260)
         self._largest = np.abs(y0).max(initial=0) or 1.0

@@ -24,10 +24,13 @@ class Kinks(NamedTuple):
         What changes its sign there.
     times : list of float
         Where, for what depends on t alone.
+    scheduled : bool
+        Whether there may be other times on another interval.
     """
 
     differences: list[Node]
     times: list[float]
+    scheduled: bool
 
 
 def substituted(outputs: Sequence[Node], instead: Mapping[Node, Node]) -> list[Node]:
@@ -51,6 +54,7 @@ def kinks(outputs: Sequence[Node], t0: float, tf: float) -> Kinks:
     """Where the branches of these values change between t0 and tf."""
     found: dict[frozenset[Node], Node] = {}
     times: list[float] = []
+    scheduled = False
     for node in in_order(outputs):
         for crossing in _crossings(node):
             if not _moves(crossing.difference):
@@ -61,7 +65,8 @@ def kinks(outputs: Sequence[Node], t0: float, tf: float) -> Kinks:
                 found.setdefault(frozenset((a, b)), crossing.difference)
             else:
                 times += known
-    return Kinks([*found.values()], sorted({*times}))
+                scheduled = True
+    return Kinks([*found.values()], sorted({*times}), scheduled)
 
 
 class _Crossing(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,8 +15,10 @@ from .python import Formula
 
 #: What compares two numbers, the difference of which changes its sign there.
 _ORDERED = ("less", "less_equal")
-#: What jumps at more than one value.
-_STEPPED = ("floor", "ceil", "modulo", "equal", "not_equal")
+#: What jumps wherever a number, its argument or the quotient of both, is an integer.
+_STEPPED = ("floor", "ceil", "modulo")
+#: What differs at single points, where nothing changes its sign.
+_PUNCTURED = ("equal", "not_equal")
 #: Points at which the branches of a condition are compared, the seed of their choice, and Newton's steps to each.
 _POINTS, _SEED, _STEPS = 16, 29, 20
 #: How much farther from the start each of four points in turn is looked for.
@@ -48,11 +51,15 @@ def switches(outputs: Sequence[Node], t: float, y: Array, p: Array, inputs: int 
 
 def has_steps(outputs: Sequence[Node]) -> bool:
     """Whether a graph may jump elsewhere too."""
-    return any(node.op in _STEPPED for node in in_order(outputs))
+    return any(node.op in _PUNCTURED for node in in_order(outputs))
 
 
 def conditions(outputs: Sequence[Node], inputs: int = 0) -> list[Switch]:
-    """All comparisons, and signs, of values that change with y, or with t and a parameter."""
+    """All comparisons, signs and steps of values that change with y, or with t and a parameter."""
+    return [*_comparisons(outputs, inputs), *_steps(outputs, inputs)]
+
+
+def _comparisons(outputs: Sequence[Node], inputs: int) -> list[Switch]:
     groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
     for node in in_order(outputs):
         if node.op not in _ORDERED and node.op != "sign":
@@ -74,6 +81,36 @@ def conditions(outputs: Sequence[Node], inputs: int = 0) -> list[Switch]:
         if below != above:
             found.append(Switch(difference, below, above))
     return found
+
+
+def _steps(outputs: Sequence[Node], inputs: int) -> list[Switch]:
+    """Where x is an integer sin πx changes its sign, upwards at even ones. Near an integer r = ⌊x + 1/2⌋ the floor of x
+    is r − 1 below it and r above it."""
+    groups: dict[Node, list[Node]] = {}
+    for node in in_order(outputs):
+        if node.op in _STEPPED:
+            x = node.arguments[0] / node.arguments[1] if node.op == "modulo" else node.arguments[0]
+            groups.setdefault(x, []).append(node)
+    found = []
+    for x, nodes in groups.items():
+        if not _moves(x, inputs):
+            continue
+        nearest = x.graph.make("floor", x + 0.5)
+        odd = nearest.graph.make("modulo", nearest, nearest.graph.node(2.0))
+        below, above = (
+            _decided(outputs, {node: _stepped(node, floor) for node in nodes})
+            for floor in (nearest - 1.0 + odd, nearest - odd)
+        )
+        if below != above:
+            found.append(Switch(x.graph.make("sin", x * math.pi), below, above))
+    return found
+
+
+def _stepped(node: Node, floor: Node) -> Node:
+    """Its value between two integers, beside which the floor is this."""
+    if node.op == "modulo":
+        return node.arguments[0] - node.arguments[1] * floor
+    return floor if node.op == "floor" else floor + 1.0
 
 
 def _moves(difference: Node, inputs: int) -> bool:

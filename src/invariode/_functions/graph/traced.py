@@ -459,8 +459,8 @@ def _sum(a: Node, b: Node) -> Node:
 
 def _heaviside(a: Node, at_zero: Node) -> Node:
     graph, zero = a.graph, a.graph.node(0.0)
-    side = graph.select(graph.make("less", zero, a), graph.node(1.0), zero)
-    return graph.select(graph.make("equal", a, zero), at_zero, side)
+    not_below = graph.select(graph.make("less_equal", a, zero), at_zero, graph.node(1.0))
+    return graph.select(graph.make("less", a, zero), zero, not_below)  # one condition: nothing else happens at zero
 
 
 def _not_finite(a: Node) -> Node:
