@@ -42,7 +42,7 @@ def test_a_segment_is_of_the_size_that_its_extension_reads(method, tmp_path):
     own = sol.sol._dense.parts()["extension"]
 
     def claim(arrays, about):
-        about["dense"]["extension"] = "Adams" if own == "TR-BDF2" else "TR-BDF2"
+        about["dense"]["extension"] = "numbered" if own == "TR-BDF2" else "TR-BDF2"
 
     rewritten(tmp_path / "a", claim)
     with pytest.raises(ValueError, match=r"a is damaged: ValueError: segments do not match"):

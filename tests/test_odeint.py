@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -267,6 +269,26 @@ def test_the_order_of_arguments_changes_no_bit():
     with pytest.raises(TypeError, match="pendulum") as info:
         iv.odeint(pendulum, [1.0, 0.5], t, args=(1.0,))
     assert info.value.__notes__
+
+
+def test_rows_and_warnings_are_those_of_the_call_with_a_dictionary():
+    t = np.linspace(0, 2, 21)
+    stiff = {"func": lambda y, t: [-1e4 * (y[0] - np.cos(t))], "y0": [1.0], "t": t, "method": "ode45"}
+    for call, warning in (
+        ({"func": lambda y, t: [y[1], -y[0]], "y0": [1.0, 0.0], "t": t}, None),
+        ({"func": lambda y, t: [y[1], -y[0]], "y0": [1.0, 0.0], "t": t[::-1], "tcrit": [0.7]}, None),
+        ({"func": lambda y, t: y**2, "y0": [1.0], "t": t}, ODEintWarning),
+        (stiff, iv.StiffnessWarning),
+        ({**stiff, "func": lambda y, t: np.where(t < 1, -y, 5 * y), "method": "ode113"}, iv.DiscontinuityWarning),
+    ):
+        told = []
+        for full in (False, True):
+            with warnings.catch_warnings(record=True) as found:
+                warnings.simplefilter("always")
+                y = iv.odeint(**call, full_output=full)
+            told.append(([(one.category, str(one.message)) for one in found], y[0] if full else y))
+        np.testing.assert_equal(*told)
+        assert [category for category, _ in told[0][0]] == ([] if warning is None else [warning])
 
 
 def test_calls_of_one_kind_say_the_same():

@@ -68,6 +68,15 @@ class Resumed(NamedTuple):
     anew: bool  # the method is to start again
 
 
+class Points(NamedTuple):
+    """What is put out, where the run ended, and how."""
+
+    y: Array  # (n, n_t)
+    t_end: float
+    status: int
+    message: str
+
+
 class Solved:
     """A problem solved by a method with options; the problem may be made when it is used."""
 
@@ -75,6 +84,9 @@ class Solved:
 
     def __init__(self, problem: Description | Callable[[], Description], method: MethodName, options: Options) -> None:
         self._problem, self.method, self.options = problem, method, options
+
+    def described(self) -> Description:
+        return self.problem
 
     @property
     def problem(self) -> Description:
@@ -192,6 +204,23 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
         raise
 
 
+def points(problem: Posed | Description, method: MethodName, options: Options) -> Points:
+    """The outputs of a solve of which nothing else is asked for: the same run, of which no solution is made."""
+    try:
+        found = plan_or_template(problem, method, options)
+        if not isinstance(found, Template):
+            sol = _solved(found, Solved(problem.described, method, options))
+            return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
+        run, plan = found.run(problem, options.get("t_eval"))
+        if run.state not in MESSAGES:
+            _require_start(run, plan, problem.described())
+        _warn(run, plan, problem.described)
+        return Points(*run.take_points()[1:3], *plan.verdict(run))
+    except (TypeError, ValueError) as error:
+        explain(error, problem.described())
+        raise
+
+
 def _solved(plan: Plan, source: Solved) -> Solution:
     """The solution by a solver of its own."""
     problem = source.problem
@@ -273,22 +302,31 @@ def presented(
     """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
     took turns."""
     if run.state not in MESSAGES:
-        if exception := plan.exception(run):
-            raise exception
-        problem = source.problem
-        if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
-            raise error
+        _require_start(run, plan, source.problem)
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
+    _warn(run, plan, source.described)
+    return sol
+
+
+def _require_start(run: _core.Run, plan: Plan, problem: Description) -> None:
+    """Raises where the run could not start."""
+    if exception := plan.exception(run):
+        raise exception
+    if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
+        raise error
+
+
+def _warn(run: _core.Run, plan: Plan, described: Callable[[], Description]) -> None:
+    """The warnings of a run, but for those of invariants."""
     if plan.functions.linear is not None:
-        if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
+        if not math.isnan(run.left_complex_steps) and described().matrices.jac is not None:
             warn(complex_steps_left(run.left_complex_steps))
         if run.misfit is not None:
             warn(misfit(run.misfit, plan.functions.complex))
     if run.remarkable:
         _warn_of_steps(run, plan)
-    return sol
 
 
 def _warn_of_steps(run: _core.Run, plan: Plan) -> None:

@@ -31,7 +31,7 @@ from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
 from .._problem.options import Options
 from .._results.solution import Solution
-from .._run.run import solve
+from .._run.run import Points, points, solve
 from .problem import Problem
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
@@ -210,10 +210,14 @@ def odeint(
         "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
         "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
     }
-    sol = solve(_problem(call, counter, func, span, y0, args, Dfun, invariants), call.method, given)
-    message = _message(sol, counter, call.prints)
-    y = _rows(sol, asked)
-    return (y, _information(sol, asked, counter, message)) if call.full else y
+    problem = _problem(call, counter, func, span, y0, args, Dfun, invariants)
+    if not call.full:
+        found = points(problem, call.method, given)
+        _tell(found, counter, call.prints)
+        return _rows(found.y, asked)
+    sol = solve(problem, call.method, given)
+    message = _tell(Points(sol.y, sol.t_end, sol.status, sol.message), counter, call.prints)
+    return _rows(sol.y, asked), _information(sol, asked, counter, message)
 
 
 class _Call(NamedTuple):
@@ -417,20 +421,20 @@ def _critical_points(tcrit: ArrayLike, times: Array) -> list[float]:
     return inside
 
 
-def _rows(sol: Solution, asked: _Times) -> Array:
+def _rows(y: Array, asked: _Times) -> Array:
     """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
-    rows = np.ascontiguousarray(sol["y"].T)  # items are faster than attributes: see `Result`
+    rows = np.ascontiguousarray(y.T)
     if missing := len(asked.times) - len(rows):
         rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])
     return rows if asked.place is None else rows[asked.place]
 
 
-def _message(sol: Solution, counter: _Counter, printed: bool) -> str:
-    """How the run ended; a warning if that was not at the last time."""
-    status = sol["status"]
-    message = "Integration successful." if status == 0 else sol.message
+def _tell(found: Points, counter: _Counter, printed: bool) -> str:
+    """How the run ended; with a warning if that was not at the last time."""
+    status = found.status
+    message = "Integration successful." if status == 0 else found.message
     if status == 2:
-        message = f"More than mxstep = {counter.most} steps between two times, at t = {sol.t_end:.6g}: raise mxstep."
+        message = f"More than mxstep = {counter.most} steps between two times, at t = {found.t_end:.6g}: raise mxstep."
     if status != 0:
         from scipy.integrate import ODEintWarning
 
