@@ -286,7 +286,7 @@ class TestPublicNames:
         rows = options.table_of(options.AllOptions) | options.table_of(options.ManyOptions)
         assert sorted(listed) == sorted(rows)
         for text in (iv.solve_ivp.__doc__.partition("Other Parameters")[2], iv.ode15s.__doc__):
-            places = {name: re.search(rf"^    .*\b{name}\b.* : ", text, re.M) for name in listed}
+            places = {name: re.search(rf"^.*\b{name}\b.* : ", inspect.cleandoc(text), re.M) for name in listed}
             found = [place.start() for place in places.values() if place]
             assert len(found) > 20
             assert found == sorted(found)

@@ -22,6 +22,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import wait as wait_for_any
+from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
@@ -72,7 +73,7 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
     RuntimeError
         The processes end before they come to a row.
     """
-    context = multiprocessing.get_context()
+    context = _context()
     if context.get_start_method() != "fork":
         _require_picklable(solve)
     workers = min(workers, MOST_WORKERS)
@@ -99,6 +100,14 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
             tried |= fatal
             for chunk in crew.lost:
                 left.extendleft(_what_is_left(chunk, fatal, hopeless))
+
+
+def _context() -> BaseContext:
+    """How `multiprocessing` starts processes; where a server forks them, which is Linux's default since Python 3.14,
+    this process does: its workers know functions that cannot be pickled, and the script needs no guard."""
+    context = multiprocessing.get_context()
+    by_default = sys.version_info >= (3, 14) and context.get_start_method() == "forkserver"
+    return multiprocessing.get_context("fork") if by_default else context
 
 
 def _what_is_left(chunk: range, fatal: set[int], hopeless: Sequence[int]) -> list[range]:
