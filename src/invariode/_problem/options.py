@@ -188,7 +188,8 @@ class MethodOptions(TypedDict, total=False):
             None,
             "int",
             "Highest order of the formulas; those of radau have order 5, 9 and 13. The series of taylor have exactly "
-            "this order, from 3 to 40, by default ⌈1 − ½ ln rtol⌉. Default of the others: the method's highest.",
+            "this order, from 3 to 40, by default ⌈1 − ½ ln rtol⌉, or more for a short f. Default of the others: the "
+            "method's highest.",
             positive_integer,
             every_method=False,
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,16 +33,30 @@ if TYPE_CHECKING:
 
 #: With more conditions than this at which f changes its branch, steps do not end there.
 _MOST_CONDITIONS = 64
+#: Nanoseconds of a step besides its coefficients, of an order, and of a product in it (benchmarks/taylor.py), and the
+#: margin of the step's length in the core.
+_STEP, _ORDER, _PRODUCT, _MARGIN = 130.0, 4.0, 0.35, 0.7
+#: The order is raised by two as long as this part of the cost is saved: the errors of longer steps are somewhat larger.
+_GAIN = 0.1
 #: What takes any f.
 _INSTEAD = "use method='dop853' or 'ode89', which take any function"
 
 
-def order_of(method: Method, rtol: float, given: int | None) -> int:
-    """The order of the series: the one given, or that of the least work, with steps of 1/e² of the radius of
-    convergence (Jorba and Zou 2005)."""
+def order_of(method: Method, rtol: float, given: int | None, sums: float) -> int:
+    """The order of the series: the one given, or that of the least work for coefficients, with steps of 1/e² of the
+    radius of convergence (Jorba and Zou 2005); a higher one where what surrounds the coefficients, `sums` sums of
+    products in each order, costs more than they do."""
     if given is not None:
         return given
-    return min(max(math.ceil(1 - math.log(rtol) / 2), method.min_order), method.order)
+
+    def cost(p: int) -> float:
+        """Of a length of t."""
+        return (_STEP + _ORDER * p + _PRODUCT * sums * p * p / 2) / math.exp((math.log(rtol) - _MARGIN) / (p - 1))
+
+    order = min(max(math.ceil(1 - math.log(rtol) / 2), method.min_order), method.order)
+    while order + 2 <= method.order and cost(order + 2) < (1 - _GAIN) * cost(order):
+        order += 2
+    return order
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -226,13 +240,20 @@ class Expansion(NamedTuple):
 
 
 def make_expansion(
-    problem: Description, system: System, order: int, events: Sequence[EventSpec], varied: Variations | None
+    problem: Description,
+    system: System,
+    order: Callable[[float], int],
+    events: Sequence[EventSpec],
+    varied: Variations | None,
 ) -> Expansion:
-    """The series of a problem, whose events the core has in this form; behind them are those of sensitivities."""
+    """The series of a problem, whose events the core has in this form; behind them are those of sensitivities. `order`
+    says which order series have, by the number of their sums."""
+    from .._functions.graph.series import count_sums
+
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
     tangents = [] if varied is None else _with_inputs(varied.tangent_nodes(), problem.inputs)
     outputs = _within_bounds(system.outputs, tangents, problem.bounds, forward)
-    makes = _Maker(len(outputs), order, system.own)
+    makes = _Maker(len(outputs), order(count_sums(outputs)), system.own)
     given = [
         makes.expanded(spec, _graph_of_event(event.fun, problem))
         for spec, event in zip(events, problem.events, strict=False)

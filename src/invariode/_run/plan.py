@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -376,7 +377,7 @@ def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
     """The plan with the series of the solution, and of the events along it."""
     from .expansion import make_expansion, order_of
 
-    order = order_of(plan.method, plan.tolerances.rtol, plan.settings.max_order or None)
+    order = partial(order_of, plan.method, plan.tolerances.rtol, plan.settings.max_order or None)
     expansion = make_expansion(problem, system, order, plan.functions.events, plan.varied)
     return plan._replace(expansion=expansion, functions=plan.functions._replace(events=expansion.events))
 

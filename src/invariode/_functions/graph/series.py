@@ -12,6 +12,7 @@ compute it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,10 +34,23 @@ _LEVEL = 0
 _MOST_PRODUCTS = 2500
 
 
+def count_sums(outputs: Sequence[Node]) -> float:
+    """How many sums of products there are in each order; of linear systems, which are not counted, infinitely many."""
+    found = program(outputs)
+    return math.inf if _solves(found) else _sums(found)
+
+
+def _sums(found: Program) -> int:
+    return sum(len(found.rules[one].sums) for one in found.moving if one in found.rules)
+
+
+def _solves(found: Program) -> bool:
+    return any(one.op == "solve" for one in found.nodes)
+
+
 def is_small(found: Program, order: int) -> bool:
     """Whether the coefficients are written out; of linear systems they always are."""
-    products = sum(len(found.rules[one].sums) for one in found.moving if one in found.rules) * order * (order + 1) // 2
-    return products <= _MOST_PRODUCTS or any(one.op == "solve" for one in found.nodes)
+    return _sums(found) * order * (order + 1) // 2 <= _MOST_PRODUCTS or _solves(found)
 
 
 def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
@@ -59,7 +73,7 @@ def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> Machi
     if not (make or is_kept((form, as_rows(outputs)))):
         return "fewer trajectories than {most} do not pay for compiling the series of {f} once more"
     found = program(outputs)
-    if any(node.op == "solve" for node in found.nodes):
+    if _solves(found):
         return "{f} solves a linear system"
     if not is_small(found, form.order):
         return "the series of {f} is so large that one trajectory fills the vector registers"
