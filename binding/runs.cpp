@@ -736,9 +736,8 @@ void define_solver(nb::module_& module) {
            "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
       .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
-           "Integrates y' = fun(t, y, *args) from y0, in the place of the Python function that it was made with, with "
-           "other values of the settings (t0, tf, max_step, times, max_points, max_bytes); afterwards it holds nothing "
-           "of them.");
+           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
+           "with, and other settings (t0, tf, max_step, times, max_points, max_bytes); it holds none of them afterwards.");
 }
 
 void define_stepper(nb::module_& module) {

@@ -63,7 +63,10 @@ class Template:
         start = problem.y0.view(float) if self._plan.functions.complex else problem.y0
         run = core.integrate_other(problem.fun, problem.args, start, course)
         self._idle.append(core)  # but not after an exception
-        return run, self._plan.on(course, self._bound[course.tf >= course.t0], self._names_of(problem))
+        bound = self._bound[course.tf >= course.t0]
+        if problem.args:
+            bound = replace(bound, args=problem.args)
+        return run, self._plan.on(course, bound, self._names_of(problem))
 
     def _names_of(self, problem: Posed | Description) -> Names:
         """Those of the last problem, if they are the same."""
