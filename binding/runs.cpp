@@ -737,7 +737,7 @@ void define_solver(nb::module_& module) {
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
       .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
            "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
-           "with, and other settings (t0, tf, max_step, times, max_points, max_bytes); it holds none of them afterwards.");
+           "with, and other settings (t0, tf, max_step, times, max_points, max_bytes). It keeps none of them.");
 }
 
 void define_stepper(nb::module_& module) {
