@@ -577,7 +577,7 @@ class Solver:
 
     def integrate_other(self, fun: object, args: tuple, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], course: tuple[float, float, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, int, int]) -> Run:
         """
-        Integrates y' = fun(t, y, *args) from y0, in the place of the Python function that it was made with, with other values of the settings (t0, tf, max_step, times, max_points, max_bytes); afterwards it holds nothing of them.
+        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, and other settings (t0, tf, max_step, times, max_points, max_bytes). It keeps none of them.
         """
 
 class Stepper:
