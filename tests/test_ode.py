@@ -266,6 +266,15 @@ class TestFailures:
         assert theirs.get_return_code() == code
         assert run.set_initial_value(KEPLER.y0).successful()
 
+    @pytest.mark.parametrize("name", ["dopri5", "vode"])
+    def test_a_time_that_is_never_reached(self, name):
+        with pytest.raises(ValueError, match="t = -inf is never reached: give a finite t, nsteps"):
+            started(name).integrate(-np.inf)
+        run = started(name, nsteps=3)
+        with pytest.warns(UserWarning, match="nsteps = 3 is reached"):
+            run.integrate(np.inf)
+        assert run.t > 0
+
     @pytest.mark.parametrize(("name", "code"), [("dopri5", -3), ("vode", -4), ("lsoda", -4), ("ode15s", None)])
     def test_a_singularity(self, name, code):
         run = started(name, lambda t, y: y**2, (1.0,))

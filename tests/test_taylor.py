@@ -391,6 +391,11 @@ def test_what_has_no_series_is_refused(fun, options, error, message):
         solve(fun, (0, 1), [1.0] if fun is searched else [1.0, 0.0], **options)
 
 
+def test_no_components_have_no_series():
+    with pytest.raises(ValueError, match="needs the expression graph of fun, and y0 is empty: use method='dop853'"):
+        solve(lambda t, y: y, (0, 1), [])
+
+
 def test_machine_code_is_refused():
     from numba import carray, cfunc, types
 

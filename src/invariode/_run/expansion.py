@@ -70,6 +70,8 @@ def on_graph(problem: Description, method: Method) -> Description:
     ------
     TypeError
         f is machine code, or belongs to the core.
+    ValueError
+        There are no components.
     ModuleNotFoundError
         What compiles graphs is not installed.
     """
@@ -84,6 +86,8 @@ def _require_graph(problem: Description, method: Method) -> None:
     """That f can be traced."""
     n = reals(problem.y0)
     needs = f"method={method.name!r} needs the expression graph of fun"
+    if n == 0:
+        raise ValueError(f"{needs}, and y0 is empty: {_INSTEAD}")
     try:
         found = derived(problem.slope.fun, n, n, count_of(Parameters.of(problem.args)))
     except TypeError as error:

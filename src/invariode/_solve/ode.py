@@ -355,6 +355,8 @@ class ode:  # noqa: N801 - SciPy's name
         ------
         InvariantError
             An invariant is not conserved at the start, or its Jacobian is wrong.
+        ValueError
+            `t` is infinite, and nothing else ends the call.
 
         Warns
         -----
@@ -365,6 +367,9 @@ class ode:  # noqa: N801 - SciPy's name
         chosen = self._chosen()
         if target == self.t:
             return self._y
+        ends = chosen.nsteps is not None or (step if chosen.goes_on else self._solout is not None)
+        if math.isinf(target) and not ends:
+            raise ValueError(f"t = {target} is never reached: give a finite t, nsteps, solout, or step=True")
         try:
             if chosen.goes_on:
                 self._go_on(target, chosen, step=bool(step), relax=bool(relax))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
@@ -194,10 +195,10 @@ def odeint(
     """
     how: tuple[Any, ...] = (col_deriv, full_output, ml, mu, rtol, atol, h0, hmax, hmin, ixpr, mxstep)
     how = (*how, mxhnil, mxordn, mxords, printmessg, tfirst, method)
-    try:
+    call = None
+    with suppress(TypeError):  # an array of tolerances, or a wrong argument
         call = _call_by_value(*how)
-    except TypeError:  # an array of tolerances, or a wrong argument
-        call = _call(*how)
+    call = call or _call(*how)
     for text in call.warnings:
         warn(text)
     asked = _times(t)
