@@ -336,7 +336,7 @@ class EnsembleStore:
         xarray.Dataset
             `y0`, `y_end` and, with `t_eval`, `y` by trajectory, component and t, `args` by parameter, `status` and the
             like, `counts` by their names; -128 is the status of a trajectory that is not solved yet. With
-            `sensitivities`, `S_end` and `S` have one more dimension, "sensitivity".
+            `sensitivities`, ``S_end`` and ``S`` have one more dimension, "sensitivity".
 
         Raises
         ------

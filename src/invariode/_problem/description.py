@@ -68,7 +68,7 @@ class Posed:
     def name(self) -> str:
         return call_name(self.fun, "problem") if self._title is None else self._title
 
-    def described(self) -> Description:
+    def _described(self) -> Description:
         if self._problem is None:
             self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args, name=self._title)
         return self._problem
@@ -153,7 +153,7 @@ class Description:
         if self.sensitivities is not None and self.args:
             self.parameters()
 
-    def require_real(self, what: str) -> None:
+    def _require_real(self, what: str) -> None:
         """That the states are real numbers, for what is not defined for complex ones."""
         if self.y0.dtype.kind == "c":
             raise ValueError(
@@ -191,7 +191,7 @@ class Description:
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
 
-    def described(self) -> Self:
+    def _described(self) -> Self:
         """This problem: see `Posed`."""
         return self
 

@@ -105,7 +105,7 @@ def gradient(
 ) -> Array:
     """See `Solution.gradient`."""
     problem = run.problem
-    problem.require_real("gradient")
+    problem._require_real("gradient")
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:

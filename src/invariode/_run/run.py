@@ -85,7 +85,7 @@ class Solved:
     def __init__(self, problem: Description | Callable[[], Description], method: MethodName, options: Options) -> None:
         self._problem, self.method, self.options = problem, method, options
 
-    def described(self) -> Description:
+    def _described(self) -> Description:
         return self.problem
 
     @property
@@ -194,13 +194,13 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
         given = options.copy()
         given.pop("progress", None)
         keep_arrays(given)
-        source = Solved(problem.described, method, given)
+        source = Solved(problem._described, method, given)
         if not isinstance(found, Template):
             return _solved(found, source)
         run, plan = found.run(problem, options.get("t_eval"))
         return concluded(presented(run, plan, source, found.members), plan.on_failure)
     except (TypeError, ValueError) as error:
-        explain(error, problem.described())
+        explain(error, problem._described())
         raise
 
 
@@ -209,15 +209,15 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
     try:
         found = plan_or_template(problem, method, options)
         if not isinstance(found, Template):
-            sol = _solved(found, Solved(problem.described, method, options))
+            sol = _solved(found, Solved(problem._described, method, options))
             return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
         run, plan = found.run(problem, options.get("t_eval"))
         if run.state not in MESSAGES:
-            _require_start(run, plan, problem.described())
-        _warn(run, plan, problem.described)
+            _require_start(run, plan, problem._described())
+        _warn(run, plan, problem._described)
         return Points(*run.take_points()[1:3], *plan.verdict(run))
     except (TypeError, ValueError) as error:
-        explain(error, problem.described())
+        explain(error, problem._described())
         raise
 
 
@@ -306,7 +306,7 @@ def presented(
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
-    _warn(run, plan, source.described)
+    _warn(run, plan, source._described)
     return sol
 
 

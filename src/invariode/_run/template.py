@@ -59,7 +59,7 @@ class Template:
         try:
             core = self._idle.pop()
         except IndexError:
-            core = _solver_for_all(planned(problem.described(), self._choice))
+            core = _solver_for_all(planned(problem._described(), self._choice))
         start = problem.y0.view(float) if self._plan.functions.complex else problem.y0
         run = core.integrate_other(problem.fun, problem.args, start, course)
         self._idle.append(core)  # but not after an exception
@@ -89,7 +89,7 @@ def plan_or_template(problem: Posed | Description, method: MethodName, options: 
     if known is not None:
         return known
     before = warnings_given()
-    described, choice = problem.described(), choose(method, options)
+    described, choice = problem._described(), choose(method, options)
     plan = planned(described, choice)
     if kind is None or warnings_given() != before or not _holds_for_all(plan, described):
         return plan
