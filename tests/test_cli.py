@@ -739,7 +739,7 @@ def test_components_that_are_not_there_are_refused_before_the_run():
 
 
 def test_compare_answers_first_and_quiet_answers_only():
-    options = ("compare", "pendulum.py", "-m", "ode45", "--decades", "3-5", "--no-progress")
+    options = ("compare", "pendulum.py", "-m", "ode45", "--decades", "3-8", "--no-progress")
     loud, quiet = invariode(*options), invariode(*options, "--quiet")
     assert flat(loud.output).startswith("Projection")
     assert "Reference:" in loud.output
