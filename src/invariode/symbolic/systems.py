@@ -256,7 +256,7 @@ class Mechanical(Phase):
         columns = []
         for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True):
             at = np.asarray(code(t, y, used), dtype=float)
-            columns.append(np.linalg.lstsq(at[:, :-1], at[:, -1])[0][n:])
+            columns.append(np.linalg.lstsq(at[:, :-1], at[:, -1], rcond=None)[0][n:])
         return np.array(columns).reshape(-1, rows.rows).T
 
 
