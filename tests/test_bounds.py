@@ -189,7 +189,7 @@ def test_both_bounds_are_kept(method):
 # Signs and conservation together
 
 
-@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")
+@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # explicit methods on stiff kinetics
 @pytest.mark.parametrize(("name", "method"), [(k, m) for k, row in KINETICS.items() for m in row[-1]])
 def test_mass_and_signs_are_kept_in_steps_and_between(name, method):
     fun, t_span, y0, law, rtol, atol, _ = KINETICS[name]

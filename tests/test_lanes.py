@@ -18,7 +18,7 @@ from problems import PROBLEMS
 numba = pytest.importorskip("numba")
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
-pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")  # failing trajectories are in the tests
 
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]

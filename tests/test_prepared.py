@@ -249,7 +249,7 @@ def test_what_is_wrong_for_every_call_is_an_error_at_once() -> None:
         problem.prepare("ode45", max_order=3)
 
 
-@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # what explicit pairs say of jumps
 @pytest.mark.parametrize("method", ["ode45", "taylor"])
 @pytest.mark.parametrize("t_span", [(3.0, 5.0), (0.5, 5.0), (2.0, -1.0)])
 def test_other_intervals_have_jumps_and_bounds_of_their_own(method, t_span):

@@ -464,6 +464,7 @@ def test_a_bouncing_ball(method):
     assert np.isclose(after[1, 1], g * fall, rtol=accuracy)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 @families
 def test_where_f_jumps_sensitivities_jump(method):
@@ -485,6 +486,7 @@ STAIRS = {
 }
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 @dealt(18, name=STAIRS, method=[*FAMILIES, *SERIES])
 def test_sensitivities_jump_at_every_step_of_a_staircase(method, name):
@@ -495,6 +497,7 @@ def test_sensitivities_jump_at_every_step_of_a_staircase(method, name):
     assert sol.sensitivities[0, 0, -1] == pytest.approx(6 / a**2 + slopes.get(name, 0), rel=1e-4)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 @families_and_series
 def test_stairs_may_depend_on_the_solution(method):
@@ -505,6 +508,7 @@ def test_stairs_may_depend_on_the_solution(method):
     assert sol.sensitivities[0, 0, -1] == pytest.approx(3 - 4 * (1 + 1 / 2 + 1 / 3), rel=1e-4)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 def test_signs_are_conditions():
     """Dry friction p stops a block at v / p, and turns its force: v' = -p sign(v) - 1."""
@@ -517,6 +521,7 @@ def test_signs_are_conditions():
     assert sol.sensitivities[0, :, -1] == pytest.approx([2 - 1 / 1.5 - 0.5 / 1.5**2, 0.5 / 1.5], abs=1e-8)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 @pytest.mark.parametrize("forward", [True, False])
 def test_switches_in_time_that_are_parameters(forward):
@@ -529,6 +534,7 @@ def test_switches_in_time_that_are_parameters(forward):
     assert sol.sensitivities[0, 0, -1] == pytest.approx(sign * np.exp(-2.8 * sign), rel=1e-6)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 def test_jumps_of_an_f_that_is_not_traced_are_a_warning():
     def falling(t, y, p):
@@ -775,6 +781,7 @@ def inside(t, y, w, g):
 COMPLEX = {"args": (1.0, 1.1), "rtol": 1e-7, "atol": 1e-9, "sensitivities": True}
 
 
+# Of those that cannot be traced.
 @pytest.mark.filterwarnings("ignore:sensitivities. the derivatives of fun:invariode.AccuracyWarning")
 @pytest.mark.parametrize("method", ["dop853", "ode113", "ode15s", "radau"])
 @pytest.mark.parametrize(
@@ -899,6 +906,7 @@ def switching(t, y, p):
     return [np.where(y[0] > p, -1.0, -3.0)]
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 def test_conditions_of_f_are_no_events_of_the_user(tmp_path):
     problem = iv.Problem(switching, (0, 2), [2.0], args=(1.2,), events=[lambda t, y, p: y[0] - 1.6], sensitivities=True)
@@ -909,6 +917,7 @@ def test_conditions_of_f_are_no_events_of_the_user(tmp_path):
     assert sol.to_dataframe().shape[0] == len(sol.t)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 def test_jumps_far_from_the_start_are_followed():
     sol = iv.solve_ivp(
@@ -922,6 +931,7 @@ def test_jumps_far_from_the_start_are_followed():
     assert sol.sensitivities[0, 0, -1] == pytest.approx(-2)
 
 
+# The jumps are the test.
 @pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
 def test_one_condition_written_in_two_ways():
     """As a difference it is known to be the same; times 2 it is not, which is said."""

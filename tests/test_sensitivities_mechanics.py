@@ -181,7 +181,9 @@ SYSTEMS = {
 }
 
 
+# What these systems and starts are made for.
 @pytest.mark.filterwarnings("ignore:redundant constraints:UserWarning", "ignore:the start was moved:UserWarning")
+# Of systems that cannot be traced.
 @pytest.mark.filterwarnings("ignore:sensitivities. the derivatives of fun:invariode.AccuracyWarning")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_they_are_those_of_neighbouring_motions(name):

@@ -80,7 +80,7 @@ struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, of_event };
   /// The value, the largest residuals of candidates and at outputs or the end, the largest correction in units of rtol;
-  /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is looked at for a change with t,
+  /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is tested for a change with t,
   /// and f for a rate, the drift that was acquitted; g at the end of the step, if known. Sums (n,) of the errors and
   /// the corrections that `HarmDetector` looks at.
   enum : std::size_t {

@@ -46,7 +46,7 @@ class LaneWorker final : public lanes::Host {
  private:
   void set_parameters(std::uint32_t trajectory);
 
-  /// What a kernel is asked for.
+  /// What a kernel receives.
   struct Order {
     Order(const Solver& solver, const Ensemble& ensemble, LaneForm functions, const std::vector<double>& direction);
     Order(const Order&) = delete;

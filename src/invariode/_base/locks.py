@@ -125,7 +125,7 @@ def _introduce(file: int, place: Path, what: str) -> None:
 
 
 def _locked(file: int) -> bool:
-    """Takes the lock. False: there are none here. BlockingIOError: somebody has it."""
+    """Takes the lock. Returns False where there are no locks; raises BlockingIOError if another process holds it."""
     try:
         if sys.platform == "win32":
             import msvcrt
