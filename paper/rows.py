@@ -38,15 +38,18 @@ class Rule:
     words: str = ""
 
 
-def within(unit: float, words: str) -> Rule:
-    """Agreement to an absolute difference."""
-    return Rule(lambda printed, value: abs(value - float(printed)) <= unit, words)
+def last_unit(printed: str) -> float:
+    """A unit in the last printed digit."""
+    return 10.0 ** (int(printed.partition("e")[2] or 0) - decimals(printed))
+
+
+def within(difference: float, words: str) -> Rule:
+    """Agreement to an absolute difference from the printed number, which is rounded."""
+    return Rule(lambda printed, value: abs(value - float(printed)) <= difference + last_unit(printed) / 2, words)
 
 
 def _last_digit(printed: str, value: float) -> bool:
-    exponent = int(printed.partition("e")[2])
-    unit = 10.0 ** (exponent - decimals(printed))
-    return abs(float(at_digits_of(printed, value)) - float(printed)) < 1.5 * unit
+    return abs(float(at_digits_of(printed, value)) - float(printed)) < 1.5 * last_unit(printed)
 
 
 #: Rounded to the printed digits, the value is what is printed.

@@ -21,7 +21,7 @@ from paper.command import app as papers
 from paper.matlab import clenshaw_curtis
 from paper.plots import FIGURES
 from paper.published import PAPER
-from paper.rows import LAST_DIGIT, SIZE, at_digits_of
+from paper.rows import LAST_DIGIT, SIZE, at_digits_of, within
 
 
 @functools.cache
@@ -48,6 +48,13 @@ def test_published_values_are_met():
 def met(row: Row) -> bool:
     """A row without a published value has nothing to meet but must be a number."""
     return np.isfinite(row.value) and row.agrees in (True, None)
+
+
+def test_a_printed_number_stands_for_all_that_round_to_it():
+    """Two units in the last place where one of them, 1.42e-14, is published as 1.4e-14."""
+    ulp = np.spacing(121.8)
+    rule = within(ulp, "to one unit in the last place")
+    assert [rule.agree("1.4e-14", k * ulp) for k in (0, 1, 2, 3)] == [True, True, True, False]
 
 
 def test_every_number_of_the_paper_has_a_row():
