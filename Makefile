@@ -52,10 +52,13 @@ test-threads: $(WHEEL)/.built  ## these tests, each on four threads at once; mea
 
 # Of OpenBLAS, that this processor can run: tests that find their way from one rounding error to the next.
 KERNEL_TESTS := tests/test_kernels.py tests/test_stiff.py -k "chosen or null_space or put_back or ends_of_the_test_set"
+# Tests that compare with numbers, with the elementary functions that NumPy has for the oldest processors.
+BASELINE_TESTS := $(patsubst %,tests/test_%.py,paper counts nystrom order guard)
 
-test-kernels: $(VENV)/.installed-test  ## the stiff tests with the linear algebra of other processors
+test-kernels: $(VENV)/.installed-test  ## the stiff tests with the linear algebra of other processors, and counts with NumPy's oldest loops
 	set -e; for kernel in $$($(BIN)/python tests/kernels.py); do echo $$kernel; \
 	  OPENBLAS_CORETYPE=$$kernel $(BIN)/python $(PYTEST) $(KERNEL_TESTS); done
+	NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python tests/kernels.py features)" $(BIN)/python $(PYTEST) $(BASELINE_TESTS)
 
 # With the core of the wheel, which pip has just built.
 native: $(VENV)/.installed-test

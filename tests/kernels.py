@@ -1,10 +1,15 @@
-"""The kernels of OpenBLAS, of which NumPy's and SciPy's wheels carry a library each: those loaded, and those that this
-processor can run."""
+"""What differs between processors of one kind: the kernels of OpenBLAS, of which NumPy's and SciPy's wheels carry a
+library each, and the instructions that NumPy uses for its elementary functions.
+
+    python tests/kernels.py             # the kernels that this processor can run
+    python tests/kernels.py features    # NumPy's instructions here beyond its baseline, for NPY_DISABLE_CPU_FEATURES
+"""
 
 from __future__ import annotations
 
 import ctypes
 import platform
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,5 +45,11 @@ def runnable() -> list[str]:
     return [kernel for kernel, flag in NEEDS.items() if flag in flags]
 
 
+def features() -> list[str]:
+    """The instructions beyond its baseline that NumPy uses on this processor."""
+    umath = np._core._multiarray_umath  # NumPy has no public name for them
+    return [feature for feature in umath.__cpu_dispatch__ if umath.__cpu_features__[feature]]
+
+
 if __name__ == "__main__":  # for the Makefile
-    print(*runnable())
+    print(*(features() if sys.argv[1:] == ["features"] else runnable()))
