@@ -240,7 +240,7 @@ def as_array(name: str, value: object) -> Array:
         raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
     try:
         return np.asarray(value)
-    except ValueError:
+    except (ValueError, NotImplementedError):  # the second from older sparse arrays, as they are iterated over
         if hasattr(value, "__array__"):  # has its own error
             raise
         raise ValueError(
