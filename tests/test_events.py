@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families, families_and_series
+from cases import FAMILIES, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS
 
 
@@ -138,7 +138,7 @@ def test_infinite_interval_is_cut_by_a_terminal_event(method):
     assert still.t[-1] == pytest.approx(50, rel=1e-13)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_event_states_are_on_the_manifold(method, problem):
     """Located and returned on the projected solution: at every event of the run, and at the terminal one."""
 
@@ -224,7 +224,7 @@ def many_roots(roots):
     return lambda t, y: np.prod(4 * (y[0] - roots))
 
 
-@dealt(12, method=METHODS, count=[1, 2, 5, 10, 20])
+@dealt(method=FAMILIES, count=[1, 2, 5, 10, 20])
 def test_adaptive_samples_find_all_roots_of_a_step(method, count):
     """Random ones, the closest at a distance of 1e-4; the usual points miss most of them."""
     rng = np.random.default_rng(count)
@@ -237,7 +237,7 @@ def test_adaptive_samples_find_all_roots_of_a_step(method, count):
         np.testing.assert_allclose(found, roots, atol=1e-9)
 
 
-@dealt(12, method=METHODS, rate=[3, 10, 40])
+@dealt(method=FAMILIES, rate=[3, 10, 40])
 def test_adaptive_samples_find_all_roots_of_sines(method, rate):
     found = one_long_step(method, iv.Event(lambda t, y: np.sin(rate * np.pi * y[0] + 0.3), samples="adaptive"))
     exact = (np.arange(1, rate + 1) * np.pi - 0.3) / (rate * np.pi)

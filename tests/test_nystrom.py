@@ -13,7 +13,7 @@ import pytest
 from mpmath import mpf
 
 import invariode as iv
-from cases import explicit_and_implicit
+from cases import dealt, explicit_and_implicit
 from nystrom_pairs import ROUNDOFF, at, complete, defect, derivative, tableau
 
 PAIRS = [name for name, about in iv.METHODS.items() if about.equations == "second-order"]
@@ -238,8 +238,7 @@ def test_other_methods_integrate_the_first_order_form(method):
     assert same(orbit(method), iv.solve_ivp(first_order, SPAN, START, method, **TOLERANCES))
 
 
-@pytest.mark.parametrize("method", [*PAIRS, "dop853", "taylor", "ode15s"])
-@pytest.mark.parametrize("stated", ["SecondOrder", "compiled", "option"])
+@dealt(method=[*PAIRS, "dop853", "taylor", "ode15s"], stated=["SecondOrder", "compiled", "option"])
 def test_there_are_as_many_velocities_as_positions(method, stated):
     fun = iv.SecondOrder(lambda t, q: -q)
     given = {"SecondOrder": fun, "compiled": iv.compile(fun), "option": lambda t, y: [y[1], -y[0], 0.0]}[stated]
