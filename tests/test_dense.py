@@ -80,7 +80,6 @@ def jump(method: str) -> float:
     return 5 if method in ("ode113", "auto") else 0
 
 
-@families
 def test_corrected_differs_from_raw_by_the_correction_only(method):
     problem = PROBLEMS["Lotka-Volterra"]
     raw = problem.solve(method, refine=4, interpolation="raw")

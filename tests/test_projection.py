@@ -29,7 +29,7 @@ def takes_complex(problem: TestProblem) -> bool:
     return "hypot" not in problem.g.__code__.co_names
 
 
-@dealt(14, method=FAMILIES, problem=PROBLEMS, kind=KINDS)
+@dealt(14, method=METHODS, problem=PROBLEMS, kind=KINDS)
 def test_every_kind_of_jacobian_gives_the_same_run(method, problem, kind):
     kind = "3-point" if kind == "complex-step" and not takes_complex(problem) else kind
     options = {"rtol": 1e-6, "atol": 1e-9} if long_steps(method) else {}  # the lengths of long steps magnify roundoff

@@ -62,7 +62,7 @@ def outcome(tests: Path, names: list[str], environment: dict[str, str], folder: 
         with suppress(BaseException):
             code = int(pytest.main(["-q", "-x", "-n0", "--tb=line", "-p", "no:cacheprovider", *names]))
         os._exit(code)
-    end = time.monotonic() + 3 * seconds  # of a test that waits for ever
+    end = time.monotonic() + 10 * seconds  # of a test that waits for ever
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -90,16 +90,16 @@ def package_with(file: str, source: str) -> Iterator[Path]:
         yield Path(name)
 
 
-def tests_of(mutant: mutants.Mutant, covered: dict[str, Any], seconds: float) -> list[str]:
-    """The tests that run the line, the quickest first, as many as the time allows."""
+def tests_of(mutant: mutants.Mutant, covered: dict[str, Any], seconds: float) -> tuple[list[str], float]:
+    """The tests that run the line, the quickest first, as many as the time allows, but at least one; and their time."""
     took = covered["seconds"]
     names, total = [], 0.0
     for name in sorted(covered["lines"].get(mutant.file, {}).get(str(mutant.line), []), key=took.__getitem__):
         total += took[name]
-        if total > seconds:
-            break
+        if names and total > seconds:
+            return names, total - took[name]
         names.append(name)
-    return names
+    return names, total
 
 
 def of_package(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
@@ -108,13 +108,13 @@ def of_package(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
         if given.only and number not in given.only:
             continue
         label = f"{number} {mutant.file}:{mutant.line} {mutant.kind}"
-        names = tests_of(mutant, covered, given.seconds / 2)
+        names, expected = tests_of(mutant, covered, given.seconds / 2)
         if not names:
             yield label, "not covered"
             continue
         source = (PACKAGE / mutant.file).read_text(encoding="utf-8")
         with package_with(mutant.file, mutants.mutated(source, mutant)) as folder:
-            yield label, outcome(given.tests, names, {}, folder, given.seconds)
+            yield label, outcome(given.tests, names, {}, folder, max(given.seconds, 2 * expected))
 
 
 def of_core(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
