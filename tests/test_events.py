@@ -87,8 +87,7 @@ def test_direction_is_that_of_the_integration(method):
 @explicit_and_implicit
 def test_backwards_in_the_order_of_integration(method):
     sol = run(method, at(2.0, 5.0, 7.0), t_span=(10, 0))
-    # y = t but for roundoff, which ode23tb passes on in its slopes
-    np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-12 if method == "ode23tb" else 1e-14)
+    np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-14)
 
 
 @explicit_and_implicit
@@ -247,7 +246,7 @@ def test_adaptive_samples_find_all_roots_of_sines(method, rate):
 @explicit_and_implicit
 def test_so_many_samples_find_roots_between_them(method):
     """Two roots at a distance of 0.05 are seen by 20 points and not by the usual ones."""
-    roots = np.array([0.505, 0.555]) if method != "ode23" else np.array([0.55, 0.6])
+    roots = np.array([0.505, 0.555])
     about = many_roots(roots)
     np.testing.assert_allclose(one_long_step(method, iv.Event(about, samples=40)).t_events[0], roots, rtol=1e-13)
     assert len(one_long_step(method, about).t_events[0]) == 0
