@@ -131,7 +131,7 @@ def test_dense_output_outlives_the_run_and_may_be_used_in_threads(method):
 
     problem = PROBLEMS["Lotka-Volterra"]
     sol = problem.solve(method, dense_output=True).sol
-    t = np.linspace(0, 50, 2000)
+    t = np.linspace(0, 50, 400)
     expected = sol(t)
     with ThreadPoolExecutor(4) as pool:
         for values in pool.map(sol, [t] * 8):
