@@ -30,7 +30,7 @@ import mutants
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "invariode"
 
-#: Tests of the core that take a few seconds each.
+#: Tests of the core that take a few seconds each, two minutes together.
 FAST = [
     "test_counts", "test_order", "test_guard", "test_events", "test_jumps", "test_dense", "test_projection",
     "test_bounds", "test_confined", "test_breakpoints", "test_extend", "test_checkpoints", "test_limits",
@@ -140,9 +140,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=26)
     parser.add_argument("--count", type=int)
     parser.add_argument("--only", type=int, nargs="*")
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, help="of CPU time, several times what the tests take")
     given = parser.parse_args()
     given.count = given.count or {"package": 140, "core": 60}[given.of]
+    given.seconds = given.seconds or {"package": 60.0, "core": 600.0}[given.of]
     libraries()
     killed = run = 0
     for label, what in {"package": of_package, "core": of_core}[given.of](given):
