@@ -59,7 +59,9 @@ def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ..
     return rows
 
 
-def dealt(count: int, /, **lists: Iterable[object]) -> pytest.MarkDecorator:
-    """Parametrize with `count` of the combinations of the lists."""
-    rows = combinations(count, [list(values) for values in lists.values()])
+def dealt(count: int | None = None, /, **lists: Iterable[object]) -> pytest.MarkDecorator:
+    """Parametrize with `count` of the combinations of the lists; by default as many as the longest list has values, so
+    that each value comes."""
+    every = [list(values) for values in lists.values()]
+    rows = combinations(count or max(map(len, every)), every)
     return pytest.mark.parametrize(tuple(lists), rows, indirect=[name for name in lists if name in LOOKED_UP])

@@ -12,6 +12,7 @@ from matplotlib.animation import AbstractMovieWriter, writers
 from PIL import Image
 
 import invariode as iv
+from cases import dealt
 
 
 @pytest.fixture(autouse=True)
@@ -171,11 +172,10 @@ def pixels(figure, dpi):
     return drawn.getvalue()
 
 
-@pytest.mark.parametrize("dpi", [50, None])
-@pytest.mark.parametrize("points", [hand, lambda t, y: [[0, 0, 0], [*y, t]]], ids=["plane", "space"])
+@dealt(dpi=[50, None], points=[hand, lambda t, y: [[0, 0, 0], [*y, t]]])
 def test_saved_frames_are_those_of_the_whole_figure(films, points, dpi, tmp_path):
     """The standing parts, which are drawn once, are where they are in each frame, and are back afterwards."""
-    film = films(turning(), points, links=[(0, 1)], trace=[1])
+    film = films(turning(), points, links=[(0, 1)], trace=[1], duration=0.2)
     film.figure.axes[0].annotate("here", (0, 0))
     writer = Frames()
     film.save(tmp_path / "a", writer=writer, dpi=dpi)

@@ -31,7 +31,7 @@ def event_of(solve_ivp, **attributes):
 
 
 @dealt(
-    24,
+    12,
     direction=[0, 1, -1],
     terminal=[False, True, 2, 3],
     end=[10.0, -10.0],

@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import dealt
 from invariode import scipy as plugin
 from invariode.problems import hires, kepler, robertson
 from stiff import oregonator
@@ -34,8 +35,7 @@ STIFF = {
 
 
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # of the explicit member alone
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
-@pytest.mark.parametrize("name", STIFF)
+@dealt(name=STIFF, rtol=[1e-3, 1e-6])
 def test_it_costs_little_more_than_the_better_member(name, rtol):
     # Robertson's concentrations, at the end far below atol, run away once they are negative.
     options = {"rtol": rtol, "atol": rtol / 1000, "nonnegative": name.startswith("Robertson")}

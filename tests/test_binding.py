@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cases import METHODS, dealt, families
+from cases import FAMILIES, METHODS, dealt, families
 from invariode import Event, _core, compile, solve_ivp
 from invariode._problem.description import Description
 from invariode._run.plan import make_plan
@@ -227,7 +227,7 @@ def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -
     assert result.take_points()[2] == asked.t == 2
 
 
-@dealt(12, method=METHODS, jump=["breakpoint", "breakpoint with an action", "event with an action"])
+@dealt(method=FAMILIES, jump=["breakpoint", "breakpoint with an action", "event with an action"])
 def test_the_last_step_is_the_one_before_a_jump(method: str, jump: str) -> None:
     """Its interpolant is that of the whole solution, up to the state before the action."""
     options: dict[str, Any] = {

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import Bounds
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families_and_series
+from cases import FAMILIES, METHODS, SERIES, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS
 
 IMPLICIT = [name for name, method in METHODS.items() if "jac" in method.options]
@@ -140,9 +140,7 @@ def test_an_asymptote_at_the_bound_is_stable(method):
     assert np.abs(y - np.exp(-t)).max() < 2e-3
 
 
-@families_and_series
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("backwards", [False, True])
+@dealt(method=[*FAMILIES, *SERIES], mirrored=[False, True], backwards=[False, True])
 def test_sensitivities_are_zero_while_a_bound_holds_the_solution(method, mirrored, backwards):
     """y' = k cos t from 1/2: y is 0 from 7π/6 on, and leaves it at 3π/2."""
     sign, direction = 1 - 2 * mirrored, 1 - 2 * backwards
@@ -239,8 +237,7 @@ def pushed(t, y):
     return [np.cos(t) - 0.5]
 
 
-@pytest.mark.parametrize("factor", [3.0, -0.5])
-@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass != "none"])
+@dealt(factor=[3.0, -0.5], method=[name for name in IMPLICIT if iv.METHODS[name].mass != "none"])
 def test_with_a_diagonal_mass_matrix_components_rest_as_they_do_without(method, factor):
     options = {"rtol": 1e-4, "atol": 1e-6, "nonnegative": True}
     plain = "ode15s" if method == "auto" else method  # which auto is with a mass matrix
@@ -277,7 +274,7 @@ def test_the_mass_that_clipping_moves_is_told(method):
 # Laws
 
 
-@dealt(14, problem=PROBLEMS, method=METHODS)
+@dealt(problem=PROBLEMS, method=FAMILIES)
 def test_bounds_that_are_never_reached_change_nothing(problem, method):
     options = {"rtol": 1e-4, "atol": 1e-6, "dense_output": True}
     plain = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, **options)
@@ -491,12 +488,12 @@ def test_a_start_outside_by_less_than_the_tolerance_is_moved(method):
     assert sol.y.min() >= 0
 
 
-def test_problems_of_the_registry_reach_their_ends_within_bounds_that_they_keep(method):
-    """Bounds that the exact solution touches: the circle within [-1, 1]."""
-    circle = PROBLEMS["harmonic"] if "harmonic" in PROBLEMS else next(iter(PROBLEMS.values()))
+@families
+def test_bounds_that_the_exact_solution_touches_are_kept(method):
+    cycle = PROBLEMS["Lotka-Volterra"]
     largest = np.abs(
-        iv.solve_ivp(circle.fun, circle.t_span, circle.y0, "dop853", rtol=1e-10, atol=1e-12, max_step=0.01).y
+        iv.solve_ivp(cycle.fun, cycle.t_span, cycle.y0, "dop853", rtol=1e-10, atol=1e-12, max_step=0.01).y
     ).max(axis=1)
-    sol = iv.solve_ivp(circle.fun, circle.t_span, circle.y0, method, rtol=1e-5, atol=1e-7, bounds=(-largest, largest))
+    sol = iv.solve_ivp(cycle.fun, cycle.t_span, cycle.y0, method, rtol=1e-5, atol=1e-7, bounds=(-largest, largest))
     assert sol.success, sol.message
     assert (np.abs(sol.y) <= largest[:, None]).all()

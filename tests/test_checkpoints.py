@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families_and_series
+from cases import METHODS, dealt, explicit_and_implicit, families, families_and_series
 from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
 
 SEED = 18
@@ -24,7 +24,7 @@ def problem(**changes):
     return iv.Problem(**{"fun": decay, "t_span": (0, 3), "y0": [1.0], "args": (2.0,), **changes})
 
 
-@dealt(24, method=METHODS, seed=range(SEED, SEED + 3))
+@dealt(method=METHODS, seed=range(SEED, SEED + 3))
 def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
     case = random_case(seed, method)
     whole, part = case.solve(), case.solve(max_steps=case.after)
@@ -69,6 +69,7 @@ def test_where_no_checkpoint_can_be(tmp_path):
         case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
 
 
+@families
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
 def test_between_two_attempts_of_a_step(method):
     """The limit of time is looked at after each attempt, also one that failed."""
@@ -156,8 +157,7 @@ OTHER = {
 }
 
 
-@pytest.mark.parametrize("what", OTHER)
-@pytest.mark.parametrize("kind", ["saved", "checkpoint"])
+@dealt(kind=["saved", "checkpoint"], what=OTHER)
 def test_the_file_of_another_problem_is_refused_by_what_differs(kind, what, tmp_path):
     sol = problem().solve(checkpoint=tmp_path / "checkpoint")
     sol.save(tmp_path / "saved")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families
+from cases import FAMILIES, IMPLICIT, dealt, explicit_and_implicit, families
 from invariode import scipy as classes
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
@@ -49,7 +49,7 @@ def with_a_jump(k: int):
     )
 
 
-@dealt(12, method=METHODS, rtol=[1e-3, 1e-6])
+@dealt(method=FAMILIES, rtol=[1e-3, 1e-6])
 def test_jumps_are_named_to_the_last_bit(method, rtol):
     """Nearly all where four attempts or more fail (docs/algorithms.md, 'Jumps of f'), and no other time."""
     found = looked = 0
@@ -68,7 +68,7 @@ def test_jumps_are_named_to_the_last_bit(method, rtol):
     assert looked >= (4 if rtol < 1e-3 else 0)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_smooth_problems_have_none(method, problem):
     """At random tolerances; all other tests of the package are such tests too, since warnings are errors."""
     for rtol in 10.0 ** -np.random.default_rng(len(method + problem.name)).uniform(
@@ -77,7 +77,7 @@ def test_smooth_problems_have_none(method, problem):
         assert problem.solve(method, project=False, rtol=rtol, atol=1e-3 * rtol).stats.discontinuities == ()
 
 
-@pytest.mark.parametrize("name", ["Robertson", "HIRES", "Oregonator", "van der Pol, mu = 1e3"])
+@dealt(name=["Robertson", "HIRES", "Oregonator", "van der Pol, mu = 1e3"], code=IMPLICIT)
 def test_the_fast_phases_of_stiff_problems_are_none(name, code):
     p = STIFF[name]
     sol = code(p.fun, p.t_span, p.y0, args=p.args or None, rtol=1e-5, atol=1e-5 * p.scale, keep="end")
@@ -121,6 +121,7 @@ def test_breakpoints_silence_it_and_save_the_failures(method):
     assert sol.nfev < without.nfev
 
 
+@families
 @untold
 def test_every_evaluation_is_counted(method):
     calls = 0
@@ -161,6 +162,7 @@ def test_at_a_limit_the_message_names_it():
     assert "discontinuous at t = 3" in sol.message
 
 
+@families
 @untold
 def test_jumps_where_y_decides_are_found_where_the_solution_crosses(method):
     """A relay: f jumps at y = 1, which the solution passes at t = log 2."""
@@ -277,7 +279,7 @@ def bouncing(restitution, method, **options):
     return iv.solve_ivp(lambda t, y: [y[1], -1.0], (0, 2 * end), [1.0, 0.0], method, events=hit, **options), end
 
 
-@dealt(12, method=METHODS, restitution=[0.4, 0.8])
+@dealt(method=FAMILIES, restitution=[0.4, 0.8])
 def test_impacts_that_accumulate_are_named(method, restitution):
     """A ball falls through the floor when its flights are shorter than what a step shows: that is said, once."""
     with pytest.warns(iv.DiscontinuityWarning, match=r"floor: its actions came closer and closer") as said:
@@ -321,7 +323,7 @@ def block(t, y):
     return [y[1], 0.5 * np.sin(t) - np.sign(y[1])]
 
 
-@dealt(16, method=METHODS, rtol=[1e-3, 1e-6], y0=[[0.0, 1.0], [0.0, 1e-9]])
+@dealt(method=FAMILIES, rtol=[1e-3, 1e-6], y0=[[0.0, 1.0], [0.0, 1e-9]])
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # which it is too, in a sense
 def test_a_solution_that_sticks_where_f_jumps_is_told(method, rtol, y0):
     """Implicit methods may fail there instead, at last or in most attempts, and name the jump."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit
+from cases import FAMILIES, dealt, explicit_and_implicit, families
 from invariode import scipy as plugin
 
 EPS = np.finfo(float).eps
@@ -43,7 +43,7 @@ def rise(values):
     return max(np.diff(values).max(initial=0), 0)
 
 
-@dealt(12, method=METHODS, rtol=[1e-2, 1e-4])
+@dealt(method=FAMILIES, rtol=[1e-2, 1e-4])
 def test_energy_never_rises_at_steps_and_no_output_is_above_the_start_of_its_step(method, rtol):
     kept = iv.Dissipated(energy)
     sol = iv.solve_ivp(
@@ -60,7 +60,7 @@ def test_energy_never_rises_at_steps_and_no_output_is_above_the_start_of_its_ste
     assert sol.drift().residual_after[0] == sol.residual.max()
 
 
-@dealt(12, method=METHODS, rtol=[1e-2, 1e-5])
+@dealt(method=FAMILIES, rtol=[1e-2, 1e-5])
 def test_a_dissipated_exponential_entropy_is_as_accurate_as_without(method, rtol):
     given = {"method": method, "rtol": rtol, "atol": rtol, "t_eval": np.linspace(0, 5, 20)}
     plain = iv.solve_ivp(heat, (0, 5), [0.5], **given)
@@ -71,6 +71,7 @@ def test_a_dissipated_exponential_entropy_is_as_accurate_as_without(method, rtol
     assert kept.nfev <= plain.nfev
 
 
+@families
 def test_what_leaves_the_rest_state_at_crude_tolerances_does_not_when_its_square_is_dissipated(method):
     sol = iv.solve_ivp(
         lambda t, y: [-y[0]], (0, 60), [1.0], method, rtol=1e-2, atol=1e-4, invariants=iv.Dissipated(lambda t, y: y @ y)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt
+from cases import FAMILIES, dealt
 from ensembles import same
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
@@ -78,7 +78,7 @@ def same_counts(out: iv.EnsembleSolution, i: int, one: iv.Solution) -> None:
         assert out[i].stats[name] == alone, name
 
 
-@dealt(14, method=METHODS, kind=FUNCTIONS, t_eval=[None, TIMES])
+@dealt(method=FAMILIES, kind=FUNCTIONS, t_eval=[None, TIMES])
 def test_each_row_is_the_single_solve_of_it(method, kind, t_eval):
     out = solve(kind, method, workers=2 if kind == "native" else 1, size=6, t_eval=t_eval)
     fun, invariants, event = FUNCTIONS[kind]

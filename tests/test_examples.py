@@ -23,15 +23,12 @@ def _no_windows():
         plt.close("all")
 
 
-def test_there_are_examples():
+def test_examples_say_what_they_are_and_where_they_are_from():
     assert len(EXAMPLES) >= 12
-
-
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_says_what_it_is_and_where_it_is_from(example):
-    title, underline, *text = ast.get_docstring(ast.parse(example.read_text())).splitlines()
-    assert underline == "=" * len(title)
-    assert any(line.startswith("Source: ") for line in text)
+    for example in EXAMPLES:
+        title, underline, *text = ast.get_docstring(ast.parse(example.read_text())).splitlines()
+        assert underline == "=" * len(title), example.name
+        assert any(line.startswith("Source: ") for line in text), example.name
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families_and_series
+from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families_and_series
 from problems import PROBLEMS, blow_up, slack
 
 TIGHT = {"rtol": 1e-8, "atol": 1e-10}
@@ -24,7 +24,7 @@ def crossing(t, y):
     return y[1]
 
 
-@pytest.mark.parametrize("end", [9.0, 20.0])
+@dealt(method=METHODS, end=[9.0, 20.0])
 def test_two_parts_are_one_run(method, end):
     about = {"invariants": KEPLER.invariants(), "events": crossing, "dense_output": True}
     first = solve(method, (0, 5), **about)
@@ -56,7 +56,7 @@ def test_three_parts_are_two(method):
     np.testing.assert_array_equal(again.y, first.extend(4).y)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_continuous_at_the_seam(method, problem):
     """Within the tolerance of test_dense, also where invariants are projected between steps."""
     middle = sum(problem.t_span) / 3
@@ -69,7 +69,7 @@ def test_continuous_at_the_seam(method, problem):
     np.testing.assert_allclose(around[:, 0], around[:, 1], rtol=1e-12, atol=1e-12)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_invariants_keep_their_old_values(method, problem):
     """Not the values at the seam, which crude tolerances leave a little off."""
     end = problem.t_span[1]
@@ -140,7 +140,7 @@ def test_occurrences_are_counted_on(method):
     assert len(sol.extend(100).t_events[0]) == 6
 
 
-@dealt(12, method=METHODS, shift=[-1e-9, 0.0, 1e-9])
+@dealt(method=FAMILIES, shift=[-1e-9, 0.0, 1e-9])
 def test_an_event_at_the_seam_is_found_once(method, shift):
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, 4 + shift), [0.0], method, events=lambda t, y: t - 4).extend(10)
     np.testing.assert_allclose(sol.t_events[0], [4.0], atol=1e-14)
@@ -245,7 +245,7 @@ def test_the_action_of_an_event_that_ended_the_run_is_not_taken(method):
     assert sol.extend(3).y[0, -1] == pytest.approx(3)
 
 
-@dealt(12, method=METHODS, options=[{"keep": "end"}, {"keep": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
+@dealt(method=FAMILIES, options=[{"keep": "end"}, {"keep": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
 def test_the_options_of_the_run_hold(method, options):
     sol = solve(method, (0, 2), **options).extend(4)
     assert len(sol.t) == 1 + (0 if options.get("keep") == "end" else sol.stats.steps * options.get("refine", 1))

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import invariode as iv
+from cases import families
 from invariode._functions.compiled import as_python
 from invariode._functions.graph.derivatives import gradient, jacobian, tangent
 from invariode._functions.graph.derived import Derived
@@ -337,6 +338,7 @@ def orbit():
 START = [0.5, 0.0, 0.0, math.sqrt(3)]
 
 
+@families
 def test_runs_of_a_graph_are_those_of_its_python_form(method):
     """One machine code, one formula: the same steps, with exact Jacobians and derivatives in t."""
     f, jac = orbit()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit
+from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families
 from problems import (
     PROBLEMS,
     jacobi_integral,
@@ -65,7 +65,7 @@ WRONG = {
 }
 
 
-@dealt(60, method=METHODS, name=WRONG, rtol=[1e-3, 1e-6])
+@dealt(method=METHODS, name=WRONG, rtol=[1e-3, 1e-6])
 def test_wrong_invariants_are_found(method, name, rtol):
     fun, y0, wrong = WRONG[name]
     invariants = iv.Invariants(wrong, names="suspect")
@@ -82,7 +82,7 @@ def test_wrong_invariants_are_found(method, name, rtol):
         assert len(sol.steps.t) == sol.stats.steps == len(sol.t) - 1
 
 
-@dealt(60, method=METHODS, problem=PROBLEMS, rtol=[1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
+@dealt(24, method=METHODS, problem=PROBLEMS, rtol=[1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
 @pytest.mark.filterwarnings("ignore:overflow")  # in stages of attempts that are far too long
 def test_right_invariants_are_never_accused(method, problem, rtol):
     t0, tf = problem.t_span
@@ -154,6 +154,7 @@ def logarithms(t, y):
     return 0.7 * (y[0] - np.log(y[0])) + 1.6 * (y[1] - np.log(y[1])) if min(y) > 0 else np.nan
 
 
+@families
 def test_difference_jacobian_close_to_where_g_ends(method):
     """A population far below its absolute tolerance: increments of that size would leave the domain of g."""
     sol = iv.solve_ivp(rates, (0, 40), [9.0, 3.0], method, rtol=1e-5, atol=1e-3, invariants=logarithms)
@@ -259,7 +260,7 @@ MISLEADING = {
 }
 
 
-@dealt(33, method=METHODS, name=MISLEADING)
+@dealt(method=METHODS, name=MISLEADING)
 def test_right_invariants_where_derivatives_mislead(method, name):
     fun, span, y0, g, options = MISLEADING[name]
     sol = iv.solve_ivp(fun, span, y0, method, invariants=g, **options)
@@ -284,7 +285,7 @@ LATE = {
 }
 
 
-@dealt(20, method=METHODS, name=LATE)
+@dealt(method=FAMILIES, name=LATE)
 def test_invariants_that_begin_to_change_with_t_are_found(method, name):
     added, options = LATE[name]
     sol = iv.solve_ivp(
@@ -333,7 +334,7 @@ def test_a_right_jacobian_is_not_called_wrong_beside_the_manifold():
     assert report.ok, report
 
 
-@dealt(40, method=METHODS, name=HARD)
+@dealt(method=METHODS, name=HARD)
 def test_right_invariants_that_are_hard(method, name):
     fun, y0, g = HARD[name]
     sol = iv.solve_ivp(fun, (0, 10), y0, method, invariants=g)
@@ -400,7 +401,7 @@ def test_invariant_that_is_not_finite_at_the_start():
         )
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=METHODS, problem=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(method, problem):
     """Below 100 rtol for rtol <= 1e-2: where the guard draws the line."""
@@ -434,6 +435,7 @@ def pulses():
     return [pulsed(k) for k in range(8)]
 
 
+@families
 def test_a_law_that_is_broken_for_a_while_is_refused_however_late(method, pulses):
     """Steps resolve the pulse; suspicions that were unfounded before do not hide it."""
     for fun, y0, wide in pulses:
@@ -441,6 +443,7 @@ def test_a_law_that_is_broken_for_a_while_is_refused_however_late(method, pulses
         assert sol.status == -2
 
 
+@families
 def test_looks_at_unfounded_suspicions_are_few(method):
     """One in 64 steps, and a few more where suspicions vary in size."""
     sol = iv.solve_ivp(

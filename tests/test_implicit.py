@@ -48,7 +48,7 @@ FORMS = {
 }
 
 
-@dealt(24, method=[*(name for name in filter(implicit, METHODS) if not switching(name)), "BDF"], form=FORMS)
+@dealt(method=[*(name for name in filter(implicit, METHODS) if not switching(name)), "BDF"], form=FORMS)
 def test_every_form_of_the_jacobian_gives_the_same_run(method, form):
     expected = iv.solve_ivp(diffusion, (0, 5), U0, method, jac=diffusion_jacobian, rtol=1e-6)
     sol = iv.solve_ivp(diffusion, (0, 5), U0, method, rtol=1e-6, **FORMS[form])
@@ -137,7 +137,7 @@ def test_sparsity_that_grows_during_the_run_is_followed(code):
     np.testing.assert_allclose(sol.y[:, -1], dense.y[:, -1], rtol=1e-6)
 
 
-@dealt(12, code=IMPLICIT, form=["differences", "dense", "sparse", "banded", "banded differences", "pattern"])
+@dealt(code=IMPLICIT, form=["differences", "dense", "sparse", "banded", "banded differences", "pattern"])
 def test_complex_problems(code, form):
     """An analytic f: its complex Jacobian stands for the real one of the pairs."""
     A = np.array([[-1 + 20j, 3, 0], [2j, -300, 1j], [0, 5, -40 - 9j]])
@@ -516,7 +516,7 @@ def test_backwards(code):
     np.testing.assert_allclose(mirrored.y, forward.y, rtol=1e-6 * slack(code.__name__))
 
 
-@pytest.mark.parametrize("rtol", [1e-9, 1e-10, 1e-12])
+@dealt(algebraic_code=ALGEBRAIC, rtol=[1e-9, 1e-10, 1e-12])
 def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_is_tiny(algebraic_code, rtol):
     """a + b + c = 1 at (1, 0, 0): increments of the size of atol would vanish beside 1."""
 
@@ -544,8 +544,7 @@ def _pointing_outside(form: str, index: int) -> sparse.sparray:
     return matrix
 
 
-@pytest.mark.parametrize("index", [2, 10**8, -1])
-@pytest.mark.parametrize("form", ["csc", "csr", "bsr", "coo", "lil"])
+@dealt(form=["csc", "csr", "bsr", "coo", "lil"], index=[2, 10**8, -1])
 def test_a_sparse_matrix_that_points_outside_of_its_shape_is_refused(form, index):
     """Whoever converts it writes there: the heap is damaged, and the process dies at some later time."""
     outside = _pointing_outside(form, index)

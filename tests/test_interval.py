@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt
+from cases import FAMILIES, dealt, families
 
 #: More evaluations than any of these runs takes before it ends.
 MOST = 20_000
@@ -45,7 +45,7 @@ def within(sol, span, longest, breaks):
     assert t.size == 0 or (min(span) <= t.min() and t.max() <= max(span))
 
 
-@dealt(16, method=METHODS, case=range(4))
+@dealt(method=FAMILIES, case=range(4))
 def test_f_undefined_from_some_t_on(method, case):
     """The attempts end there, forwards and backwards, with a random max_step and breakpoints."""
     r = np.random.default_rng(case)
@@ -62,7 +62,7 @@ def test_f_undefined_from_some_t_on(method, case):
     within(sol, span, longest, breaks)
 
 
-@dealt(12, method=METHODS, span=[(0.0, 11.0), (11.0, 0.0)])
+@dealt(method=FAMILIES, span=[(0.0, 11.0), (11.0, 0.0)])
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # where the equation stops being stiff
 def test_f_undefined_for_a_while_after_any_step(method, span):
     """Also after a hand-over, from which the member before goes on with its own, longer step."""
@@ -82,7 +82,7 @@ def test_f_undefined_for_a_while_after_any_step(method, span):
             assert sol.success == (sol.t[-1] == span[1])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_a_forcing_that_vanishes_at_both_ends_is_not_stepped_over(method):
     """sin² over its periods, from where it and y' are 0; without a limit on steps."""
     sol = iv.solve_ivp(

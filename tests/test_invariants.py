@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit
+from cases import FAMILIES, dealt, explicit_and_implicit
 from gallery import GALLERY, REDUNDANT
 from problems import PROBLEMS, kepler, kepler_invariants, kepler_jacobian
 
@@ -23,7 +23,7 @@ def references():
     }
 
 
-@dealt(18, method=METHODS, name=GALLERY)
+@dealt(method=FAMILIES, name=GALLERY)
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, references):
     p = GALLERY[name]
@@ -39,7 +39,7 @@ def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, referenc
         assert error(kind) <= 3 * given, kind
 
 
-@dealt(18, method=METHODS, name=GALLERY)
+@dealt(method=FAMILIES, name=GALLERY)
 def test_no_warnings_but_the_right_ones(method, name):
     p = GALLERY[name]
     with warnings.catch_warnings(record=True) as warned:
@@ -204,7 +204,7 @@ class TestDrift:
 class TestWhen:
     """`when="needed"` leaves alone what is close already."""
 
-    @dealt(12, method=METHODS, name=["Kepler", "Lotka-Volterra", "rigid body", "Henon-Heiles"])
+    @dealt(method=FAMILIES, name=["Kepler", "Lotka-Volterra", "rigid body", "Henon-Heiles"])
     def test_saves_jacobians_and_keeps_the_accuracy(self, method, name):
         p = PROBLEMS[name]
         options = {"method": method, "rtol": 1e-7, "atol": 1e-10}

@@ -10,6 +10,7 @@ import scipy.integrate
 
 import invariode as iv
 import invariode.scipy as plugin
+from cases import families
 
 SPAN = (2.0, 32.0)
 TENTH = 3.0
@@ -30,6 +31,7 @@ def same(a, b):
     return np.array_equal(a.t, b.t) and np.array_equal(a.y, b.y)
 
 
+@families
 def test_without_a_limit_steps_grow_beyond_a_tenth(method):
     """In every way in, bit for bit as with an infinite max_step."""
     free = iv.solve_ivp(drift, SPAN, [0.0], method, max_step=np.inf)
@@ -54,6 +56,7 @@ def test_functions_with_names_of_matlab_keep_its_limit(method):
     assert longest(getattr(iv, method)(drift, SPAN, [0.0], refine=1, max_step=np.inf)) > STRETCHED * TENTH
 
 
+@families
 def test_a_tenth_is_that_of_the_interval(method):
     """Of the one that is solved: of another one of a prepared solver, of the whole one of an extension."""
     problem = iv.Problem(drift, SPAN, [0.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import families_and_series
+from cases import families, families_and_series
 
 
 def swing(t, y):
@@ -34,6 +34,7 @@ LEVELS = [
 ]
 
 
+@families
 def test_every_method_keeps_all_levels_to_roundoff(method):
     sol = iv.solve_ivp(swing, (0, 20), START, method, rtol=1e-5, atol=1e-7, invariants=LEVELS)
     assert sol.success

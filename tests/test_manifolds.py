@@ -69,6 +69,7 @@ BODIES = [iv.RotationMatrix(range(9)), iv.UnitQuaternion(range(9, 13))]
 START = np.concatenate([np.eye(3).ravel(), [0.5, 0.5, 0.5, 0.5]])
 
 
+@families
 def test_attitudes_stay_attitudes_with_every_method(method):
     """With the plain method the drift is that of its error; projected it is below a hundredth of the tolerance."""
     plain = iv.solve_ivp(turning, (0, 20), START, method, rtol=1e-4, atol=1e-4)

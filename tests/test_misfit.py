@@ -110,8 +110,7 @@ def faded(what):
     return exact, np.abs(anew - exact).max()
 
 
-@pytest.mark.parametrize("what", FADING)
-@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+@dealt(8, what=FADING, method=["ode15s", "ode23t", "ode23tb", "radau"])
 def test_a_jacobian_from_stiffer_times_costs_no_accuracy(method, what):
     """Newton's updates are too small then to show what they leave. Errors are at most a few times those of a method of
     order 2 that always has the right Jacobian, or a few tolerances (without looks: up to 3e8 of them)."""

@@ -55,8 +55,7 @@ def test_bricards_loop_keeps_its_energy_and_its_sparse_factors():
     assert work["sparse"] == work["force"]
 
 
-@pytest.mark.parametrize("rtol", [1e-4, 10**-6.5, 1e-7, 10**-7.5, 1e-9])
-@pytest.mark.parametrize("method", ["radau", "dop853", "ode113"])
+@dealt(rtol=[1e-4, 10**-6.5, 1e-7, 10**-7.5, 1e-9], method=["radau", "dop853", "ode113"])
 def test_four_bars_pass_the_position_in_which_they_line_up(method, rtol):
     """There they could go on in two ways; errors across the constraints grow as its distance squared falls."""
     bars = multibody.four_bars(1)

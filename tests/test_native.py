@@ -17,7 +17,7 @@ import pytest
 import scipy
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit
+from cases import FAMILIES, dealt, explicit_and_implicit
 from problems import implicit
 
 numba = pytest.importorskip("numba")
@@ -85,7 +85,7 @@ def same_jacobian(method):
     return {"jac": "differences"} if implicit(method) else {}
 
 
-@dealt(12, method=METHODS, kind=KINDS)
+@dealt(method=FAMILIES, kind=KINDS)
 def test_every_kind_of_native_function_gives_the_run_of_the_python_one(method, kind):
     options = {"rtol": 1e-6, "dense_output": True, **same_jacobian(method)}
     python = iv.solve_ivp(kepler, (0, 20), ORBIT, method, **options)
@@ -95,7 +95,7 @@ def test_every_kind_of_native_function_gives_the_run_of_the_python_one(method, k
     np.testing.assert_allclose(native.sol(3.3), python.sol(3.3), rtol=1e-9)
 
 
-@dealt(12, method=METHODS, which=["all", "invariants", "events", "right-hand side"])
+@dealt(method=FAMILIES, which=["all", "invariants", "events", "right-hand side"])
 def test_native_and_python_functions_mix(method, which):
     native = {"right-hand side": which in ("all", "right-hand side"), "events": which in ("all", "events")}
     native["invariants"] = which in ("all", "invariants")

@@ -12,7 +12,7 @@ import pytest
 import scipy.integrate
 
 import invariode as iv
-from cases import METHODS
+from cases import METHODS, families
 from problems import PROBLEMS
 
 KEPLER = PROBLEMS["Kepler"]
@@ -56,6 +56,7 @@ def at_times(run, times=TIMES):
     return np.array(found).T
 
 
+@families
 def test_states_at_the_requested_times_are_those_of_one_long_run(method):
     """Within a few tolerances, whether the method starts anew in each call or goes on."""
     order_two = iv.METHODS[method].order == 2
@@ -64,6 +65,7 @@ def test_states_at_the_requested_times_are_those_of_one_long_run(method):
     np.testing.assert_allclose(y, KEPLER.solution(TIMES), atol=(1e5 if order_two else 1e3) * rtol)
 
 
+@families
 def test_invariants_are_kept_in_every_call(method):
     """At their first values, not at those where a call begins: as well as in one run, so that nothing adds up."""
     y = at_times(started(method, invariants=KEPLER.g, rtol=1e-4))
@@ -168,6 +170,7 @@ class TestStepping:
             run.integrate(1.0, step=True)
             assert run.t == 1.0
 
+    @families
     def test_backwards_and_back(self, method):
         """The direction may change in any call; the state is that of the start again."""
         low = iv.METHODS[method].order == 2
@@ -338,6 +341,7 @@ def test_nothing_keeps_an_object_alive():
     assert there() is None
 
 
+@families
 def test_complex_states_are_those_of_solve_ivp(method):
     def fun(t, y):
         return 1j * y - 0.1 * np.conj(y)  # not analytic

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt
+from cases import METHODS, dealt, families
 from problems import PROBLEMS, TestProblem, cost_of_pair, implicit, long_steps, switching
 
 ORBIT = PROBLEMS["Kepler"]
@@ -120,8 +120,12 @@ def test_order_of_implicit_formulas_between_steps(method, _, order, options, int
     assert found >= order + 1 - 0.4 - uncertainty
 
 
-@pytest.mark.parametrize("fsal", ["reuse", "evaluate"])
-@pytest.mark.parametrize("project", [False, True])
+@dealt(
+    10,
+    pair=[name for name, method in METHODS.items() if method.stages is not None],
+    project=[False, True],
+    fsal=["reuse", "evaluate"],
+)
 @pytest.mark.filterwarnings("ignore:option 'fsal' has no effect")
 def test_order_of_the_solution(pair, project, fsal, reference):
     invariants = STARS.invariants() if project else None
@@ -233,6 +237,7 @@ def test_projection_enters_the_memory_of_multistep_methods(multistep, dearer, rt
     assert projected.nfev <= dearer * plain.nfev
 
 
+@families
 def test_projection_is_more_than_cosmetic(method):
     """The end state of a projected run is not the projection of the plain run's: it is much closer to the solution."""
     tf = 20 * np.pi

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit
+from cases import dealt, explicit_and_implicit
 from invariode._results.pictures.canvas import log_axis
 from invariode._studies import work_precision
 from invariode._studies.precision import Row, Run
@@ -94,7 +94,7 @@ def test_settings_of_matplotlib_stay_as_they_are(draw):
     assert dict(mpl.rcParams) == before
 
 
-@dealt(12, draw=DRAWINGS, t_span=[(0, 20), (0, -20), (1, 1)], dense=[False, True])
+@dealt(6, draw=DRAWINGS, t_span=[(0, 20), (0, -20), (1, 1)], dense=[False, True])
 def test_pictures_can_be_drawn_without_warnings_and_keep_their_legends_inside_the_figure(draw, t_span, dense):
     sol = turning(t_span, name="Circle").solve(dense_output=dense)
     ax = np.ravel(draw(sol))[0]
@@ -123,7 +123,7 @@ def below(sol):
     return np.finfo(float).eps * max(1, np.abs(drift.value).max(), drift.residual_before.max())
 
 
-@dealt(14, problem=PROBLEMS, drawing=DRAWINGS, method=METHODS)
+@dealt(problem=PROBLEMS, drawing=DRAWINGS)
 def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method):
     sol = problem.solve(method)
     ax = axes()
@@ -456,8 +456,7 @@ def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
     np.testing.assert_allclose(line.get_ydata(), np.abs(radius(0, sol.y) - 2), rtol=1e-12)
 
 
-@pytest.mark.parametrize("span", [1.0, 1.2, 3, 30, 300, 1e15])
-@pytest.mark.parametrize("formulas", [True, False])
+@dealt(span=[1.0, 1.2, 3, 30, 300, 1e15], formulas=[True, False])
 def test_numbers_at_a_logarithmic_axis_are_at_least_two_and_do_not_run_together(span, formulas):
     ax = Figure(figsize=(3.5, 2)).add_subplot()
     ax.loglog([7e-4, 7e-4 * span], [1, 2])

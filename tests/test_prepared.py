@@ -89,7 +89,7 @@ def same(a: iv.Solution, b: iv.Solution) -> None:
     assert repr(a.drift()) == repr(b.drift())
 
 
-@dealt(24, form=FORMS, kept=[False, True], change=CHANGES, method=METHODS)
+@dealt(form=FORMS, kept=[False, True], change=CHANGES, method=METHODS)
 def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> None:
     problem = described(form, kept, events=True)
     solver = problem.prepare(method)
@@ -109,7 +109,7 @@ def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> No
         np.testing.assert_array_equal(a.sensitivities, b.sensitivities)
 
 
-@dealt(16, form=FORMS, options=OPTIONS, change=CHANGES)
+@dealt(10, form=FORMS, options=OPTIONS, change=CHANGES)
 def test_options_hold_in_every_call(form: str, options: str, change: str) -> None:
     problem, given = described(form), OPTIONS[options]
     solver = problem.prepare("ode45", **given)

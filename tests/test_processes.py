@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from invariode._ensemble import worker_processes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, and functions that only a fork can send")
@@ -41,8 +42,7 @@ def dying_at(fatal, end, i):
     return i, "solved"
 
 
-@pytest.mark.parametrize("workers", [2, 3, 16])
-@pytest.mark.parametrize("size", [2, 3, 100, 1000])
+@dealt(workers=[2, 3, 16], size=[2, 3, 100, 1000])
 def test_each_row_comes_once(size, workers):
     assert outcomes(square, size, min(size, workers)) == [i * i for i in range(size)]
 

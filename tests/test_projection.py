@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt, explicit_and_implicit, families, families_and_series
+from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 
-@dealt(24, method=METHODS, problem=PROBLEMS)
+@dealt(method=METHODS, problem=PROBLEMS)
 def test_residual_at_steps_is_far_below_the_plain_run(method, problem):
     plain, projected = problem.solve(method, False), problem.solve(method)
     assert projected.success
@@ -29,7 +29,7 @@ def takes_complex(problem: TestProblem) -> bool:
     return "hypot" not in problem.g.__code__.co_names
 
 
-@dealt(28, method=METHODS, problem=PROBLEMS, kind=KINDS)
+@dealt(14, method=METHODS, problem=PROBLEMS, kind=KINDS)
 def test_every_kind_of_jacobian_gives_the_same_run(method, problem, kind):
     kind = "3-point" if kind == "complex-step" and not takes_complex(problem) else kind
     options = {"rtol": 1e-6, "atol": 1e-9} if long_steps(method) else {}  # the lengths of long steps magnify roundoff
@@ -53,7 +53,7 @@ def test_a_complex_step_through_a_function_of_reals_raises_its_error(method, nam
         iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants)
 
 
-@dealt(12, method=METHODS, problem=PROBLEMS, factor=[2.0**-40, 2.0**40])
+@dealt(method=FAMILIES, problem=PROBLEMS, factor=[2.0**-40, 2.0**40])
 def test_units_of_g_do_not_matter(method, problem, factor):
     """Multiplication by a power of two is exact: every digit stays."""
     invariants = iv.Invariants(
@@ -67,7 +67,7 @@ def test_units_of_g_do_not_matter(method, problem, factor):
     np.testing.assert_array_equal(scaled.y, plain.y)
 
 
-@dealt(12, method=METHODS, small=[0, 1e-307, 1e-290, 1e-251, 1e-249, 1e-100])
+@dealt(method=FAMILIES, small=[0, 1e-307, 1e-290, 1e-251, 1e-249, 1e-100])
 def test_components_near_zero_under_pure_relative_control(method, small):
     """However small a component is, its complex step does not underflow, and the gradient is right."""
     sol = iv.solve_ivp(
@@ -138,6 +138,7 @@ def test_linear_invariant_is_kept_without_projection_already(method):
     assert np.abs(sol.y.sum(axis=0) - 1).max() < 50 * np.finfo(float).eps
 
 
+@families
 def test_more_iterations_leave_smaller_residuals(method):
     problem = PROBLEMS["pendulum"]
     residuals = [
@@ -218,7 +219,7 @@ class TestImpose:
         np.testing.assert_array_equal(one.y, many.y[:, 3])
         np.testing.assert_array_equal(iv.impose(invariants, sol).y, many.y)  # a result: its t and y, its first point
 
-    @dealt(14, method=METHODS, problem=PROBLEMS)
+    @dealt(method=FAMILIES, problem=PROBLEMS)
     def test_own_invariants(self, method, problem: TestProblem):
         sol = problem.solve(method, refine=3, dense_output=True)
         imposed = sol.impose()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS
+from cases import METHODS, dealt, families
 from invariode import _core
 from variations import (
     MASSES,
@@ -73,8 +73,7 @@ def test_explicit_steps_are_differentiated_exactly(method):
         np.testing.assert_allclose(ours.S[:, j], y.imag.T / 1e-30, rtol=0, atol=1e-12 * np.abs(ours.S[:, j]).max())
 
 
-@pytest.mark.parametrize("project", [False, True], ids=["plain", "projected"])
-@pytest.mark.parametrize("method", METHODS)
+@dealt(method=METHODS, project=[False, True])
 def test_sensitivities_converge_with_the_tolerance(method, project):
     """100 times the accuracy of order 2, which takes 10 times the steps, with tolerances 1000 times as tight."""
     second_order = iv.METHODS[method].order == 2
@@ -85,8 +84,7 @@ def test_sensitivities_converge_with_the_tolerance(method, project):
     assert errors[1] < 1e3 * fine
 
 
-@pytest.mark.parametrize("project", [False, True], ids=["plain", "projected"])
-@pytest.mark.parametrize("method", [*STAGED, "ode23s", "ode23t", "ode23tb"])
+@dealt(method=[*STAGED, "ode23s", "ode23t", "ode23tb"], project=[False, True])
 def test_sensitivities_have_the_order_of_the_method(method, project):
     """With half the step, S errs 2^q times less, where y does; the slope of two halvings is q within 0.6."""
     order = iv.METHODS[method].order
@@ -101,8 +99,7 @@ def test_sensitivities_have_the_order_of_the_method(method, project):
     assert np.log2(errors[0] / errors[2]) / 2 > order - 0.6
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("method", METHODS)
+@dealt(method=METHODS, name=PROBLEMS)
 def test_sensitivities_lie_on_the_tangent_of_the_manifold(method, name):
     """G S + g_p = dc/dp to roundoff at every step and between them, also in levels, and where the form of g or the
     start depends on p."""
@@ -130,7 +127,7 @@ def test_sums_of_sensitivities_stay_zero_where_the_sum_is_held(method):
     assert np.abs(points.S.sum(axis=2)).max() <= 4 * EPS * np.abs(points.S).max()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_without_an_error_test_the_state_takes_the_same_steps(method):
     """Every bit of y is that of a run without sensitivities."""
     problem = lotka_volterra()
@@ -140,7 +137,7 @@ def test_without_an_error_test_the_state_takes_the_same_steps(method):
     assert np.array_equal(alone.y, beside.y)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_units_of_parameters_do_not_matter(method):
     """With p in units 8 times as large S is 8 times as large, in every bit."""
     problem = lotka_volterra()
@@ -154,7 +151,7 @@ def test_units_of_parameters_do_not_matter(method):
     assert np.array_equal(8 * ours.S, theirs.S)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_the_order_of_parameters_does_not_matter(method):
     problem, order = lotka_volterra(), [2, 0, 3, 1]
     other = replace(
@@ -168,7 +165,7 @@ def test_the_order_of_parameters_does_not_matter(method):
     np.testing.assert_allclose(ours.S[:, order], theirs.S, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_an_interrupted_run_goes_on_to_the_last_bit(method):
     problem = pendulum()
     whole = problem.run(method, 1e-4)
@@ -188,7 +185,7 @@ def test_a_run_step_by_step_is_the_same_run():
         assert np.array_equal(stepper.y, Y.ravel())
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_impacts_move_sensitivities_with_the_time_of_the_event(method):
     """The ball is known exactly: its flights are parabolas."""
     ball = bouncing_ball()
@@ -208,7 +205,7 @@ def test_impacts_move_sensitivities_with_the_time_of_the_event(method):
     np.testing.assert_allclose(points.S[-1], [by_e, by_gravity], atol=1e-8 if method != "ode15s" else 1e-4)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_a_component_at_rest_on_a_bound_does_not_depend_on_parameters(method):
     """x' = -k from 1 rests at 0 from 1/k on, and z' = x ends at 1/(2k)."""
     infinity = np.full(2, np.inf)
@@ -256,7 +253,7 @@ def test_a_time_dependent_mass_matrix_belongs_to_sensitivities_too(method):
     np.testing.assert_allclose(massive.run(method, 1e-5).S[-1, 0], [by_p, -by_p], atol=1e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_sensitivities_run_backwards(method):
     """Back from the end, the sensitivities to p are those at the start again."""
     problem = lotka_volterra()
@@ -270,7 +267,7 @@ def test_sensitivities_run_backwards(method):
     np.testing.assert_allclose(turned.S[-1], problem.S0, atol=1e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_complex_states_have_complex_sensitivities(method):
     """y' = i p y: dy/dp = i t y. From `integrate_anew`, as prepared solvers call it."""
     variations = _core.Variations(1, lambda t, Y: 2j * Y[1:] + 1j * Y[:1], np.full((1, 2), 1e-5))

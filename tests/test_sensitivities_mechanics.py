@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import families
+from cases import FAMILIES, dealt, families
 from test_adjoint import both_ways
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
@@ -57,8 +57,7 @@ def test_a_pendulum_has_those_of_its_angle(method):
     np.testing.assert_allclose(sol.sensitivities[:, :, -1], of_angle(), atol=1e-4 * np.abs(of_angle()).max())
 
 
-@families
-@pytest.mark.parametrize("correction", ["levels", "joint"])
+@dealt(method=FAMILIES, correction=["levels", "joint"])
 def test_they_are_tangent_to_positions_velocities_and_energy(method, correction):
     """q·S_q = ∂(length²)/∂p / 2, v·S_q + q·S_v = 0, v·S_v + g S_y = what it was at the start − y ∂g/∂p, to roundoff."""
     problem = pendulum().replace(sensitivities=START)

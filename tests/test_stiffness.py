@@ -47,7 +47,7 @@ STIFF = {
 }
 
 
-@dealt(24, method=EXPLICIT, name=STIFF, rtol=[1e-3, 1e-6])
+@dealt(8, method=EXPLICIT, name=STIFF, rtol=[1e-3, 1e-6])
 def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol):
     fun, tf, y0 = STIFF[name]
     with pytest.warns(iv.StiffnessWarning, match=f"{method}: since t = .* limited by stability.*try ode15s") as said:
@@ -58,7 +58,7 @@ def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol)
     assert "limited by stability" in sol.message
 
 
-@dealt(14, method=EXPLICIT, name=PROBLEMS)
+@dealt(method=EXPLICIT, name=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_no_other_problem_is_called_stiff(method, name):
     """At crude and at tight tolerances, plain and projected."""

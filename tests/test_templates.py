@@ -110,7 +110,7 @@ def case(fun: str = "function", problem: str = "as it is", **more: Any) -> dict[
     return {"fun": FUNCTIONS[fun], "t_span": (0, 1), "y0": START, **PROBLEMS[problem], **more}
 
 
-@dealt(36, fun=FUNCTIONS, start=PROBLEMS, options=OPTIONS, method=GENERAL)
+@dealt(18, fun=FUNCTIONS, start=PROBLEMS, options=OPTIONS, method=GENERAL)
 def test_a_solve_by_a_template_is_a_solve(fun: str, start: str, options: str, method: str) -> None:
     given = {"method": method, **OPTIONS[options]}
     call = case(fun, start, **given)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import ALGEBRAIC, METHODS, dealt
+from cases import ALGEBRAIC, FAMILIES, METHODS, dealt, families
 from problems import PROBLEMS, TestProblem, implicit, one_step, slack
 from stiff import PROBLEMS as STIFF
 
@@ -91,7 +91,7 @@ def assert_same(scaled: iv.Solution, plain: iv.Solution, units: Units) -> None:
 # Powers of two
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_units_do_not_matter_without_invariants(method, problem):
     plain = solve(problem, method, Units(), project=False)
     for c in FAR:
@@ -99,7 +99,7 @@ def test_units_do_not_matter_without_invariants(method, problem):
             assert_same(solve(problem, method, units, project=False), plain, units)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS, jac=JACOBIANS)
+@dealt(method=METHODS, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_do_not_matter_with_invariants(method, problem, jac):
     plain = solve(problem, method, Units(), jac=jac)
     for c in FAR:
@@ -107,15 +107,14 @@ def test_units_do_not_matter_with_invariants(method, problem, jac):
             assert_same(solve(problem, method, units, jac=jac), plain, units)
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_extreme_units_of_the_state_do_not_matter(method, problem):
     plain = solve(problem, method, Units())
     for units in (Units(state=c) for c in EXTREME):
         assert_same(solve(problem, method, units), plain, units)
 
 
-@pytest.mark.parametrize("form", ["given", "differences"])
-@pytest.mark.parametrize("name", [name for name, one in STIFF.items() if len(one.y0) < 100])
+@dealt(name=[name for name, one in STIFF.items() if len(one.y0) < 100], form=["given", "differences"])
 def test_units_do_not_matter_to_newton(name, form):
     """Those of f and its Jacobian, in ode15s."""
     one = STIFF[name]
@@ -170,7 +169,7 @@ WITH_MASS = {
 }
 
 
-@dealt(24, method=ALGEBRAIC, name=WITH_MASS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR])
+@dealt(8, method=ALGEBRAIC, name=WITH_MASS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR])
 @pytest.mark.filterwarnings("ignore:.*redundant:UserWarning")  # the invariant is the algebraic equation
 def test_units_do_not_matter_with_mass_matrices(method, name, units):
     fun, end, y0, mass, g = WITH_MASS[name]
@@ -191,7 +190,7 @@ def test_units_do_not_matter_with_mass_matrices(method, name, units):
     assert_same(run(units), plain, units)
 
 
-@dealt(14, name=PROBLEMS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR], jac=["given", None])
+@dealt(name=PROBLEMS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR], jac=["given", None])
 def test_the_check_of_invariants_knows_no_units(name, units, jac):
     problem = PROBLEMS[name]
 
@@ -230,6 +229,7 @@ def test_the_search_for_invariants_knows_no_units(name, units):
             assert float(other.coefficients[exponents]) == pytest.approx(expected, rel=1e-8)
 
 
+@families
 def test_no_absolute_tolerance_means_no_unit(method):
     """A component of y0 is 0, so that nothing says how large it is."""
     sol = iv.solve_ivp(turning, (0, 5), [1.0, 0.0], method, atol=0, invariants=lambda t, y: y @ y)
@@ -251,7 +251,7 @@ def end_state(problem: TestProblem, method: str, y0: np.ndarray, g: iv.Invariant
     return sol.y[:, -1]
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS, jac=JACOBIANS)
+@dealt(method=FAMILIES, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_of_invariants_change_roundings_only(method, problem, jac):
     """By powers of ten: the solution moves as it does when the last digit of y0 changes."""
     y0, held = np.array(problem.y0, dtype=float), invariants(problem, Units(), jac)
@@ -278,7 +278,7 @@ def permuted(problem: TestProblem, of_state: np.ndarray, of_invariants: np.ndarr
     )
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS, project=[False, True])
+@dealt(method=FAMILIES, problem=PROBLEMS, project=[False, True])
 def test_the_order_of_components_does_not_matter(method, problem, project):
     order = np.arange(len(problem.y0))[::-1]
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))
@@ -296,7 +296,7 @@ def test_the_order_of_components_does_not_matter(method, problem, project):
     )
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS)
+@dealt(method=FAMILIES, problem=PROBLEMS)
 def test_the_order_of_invariants_does_not_matter(method, problem):
     state = np.arange(len(problem.y0))
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))[::-1]
@@ -318,7 +318,7 @@ def central_differences(fun: Callable[..., Any]) -> Callable[..., Any]:
     return jac
 
 
-@dealt(14, method=METHODS, problem=PROBLEMS, project=[False, True])
+@dealt(method=FAMILIES, problem=PROBLEMS, project=[False, True])
 def test_the_direction_of_time_does_not_matter(method, problem, project):
     """s = -t: y' = f(t, y) is dy/ds = -f(-s, y), with the same steps and the same digits."""
 

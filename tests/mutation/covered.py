@@ -1,5 +1,5 @@
-"""A pytest plugin: runs one case of each test function, and writes which functions execute which lines of the package,
-and the CPU seconds of each, to the JSON file $COVERED. Needs `coverage`.
+"""A pytest plugin: writes which test functions execute which lines of the package, and the CPU seconds of each, to the
+JSON file $COVERED. All cases run: what one of them executes, another may not. Needs `coverage`.
 
     COVERED=covered.json PYTHONPATH=src:tests/mutation python -m pytest -q -n 0 -p covered
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,12 +19,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "src" / "invariode"
 measured = coverage.Coverage(data_file=None, source=[str(PACKAGE)])
 measured.start()
-seconds: dict[str, float] = {}
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    first = {item.nodeid.partition("[")[0]: item for item in reversed(items)}
-    items[:] = reversed(first.values())
+seconds: Counter[str] = Counter()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -32,7 +28,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
     measured.switch_context(function)
     start = time.process_time()
     result = yield
-    seconds[function] = time.process_time() - start
+    seconds[function] += time.process_time() - start
     measured.switch_context("")
     return result
 
