@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import METHODS, dealt
+from cases import METHODS, SERIES, dealt
 from invariode import _core
 from invariode._functions import lanes
 
@@ -183,6 +183,34 @@ def test_the_tangent_is_held():
     found_rates = np.einsum("ri,rij->rj", gradient, S) + np.stack([-np.log(y), -np.log(x), 0 * x, 0 * x], 1)
     held_rates = np.concatenate([-np.log(y0[:, ::-1]), start], 1)
     np.testing.assert_allclose(found_rates, held_rates, rtol=1e-11, atol=1e-11)
+
+
+SCARCE = iv.Event(iv.compile(lambda t, y, a, b: y[0] - 0.4), terminal=True)
+BESIDE = {
+    "an invariant": {"invariants": HELD},
+    "a terminal event": {"events": SCARCE},
+    "bounds": {"nonnegative": True},
+    "breakpoints": {"breakpoints": [1.0, 2.5]},
+}
+
+
+@dealt(2 * len([*METHODS, *SERIES]), method=[*METHODS, *SERIES], beside=["nothing", *BESIDE], atol=[1e-6, 0.0])
+def test_every_method_on_threads_gives_its_single_solves(method, beside, atol):
+    """One trajectory at a time, without the interpreter."""
+    options = {"sensitivities": ["a", "y0"], "t_eval": [0.7, 2.0, 4.0], "atol": atol, **BESIDE.get(beside, {})}
+    found = solve("polynomials", method, workers=2, lanes=1, **options)
+    assert found.stats.lanes == "one at a time: lanes=1"
+    same_as_single(found, "polynomials", method, **options)
+
+
+def test_algebraic_equations_are_solved_with_each_trajectory():
+    fun = iv.compile(lambda t, y, a: [-a * y[0], y[0] ** 2 - y[1]])
+    options = {"mass": np.diag([1.0, 0.0]), "sensitivities": ["a", "y0[0]"], "rtol": 1e-6, "atol": 0.0}
+    y0, a = [[1.0, 1.0], [2.0, 3.9]], [[1.0], [2.0]]
+    found = iv.solve_ensemble(fun, (0, 1), y0, "ode15s", args=a, workers=1, **options)
+    assert "algebraic equations" in found.stats.lanes
+    one = iv.solve_ivp(fun, (0, 1), y0[1], "ode15s", args=a[1], **options)
+    np.testing.assert_array_equal(found.sensitivities[1, ..., 0], one.sensitivities[..., -1])
 
 
 def branching(t, y, a, b):

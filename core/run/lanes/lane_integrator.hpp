@@ -138,13 +138,13 @@ class LaneIntegrator {
     ready_[Rows::t].lanes()[l] = job_.t0;
     for (std::size_t i = 0; i < job_.all; ++i) ready_[Rows::y + i].lanes()[l] = y0[i];
     for (std::size_t i = 0; i < job_.parameters; ++i) ready_[rows_.parameters + i].lanes()[l] = row[i];
-    for (std::size_t i = 0; i < job_.all - job_.n; ++i)
-      ready_[rows_.thresholds + i].lanes()[l] = threshold(ready_trajectory_[l], i);
+    for (std::size_t i = 0; i < job_.all; ++i)
+      ready_[rows_.thresholds + i].lanes()[l] = i < job_.n ? job_.threshold[i] : threshold(ready_trajectory_[l], i);
   }
-  /// Of a sensitivity, as `augmented` has it for single runs.
+  /// Of sensitivities, as `augmented` has it for single runs.
   [[nodiscard]] double threshold(std::uint32_t trajectory, std::size_t i) const {
     if (!job_.varied.counts) return infinity;
-    const double threshold = job_.varied.tolerances[trajectory * (job_.all - job_.n) + i] / job_.rtol;
+    const double threshold = job_.varied.tolerances[trajectory * (job_.all - job_.n) + i - job_.n] / job_.rtol;
     return threshold < least_threshold ? least_threshold : threshold;
   }
 

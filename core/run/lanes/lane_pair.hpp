@@ -147,8 +147,7 @@ class LanePair {
   auto weight(const P* thresholds, const P* y0, const P* y1) const {
     return [this, thresholds, y0, y1](std::size_t i) {
       const P size = larger(absolute(y0[i]), absolute(y1[i]));
-      const P threshold = i < job_.n ? P(job_.threshold[i]) : thresholds[i - job_.n];
-      return larger(job_.scale != nullptr ? job_.scale[i] * size : size, threshold);
+      return larger(job_.scale != nullptr ? job_.scale[i] * size : size, thresholds[i]);
     };
   }
 

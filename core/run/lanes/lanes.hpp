@@ -86,9 +86,8 @@ struct Job {
 
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
 /// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y with its
-/// sensitivities (all,); what the method remembers, such as f there (all,); its parameters; thresholds of the
-/// sensitivities (k n,); of each event its value and sign, and how often it has occurred; then what belongs to the
-/// invariant.
+/// sensitivities (all,); what the method remembers, such as f there (all,); its parameters; its thresholds
+/// (all,); of each event its value and sign, and how often it has occurred; then what belongs to the invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, of_event };
@@ -118,7 +117,7 @@ struct Rows {
       : memory(y + job.all),
         parameters(memory + job.memory),
         thresholds(parameters + job.parameters),
-        events(thresholds + job.all - job.n),
+        events(thresholds + job.all),
         invariant(events + of_event * job.count_of_events),
         size(invariant + (job.invariant != nullptr ? errors + 2 * job.n + job.varied.k : 0)) {}
 };
