@@ -66,8 +66,7 @@ bool is_complete(const LaneForm& form, const Problem& problem) {
 
 /// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
 template <class Stopped>
-void integrate_until(Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
-                     EnsembleResult& result) {
+void integrate_until(Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped, EnsembleResult& result) {
   const double* row = ensemble.rows + i * ensemble.parameters;
   std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
   const std::size_t varied = ensemble.n - solver.problem().n;

@@ -49,7 +49,7 @@ class LaneInvariant {
   INVARIODE_SHARED M start(const P& t, const P* y, const P* f, const P& h, const P* p) {
     const P g = this->g(t, y, p);
     held_ = ready_[Rows::value] = invariant().held ? g : P(invariant().value);
-    const P of_tangent(varied() > 0 ? 1 : 0);  // at the start
+    const P of_tangent(varied() > 0 ? 1 : 0);       // at the start
     ready_[Rows::evaluations] = P(2) + of_tangent;  // one before the run
     ready_[Rows::jacobians] = P(1) + of_tangent;
     ready_[Rows::next_look] = P(1);

@@ -47,9 +47,9 @@ struct Invariant {
 /// Sensitivities behind the state: k of them, none by default.
 struct Sensitivities {
   std::size_t k = 0;
-  Called slope;                ///< J S_j + f_pj, (k n, lanes)
-  const double* tolerances;    ///< absolute ones, rows (k n,) of all trajectories
-  bool counts;                 ///< in the error test
+  Called slope;              ///< J S_j + f_pj, (k n, lanes)
+  const double* tolerances;  ///< absolute ones, rows (k n,) of all trajectories
+  bool counts;               ///< in the error test
 };
 
 /// What is integrated, without anything that only some runs have: bounds, breakpoints, other limits.
@@ -57,7 +57,7 @@ struct Job {
   Called f;
   CalledSeries series;  ///< of methods by series
   std::size_t order;    ///< of the series
-  std::size_t n;  ///< of the state
+  std::size_t n;        ///< of the state
   Sensitivities varied;
   std::size_t all;  ///< what is integrated: (1 + k) n
   std::size_t parameters;
