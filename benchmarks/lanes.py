@@ -1,8 +1,8 @@
 """Ensembles side by side in vector registers against one at a time: ``python benchmarks/lanes.py [--write]``.
 
-Final states unless the case says more, one thread, ode45, rtol = atol = 1e-6; the times are of the process's CPU clock,
-``lanes=1`` and each instruction set in turn. Before anything is timed all results must be the same bits. Compilation is
-not timed.
+Final states unless the case says more, one thread, ode45 unless the case names another method, rtol = atol = 1e-6; the
+times are of the process's CPU clock, ``lanes=1`` and each instruction set in turn. Before anything is timed all results
+must be the same bits. Compilation is not timed.
 """
 
 from __future__ import annotations
@@ -39,6 +39,14 @@ def first_integral(t: float, y: Any, p: Any) -> Any:
 
 def first_integral_slope(t: float, y: Any, p: Any) -> Any:
     return 1.0 - 1.0 / y[0], 1.0 - p[0] / y[1]
+
+
+def predators(t: float, y: Any, a: float, b: float, c: float, d: float) -> Any:
+    return a * y[0] - b * y[0] * y[1], d * y[0] * y[1] - c * y[1]
+
+
+def law_of_predators(t: float, y: Any, a: float, b: float, c: float, d: float) -> Any:
+    return d * y[0] - c * math.log(y[0]) + b * y[1] - a * math.log(y[1])
 
 
 def slowed(t: float, y: Any, p: Any) -> Any:
@@ -123,16 +131,19 @@ class Case:
     rows: Callable[[int], tuple[Array, Array]]
     size: int
     elementary: Literal["own", "libm"] = "own"
-    held: tuple[Callable[..., Any], Callable[..., Any]] | None = None  # an invariant, and its Jacobian
+    held: tuple[Callable[..., Any], ...] | None = None  # an invariant, and its Jacobian if it is given
     outputs: int = 0  # times at which y is put out
     ends: Callable[..., Any] | None = None  # a terminal event
+    method: str = "ode45"
+    varied: bool = False  # with the sensitivities to all arguments
 
     def options(self) -> dict[str, Any]:
         """Of the solve."""
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"method": self.method}
+        if self.varied:
+            options["sensitivities"] = True
         if self.held is not None:
-            fun, jac = self.held
-            options["invariants"] = iv.Invariants(iv.compile(fun), iv.compile(jac), names="held")
+            options["invariants"] = iv.Invariants(*map(iv.compile, self.held), names="held")
         if self.outputs:
             options["t_eval"] = np.linspace(0, self.span, self.outputs)
         if self.ends is not None:
@@ -153,6 +164,11 @@ def unequal(size: int) -> tuple[Array, Array]:
 def around(point: list[float], spread: float, size: int) -> tuple[Array, Array]:
     random = np.random.default_rng(2024)
     return np.array(point) + random.uniform(-spread, spread, (size, len(point))), random.uniform(0.9, 1.1, (size, 1))
+
+
+def rates(size: int) -> tuple[Array, Array]:
+    numbers = np.random.default_rng(2024).uniform(size=(size, 6))
+    return 0.5 + 2.5 * numbers[:, :2], 0.5 + numbers[:, 2:]
 
 
 def currents(size: int) -> tuple[Array, Array]:
@@ -206,6 +222,11 @@ CASES = [
         5000,
         ends=height,
     ),
+    Case("Lotka–Volterra, four parameters", predators, 10.0, rates, 4096),
+    Case("the same, with sensitivities", predators, 10.0, rates, 4096, varied=True),
+    Case("the same, first integral held", predators, 10.0, rates, 4096, held=(law_of_predators,), varied=True),
+    Case("four parameters, dop853", predators, 10.0, rates, 4096, method="dop853"),
+    Case("the same, with sensitivities", predators, 10.0, rates, 4096, method="dop853", varied=True),
 ]
 
 
@@ -229,6 +250,7 @@ def measured(case: Case, repetitions: int) -> list[str]:
         if (
             not np.array_equal(found.y_end, alone.y_end)
             or not np.array_equal(found.y, alone.y)
+            or (case.varied and not np.array_equal(found.sensitivities, alone.sensitivities))
             or not alone.success.all()
         ):
             raise SystemExit(f"not timed: the results of {case.name} are not the same")

@@ -407,7 +407,8 @@ class Stepper {
 };
 
 /// The name of an instruction set, and where the code of the functions is in its lanes: of f, and its series if the
-/// problem has them, and of an invariant that is held g and its Jacobian, and of events.
+/// problem has them, the slope of sensitivities, of an invariant that is held g and its Jacobian, with its tangent, and
+/// of events.
 using LaneCodes = std::pair<std::string, std::vector<std::uintptr_t>>;
 
 LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
@@ -424,19 +425,23 @@ LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
   if (form.instructions == nullptr) throw std::invalid_argument("this processor has no instructions named " + name);
   form.f = called();
   if (problem.series) form.series = {reinterpret_cast<lanes::SeriesFunction*>(address()), nullptr};
+  if (problem.variations) form.slope = called();
   if (!problem.invariants.empty()) {
     form.g = called();
     form.jacobian = called();
+    if (problem.variations) form.tangent = called();
   }
   while (next < addresses.size()) form.events.push_back(called());
   return form;
 }
 
-/// Integrates from each row of y0, with the row of `parameters` of the same number, on as many threads as there are
-/// solvers, all of the same problem and native. `progress(done)` is called now and then.
+/// Integrates from each row of y0, with the rows of `parameters`, and of `tolerances` of sensitivities, of the same
+/// number, on as many threads as there are solvers, all of the same problem and native. `progress(done)` is called now
+/// and then.
 std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0,
                                                const ConstMatrix& parameters, const nb::object& progress,
-                                               const std::optional<LaneCodes>& lanes) {
+                                               const std::optional<LaneCodes>& lanes,
+                                               const std::optional<ConstMatrix>& tolerances) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
     if (!one->bound.native()) throw std::invalid_argument("functions of an ensemble on threads must be native");
@@ -444,6 +449,9 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   }
   if (parameters.shape(0) != y0.shape(0))
     throw std::invalid_argument("y0 and parameters must have as many rows as each other");
+  if (tolerances && (tolerances->shape(0) != y0.shape(0) || solvers.empty() ||
+                     tolerances->shape(1) != y0.shape(1) - solvers.front()->problem().n))
+    throw std::invalid_argument("tolerances must have the shape of the sensitivities");
   bool raised = false;
   const auto look = [&](std::uint32_t done) {
     if (raised || PyErr_CheckSignals() != 0) {
@@ -465,8 +473,13 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   std::unique_ptr<EnsembleResult> result;
   {
     const Unlocked released;
-    result = integrate_all(solvers, {y0.shape(0), y0.data(), parameters.data(), y0.shape(1), parameters.shape(1)},
-                           watch, form);
+    const Ensemble rows{.size = y0.shape(0),
+                        .y0 = y0.data(),
+                        .rows = parameters.data(),
+                        .n = y0.shape(1),
+                        .parameters = parameters.shape(1),
+                        .tolerances = tolerances ? tolerances->data() : nullptr};
+    result = integrate_all(solvers, rows, watch, form);
   }
   if (!result) throw nb::python_error();
   return result;
@@ -669,10 +682,10 @@ void define_ensemble(nb::module_& module) {
           "because too many were left.");
   module.def(
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
-      nb::arg("progress").none(), nb::arg("lanes") = nb::none(),
+      nb::arg("progress").none(), nb::arg("lanes") = nb::none(), nb::arg("tolerances") = nb::none(),
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
-      "set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of "
-      "events.");
+      "set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, "
+      "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.");
   std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
   for (const lanes::Instructions* one : lanes::instructions())
     sets.emplace_back(std::string(one->name), one->lanes, one->bits);

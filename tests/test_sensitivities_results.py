@@ -99,7 +99,8 @@ def test_trajectories_have_those_of_single_runs(fun, tmp_path):
         alone = iv.solve_ivp(fun, (0, 1), y0, args=args, **options)
         assert np.array_equal(many.sensitivities[i], alone.sensitivities)
         assert np.array_equal(many[i].sensitivities, alone.sensitivities)
-    assert many.stats.lanes == "one at a time: sensitivities are computed with each trajectory"
+    why = "functions are in Python" if fun is decay else "fewer than 1000 trajectories"
+    assert why in many.stats.lanes
     many.save(tmp_path / "many.npz")
     again = iv.EnsembleSolution.load(tmp_path / "many.npz")
     assert np.array_equal(again.sensitivities, many.sensitivities)

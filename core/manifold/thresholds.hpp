@@ -21,6 +21,9 @@ inline constexpr double last_correction =
     1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
 inline constexpr int interpolation_iterations = 3;  // between steps, at most (docs/algorithms.md, 'Between steps')
 inline constexpr double small_square = 1e-280, large_square = 1e280;  // outside, squares underflow or overflow
+// Each correction of sensitivities leaves of the residual what the gradients have changed by in the state's last one,
+// which is at most some 1e-3 of a component at the crudest tolerances.
+inline constexpr int tangent_iterations = 10;
 inline constexpr double roundoff_of_g = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 inline constexpr double roundoffs_of_change = 2;  // what is no more between two evaluations of g is none
 

@@ -41,8 +41,9 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
   const Problem& first = solvers.front()->problem();
   for (const Solver* solver : solvers) {
     const Problem& problem = solver->problem();
-    require(problem.n == ensemble.n, "rows of y0 are not of the size of the problem");
-    require(!problem.variations, "ensembles on threads have no sensitivities");
+    require(problem.extent().size() == ensemble.n, "rows of y0 are not of the size of the problem");
+    require(problem.variations.has_value() == (ensemble.tolerances != nullptr),
+            "rows of tolerances go with sensitivities");
     require(problem.parameters.size() == ensemble.parameters, "rows of parameters are not as long as the problem's");
     require(problem.value.size() == first.value.size() && problem.events.size() == first.events.size() &&
                 solver->settings().times.size() == solvers.front()->settings().times.size(),
@@ -58,15 +59,18 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
 bool is_complete(const LaneForm& form, const Problem& problem) {
   const bool expands = !problem.series || form.series.function != nullptr;
   const bool holds = problem.invariants.empty() || (form.g.function != nullptr && form.jacobian.function != nullptr);
-  return form.f.function != nullptr && expands && holds && form.events.size() == problem.events.size();
+  const bool varied = !problem.variations || (form.slope.function != nullptr &&
+                                              (problem.invariants.empty() || form.tangent.function != nullptr));
+  return form.f.function != nullptr && expands && holds && varied && form.events.size() == problem.events.size();
 }
 
 /// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
 template <class Stopped>
-void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
-                     EnsembleResult& result) {
+void integrate_until(Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped, EnsembleResult& result) {
   const double* row = ensemble.rows + i * ensemble.parameters;
   std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
+  const std::size_t varied = ensemble.n - solver.problem().n;
+  if (varied > 0) solver.set_tolerances({ensemble.tolerances + i * varied, varied});
   const double t0 = solver.settings().t0;
   const double* given = ensemble.y0 + i * ensemble.n;
   if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
@@ -88,7 +92,7 @@ void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t
 }
 
 /// The first trajectories, on this thread, until threads are worth their start. How many were done.
-std::size_t integrate_first(const Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
+std::size_t integrate_first(Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
   using Clock = std::chrono::steady_clock;
   const auto end = Clock::now() + thread_start;
   bool late = false;
@@ -107,7 +111,7 @@ std::size_t integrate_first(const Solver& solver, const Ensemble& ensemble, Ense
 
 EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
     : size(size_),
-      n(solver.problem().n),
+      n(solver.problem().extent().size()),
       parts(solver.problem().complex ? 2 : 1),
       m(solver.problem().value.size()),
       n_t(solver.settings().times.size()),
@@ -162,11 +166,11 @@ void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   count_of(i, "failed") = static_cast<std::int64_t>(lane[Rows::failed]);
   count_of(i, "nfev") = ended.evaluations;
   count_of(i, "nfev_check") = ended.checks;
-  if (m > 0) keep_held(lane, solver.weights().rtol());
+  if (m > 0) keep_held(lane, solver.problem().n, solver.weights().rtol());
 }
 
 /// Of the one invariant that was held in a lane, where each step was projected.
-void EnsembleResult::keep_held(const lanes::Lane& lane, double rtol) {
+void EnsembleResult::keep_held(const lanes::Lane& lane, std::size_t states, double rtol) {
   using lanes::Rows;
   const std::size_t i = lane.trajectory;
   const auto of = [&lane](std::size_t row) -> double { return lane[lane.rows.invariant + row]; };
@@ -175,10 +179,10 @@ void EnsembleResult::keep_held(const lanes::Lane& lane, double rtol) {
   before[i] = of(Rows::before);
   after[i] = of(Rows::after);
   correction[i] = of(Rows::correction);
-  std::vector<double> errors(n), corrections(n);
-  for (std::size_t c = 0; c < n; ++c) {
+  std::vector<double> errors(states), corrections(states);
+  for (std::size_t c = 0; c < states; ++c) {
     errors[c] = of(Rows::errors + c);
-    corrections[c] = of(Rows::errors + n + c);
+    corrections[c] = of(Rows::errors + states + c);
   }
   const auto steps = static_cast<std::int64_t>(lane[Rows::steps]);
   const std::int64_t looks = (steps + harm_period - 1) / harm_period;  // at the first step, too
@@ -251,7 +255,7 @@ void EnsembleResult::keep_occurrences(std::size_t i, const std::vector<Trajector
   }
 }
 
-void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+void integrate_one(Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
                    EnsembleResult& result) {
   const auto stopped = [&] { return cancelled.load(std::memory_order_relaxed); };
   integrate_until(solver, ensemble, i, stopped, result);
@@ -268,7 +272,7 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
   const auto progress = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
   if (first == ensemble.size) return progress(0) ? std::move(result) : nullptr;
   const auto work = [&](std::size_t worker, Queue& queue) {
-    const Solver& solver = *solvers[worker];
+    Solver& solver = *solvers[worker];
     if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
     for (std::uint32_t i; queue.next(i); queue.finish_one())
       integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);

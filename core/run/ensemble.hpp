@@ -49,7 +49,7 @@ class EnsembleResult {
   void hold(std::size_t i, Run& run);
   /// Keeps what it did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
   void keep(std::size_t i, Run& run, std::int64_t uncounted);
-  /// Output number j, y (n,) with that stride.
+  /// Output number j, y with its sensitivities (n,) with that stride.
   void put_out(std::size_t i, std::size_t j, const double* row, std::size_t stride) {
     for (std::size_t c = 0; c < n; ++c)
       y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = row[c * stride];
@@ -61,7 +61,7 @@ class EnsembleResult {
   /// So many more trajectories were solved one at a time, though others were not.
   void add_alone(const Left& left);
 
-  std::size_t size, n, parts, m, n_t;
+  std::size_t size, n, parts, m, n_t;  ///< n: of a state and its sensitivities
   std::vector<double> t, y_end;
   std::vector<double> y;  ///< (size, n / parts, n_t, parts): numbers of one or two reals
   /// Of each invariant the value held, and the largest residual before and after projection; the largest correction.
@@ -77,7 +77,7 @@ class EnsembleResult {
 
  private:
   std::int64_t& count_of(std::size_t i, std::string_view name);
-  void keep_held(const lanes::Lane& lane, double rtol);
+  void keep_held(const lanes::Lane& lane, std::size_t states, double rtol);
   void keep_outputs(std::size_t i, const RunResult& run);
   void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
   void keep_happenings(std::size_t i, const RunResult& run);
@@ -85,26 +85,30 @@ class EnsembleResult {
   std::mutex shared_;  // for occurrences, failures and alone
 };
 
-/// What is integrated: `size` rows of y0 (n doubles each) and of parameters (`parameters` doubles each).
+/// What is integrated: `size` rows of y0, with its sensitivities (n doubles each), and of parameters (`parameters`
+/// doubles each).
 struct Ensemble {
   std::size_t size;
   const double* y0;
   const double* rows;  ///< of parameters
   std::size_t n, parameters;
+  const double* tolerances = nullptr;  ///< rows of those of the sensitivities, if there are any
 };
 
 /// The functions of a problem in the lanes of an instruction set: f, and its series if the method takes them, and of an
-/// invariant that is held g and its Jacobian, and the events.
+/// invariant that is held g and its Jacobian, and the events; the slope of sensitivities, and their tangent to the
+/// invariant.
 struct LaneForm {
   const lanes::Instructions* instructions = nullptr;
   lanes::Called f;
   lanes::CalledSeries series;
   lanes::Called g, jacobian;
+  lanes::Called slope, tangent;
   std::vector<lanes::Called> events;
 };
 
 /// Trajectory i, on a thread that has the solver to itself.
-void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+void integrate_one(Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
                    EnsembleResult& result);
 
 /// Integrates from each row, on as many threads as there are solvers: one for each, all of the same problem, with

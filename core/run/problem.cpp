@@ -84,10 +84,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
-  if (problem_.variations) require_variations(problem_);
   if (problem_.variations) {
-    augmented_weights_ = augmented(weights_, *problem_.variations, problem_.variations->error_test);
-    iteration_weights_ = augmented(weights_, *problem_.variations, true);
+    require_variations(problem_);
+    weigh_variations();
   }
   require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
@@ -118,6 +117,16 @@ void Solver::cover(double t0, double tf, double hmax) {
 void Solver::cover(Settings settings) {
   require_settings(settings);
   settings_ = std::move(settings);
+}
+
+void Solver::set_tolerances(std::span<const double> tolerance) {
+  problem_.variations->tolerance.assign(tolerance.begin(), tolerance.end());
+  weigh_variations();
+}
+
+void Solver::weigh_variations() {
+  augmented_weights_ = augmented(weights_, *problem_.variations, problem_.variations->error_test);
+  iteration_weights_ = augmented(weights_, *problem_.variations, true);
 }
 
 }  // namespace invariode

@@ -59,7 +59,7 @@ void require_sizes(const Problem& problem, const Weights& weights);
 
 /// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
 /// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
-/// `cover`, and by what is written to the parameters.
+/// `cover` and `set_tolerances`, and by what is written to the parameters.
 class Solver {
  public:
   /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
@@ -72,6 +72,8 @@ class Solver {
   void cover(double t0, double tf, double hmax);
   /// The same with other output times and limits too, those of the settings.
   void cover(Settings settings);
+  /// Its next runs have other absolute tolerances of the sensitivities, (k, n).
+  void set_tolerances(std::span<const double> tolerance);
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }
@@ -87,6 +89,8 @@ class Solver {
   [[nodiscard]] const Jacobian* jacobian() const { return jacobian_ ? &*jacobian_ : nullptr; }
 
  private:
+  void weigh_variations();
+
   const Method& method_;
   Problem problem_;
   Weights weights_;

@@ -4,15 +4,9 @@
 #include <cmath>
 
 #include "manifold/gradient.hpp"
+#include "manifold/thresholds.hpp"
 
 namespace invariode {
-namespace {
-
-// Each repetition leaves of the residual what the gradients have changed by in the state's last correction, which is
-// at most some 1e-3 of a component at the crudest tolerances.
-constexpr int most_corrections = 10;
-
-}  // namespace
 
 TangentProjector::TangentProjector(Invariants& invariants, const Weights& weights, Extent extent, const Bounds* bounds)
     : invariants_(invariants),
@@ -61,7 +55,7 @@ Status TangentProjector::lower(const Projector& state, double t, const double* Y
 }
 
 Outcome TangentProjector::onto(Projector& state, double t, const double* target, double* Y) {
-  for (int correction = 0; correction < most_corrections; ++correction) {
+  for (int correction = 0; correction < tangent_iterations; ++correction) {
     if (evaluate(t, Y, value_.data()) == Status::stop) return Outcome::stop;
     if (!all_finite(value_.data(), value_.size())) return Outcome::not_finite;
     bool moved = false;

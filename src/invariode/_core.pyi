@@ -517,12 +517,12 @@ class EnsembleRun:
         How many trajectories the lanes left to the code for one at a time: because something was not finite or a step too short, because of stability, the invariant, an event or output inside a step, max_steps, and because too many were left.
         """
 
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None) -> EnsembleRun:
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None, tolerances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of events.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.
     """
 
-LANES: list = [('avx2', 16, 256), ('baseline', 8, 128)]
+LANES: list = ...
 
 class StopRequest:
     """A wish to end a run."""

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 
 #include "aim.hpp"
 #include "detect/step_look.hpp"
@@ -33,6 +34,7 @@ class LaneIntegrator {
   static constexpr unsigned cancellation_interval = 64;  // attempts between two checks
   // Of the limits of `StepLook`: with room for roundoff, so that no limited step is missed.
   static constexpr double nearly = 0.99;
+  static constexpr double least_threshold = std::numeric_limits<double>::min();
 
  public:
   LaneIntegrator(const Job& job, Host& host)
@@ -42,10 +44,10 @@ class LaneIntegrator {
         now_(take<W>(host, rows_.size)),
         y_(now_ + Rows::y),
         p_(now_ + rows_.parameters),
-        candidate_(take<W>(host, job.n)),
+        candidate_(take<W>(host, job.all)),
         ready_(take<W>(host, rows_.size)),
         stepper_(job, rows_, now_, ready_, host),
-        reached_y_(take<W>(host, job.n)),
+        reached_y_(take<W>(host, job.all)),
         points_(take<W>(host, Series::points * job.n)->lanes()),
         between_(job, Stepper::degree(job), Stepper::evaluate_extension, host),
         outputs_(job, host),
@@ -131,22 +133,32 @@ class LaneIntegrator {
 
   /// The initial value and the parameters of a trajectory that is to be made ready.
   void load(int l) {
-    const double* y0 = job_.y0 + ready_trajectory_[l] * job_.n;
+    const double* y0 = job_.y0 + ready_trajectory_[l] * job_.all;
     const double* row = job_.rows + ready_trajectory_[l] * job_.parameters;
     ready_[Rows::t].lanes()[l] = job_.t0;
-    for (std::size_t i = 0; i < job_.n; ++i) ready_[Rows::y + i].lanes()[l] = y0[i];
+    for (std::size_t i = 0; i < job_.all; ++i) ready_[Rows::y + i].lanes()[l] = y0[i];
     for (std::size_t i = 0; i < job_.parameters; ++i) ready_[rows_.parameters + i].lanes()[l] = row[i];
+    for (std::size_t i = 0; i < job_.all; ++i)
+      ready_[rows_.thresholds + i].lanes()[l] = i < job_.n ? job_.threshold[i] : threshold(ready_trajectory_[l], i);
+  }
+  /// Of sensitivities, as `augmented` has it for single runs.
+  [[nodiscard]] double threshold(std::uint32_t trajectory, std::size_t i) const {
+    if (!job_.varied.counts) return infinity;
+    const double threshold = job_.varied.tolerances[trajectory * (job_.all - job_.n) + i - job_.n] / job_.rtol;
+    return threshold < least_threshold ? least_threshold : threshold;
   }
 
   /// |h| of the first steps, and which of them are left alone.
   void start(unsigned taken) {
-    const P t0(job_.t0), *y = ready_ + Rows::y, *p = ready_ + rows_.parameters;
+    const P t0(job_.t0), *p = ready_ + rows_.parameters;
+    P* y = ready_ + Rows::y;
+    unsigned doubted = 0, inside = 0;
+    if (holds() && job_.varied.k > 0) doubted = bits(held_.start_tangent(t0, y, p));
     M not_defined;
     const P h = stepper_.start(t0, y, p, not_defined);
     ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step) : h;
     const unsigned undefined = bits(not_defined);
-    unsigned doubted = 0, inside = 0;
-    if (holds()) doubted = bits(held_.start(t0, y, stepper_.slope_at_start(), job_.forward() * ready_[Rows::h], p));
+    if (holds()) doubted |= bits(held_.start(t0, y, stepper_.slope_at_start(), job_.forward() * ready_[Rows::h], p));
     if (watches()) inside = bits(watched_.start(ready_ + rows_.events, t0, y, p));
     for_each_lane(taken, [&](int l) {
       if (!has(undefined | doubted | inside, l))
@@ -278,10 +290,10 @@ class LaneIntegrator {
   /// The trajectory ends in the step.
   void cut(int l, const Found& found, LaneStep<W>& step) {
     if (cut_ == 0)
-      for (std::size_t i = 0; i < job_.n; ++i) reached_y_[i] = step.y1[i];
+      for (std::size_t i = 0; i < job_.all; ++i) reached_y_[i] = step.y1[i];
     cut_ |= one_lane(l);
     step.reached_t.lanes()[l] = found.t;
-    for (std::size_t i = 0; i < job_.n; ++i) reached_y_[i].lanes()[l] = found.y[i];
+    for (std::size_t i = 0; i < job_.all; ++i) reached_y_[i].lanes()[l] = found.y[i];
     step.reached_y = reached_y_;
   }
 
@@ -294,7 +306,7 @@ class LaneIntegrator {
     note_stability(accepted, step);
     jumping_ = note_failures(bits(accepted), step);
     row(Rows::t) = choose(accepted, step.reached_t, step.t0);
-    for (std::size_t i = 0; i < job_.n; ++i) y_[i] = choose(accepted, step.reached_y[i], y_[i]);
+    for (std::size_t i = 0; i < job_.all; ++i) y_[i] = choose(accepted, step.reached_y[i], y_[i]);
     stepper_.commit(accepted);
   }
 

@@ -1,11 +1,13 @@
 #pragma once
 // An invariant that is held in all lanes at once: its projection (manifold/projection.hpp) and the tests of its guard
 // (manifold/guard.hpp), by their arithmetic (manifold/gradient.hpp). What there asks for a closer look, or for more
-// than one correction, is odd here: that trajectory is left to them, from its start. (INVARIODE_LANES: see pack.hpp.)
+// than one correction, is odd here: that trajectory is left to them, from its start. Sensitivities follow onto the
+// tangent (sensitivity/tangent.hpp). (INVARIODE_LANES: see pack.hpp.)
 
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 
 #include "manifold/gradient.hpp"
 #include "run/lanes/lanes.hpp"
@@ -22,17 +24,35 @@ class LaneInvariant {
   using M = Mask<W>;
 
  public:
-  LaneInvariant(const Job& job, P* now, P* ready, Host& host) : job_(job), now_(now), ready_(ready) {
+  LaneInvariant(const Job& job, P* now, P* ready, Host& host)
+      : job_(job), rates_(Rows::errors + 2 * job.n), now_(now), ready_(ready) {
     if (job.invariant == nullptr) return;
-    for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &y1_, &sizes_, &slope_}) *one = take<W>(host, job.n);
+    for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &sizes_, &slope_}) *one = take<W>(host, job.n);
+    y1_ = take<W>(host, job.all);
+    if (varied() == 0) return;
+    for (P** one : {&last_row_, &last_jacobian_}) *one = take<W>(host, job.n);
+    for (P** one : {&tangent_, &tangent0_, &tangent1_, &target_}) *one = take<W>(host, varied());
+  }
+
+  /// The tangent at the start for the trajectories that are to be made ready, and their sensitivities moved onto it.
+  /// Returns the odd ones.
+  INVARIODE_SHARED M start_tangent(const P& t, P* y, const P* p) {
+    P* rates = ready_ + rates_;
+    evaluate(invariant().tangent, t, y, rates, p);
+    for (std::size_t j = 0; j < varied() && !invariant().held; ++j) rates[j] = P(0);
+    for (std::size_t i = 0; i < job_.n; ++i) w_[i] = weight(job_, i, absolute(y[i]));
+    const M odd = linearize(t, y, p);
+    return odd | follow(~odd, t, rates, y, y, p);
   }
 
   /// The tests of the start for the trajectories that are to be made ready: h is signed. Returns the odd ones.
   INVARIODE_SHARED M start(const P& t, const P* y, const P* f, const P& h, const P* p) {
     const P g = this->g(t, y, p);
     held_ = ready_[Rows::value] = invariant().held ? g : P(invariant().value);
-    ready_[Rows::evaluations] = P(2);  // one before the run
-    ready_[Rows::jacobians] = ready_[Rows::next_look] = P(1);
+    const P of_tangent(varied() > 0 ? 1 : 0);       // at the start
+    ready_[Rows::evaluations] = P(2) + of_tangent;  // one before the run
+    ready_[Rows::jacobians] = P(1) + of_tangent;
+    ready_[Rows::next_look] = P(1);
     for (std::size_t i = 0; i < job_.n; ++i) w_[i] = weight(job_, i, absolute(y[i]));
     const P residual = g - held_;
     M odd = linearize(t, y, p);
@@ -46,10 +66,9 @@ class LaneInvariant {
   /// y₁ from the candidates of steps, into `projected`. Returns the odd ones among those that are due.
   INVARIODE_SHARED M project(const M& due, const LaneStep<W>& step) {
     const P* candidate = step.y1;
-    for (std::size_t i = 0; i < job_.n; ++i) {
+    for (std::size_t i = 0; i < job_.n; ++i)
       w_[i] = weight(job_, i, larger(absolute(step.y0[i]), absolute(candidate[i])));
-      y1_[i] = candidate[i];
-    }
+    for (std::size_t i = 0; i < job_.all; ++i) y1_[i] = candidate[i];
     held_ = now_[Rows::value];
     norm_ = now_[Rows::norm];
     M odd = no_lane<W>(), doubtful = no_lane<W>();
@@ -69,6 +88,7 @@ class LaneInvariant {
     count(Rows::evaluations, sound, invariant().iterations);
     count(Rows::jacobians, sound, invariant().iterations);
     if (any(sound & doubtful)) odd = odd | measure_after(sound & doubtful, step);
+    if (varied() > 0) odd = odd | follow(due & ~odd, step.t1, now_ + rates_, step.y0, y1_, step.p);
     return odd & due;
   }
   [[nodiscard]] const P* projected() const { return y1_; }
@@ -104,7 +124,8 @@ class LaneInvariant {
 
   // ------------------------------------------------------------------------------------------------------- the outputs
 
-  /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it.
+  /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it, and
+  /// the tangent.
   INVARIODE_SHARED void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
     const M known = P(0) < now_[Rows::known], asked = looked & ~known;
     start_ = now_[Rows::end];
@@ -113,6 +134,8 @@ class LaneInvariant {
       now_[Rows::end] = choose(looked, g(step.t1, step.y1, step.p), now_[Rows::end]);
       count(Rows::evaluations, looked, 1);
       count(Rows::evaluations, asked, 1);
+      if (varied() > 0) evaluate(invariant().tangent, step.t0, step.y0, tangent0_, step.p);
+      if (varied() > 0) evaluate(invariant().tangent, step.t1, step.y1, tangent1_, step.p);
     }
     now_[Rows::known] = choose(accepted, choose(looked, P(1), P(0)), now_[Rows::known]);
   }
@@ -120,10 +143,12 @@ class LaneInvariant {
   /// Values between the ends of steps, at θ: onto g = (1−θ) g₀ + θ g₁. Returns the odd ones.
   INVARIODE_SHARED M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
     const P target = (P(1) - theta) * start_ + theta * now_[Rows::end] - held_;
-    M odd = no_lane<W>(), open = due & (P(0) < theta) & (theta < P(1));
+    const M between = due & (P(0) < theta) & (theta < P(1));
+    M odd = no_lane<W>(), open = between;
     for (int iteration = 0; iteration < interpolation_iterations && any(open); ++iteration) {
       const P residual = (g(t, y, step.p) - held_) - target;
       odd = odd | (open & (linearize(t, y, step.p) | ~(absolute(residual) < P(infinity))));
+      if (varied() > 0) note_linearization(open);
       count(Rows::evaluations, open, 1);
       count(Rows::jacobians, open, 1);
       invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
@@ -135,6 +160,7 @@ class LaneInvariant {
       odd = odd | (open & mend(y, step.y1, job_.n));
       open = open & ~(moved.value() <= P(last_correction));
     }
+    if (varied() > 0 && any(between)) odd = odd | follow_between(between & ~odd, t, theta, step, y);
     return odd;
   }
 
@@ -172,6 +198,51 @@ class LaneInvariant {
     const P factor = P(1) / norm_;
     for (std::size_t i = 0; i < job_.n; ++i) row_[i] = row_[i] * factor;
     return ~((P(small_square) < sum) & (sum < P(large_square)));
+  }
+
+  // ------------------------------------------------------------------------------------------------ the sensitivities
+
+  [[nodiscard]] std::size_t varied() const { return job_.varied.k; }
+
+  /// Moves the sensitivities of Y, where that is due, to these values of ∇g S_j + g_pj, as `TangentProjector::onto`,
+  /// by the latest linearization. Where they are not finite those of `instead` take their place. Returns the odd ones.
+  M follow(const M& due, const P& t, const P* values, const P* instead, P* Y, const P* p) {
+    M odd = no_lane<W>(), moved = due;
+    for (int correction = 0; correction < tangent_iterations && any(moved); ++correction) {
+      evaluate(invariant().tangent, t, Y, tangent_, p);
+      odd = odd | not_finite(tangent_, varied());
+      moved = no_lane<W>();
+      for (std::size_t j = 0; j < varied(); ++j)
+        moved = moved | approach(due, tangent_[j], values[j], Y + (1 + j) * job_.n);
+      if (any(moved)) odd = odd | mend(Y + job_.n, instead + job_.n, job_.all - job_.n);
+    }
+    return odd & due;
+  }
+  /// One correction of S_j, where its value is off by more than roundoff. Returns where it was.
+  M approach(const M& due, const P& value, const P& target, P* S) {
+    const P residual = value - target;
+    const P terms = size_of_terms(absolute(value) + absolute(target), gradient(), S);
+    const M off = due & (eps * terms < absolute(residual));
+    if (!any(off)) return off;
+    invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
+    for (std::size_t i = 0; i < job_.n; ++i) S[i] = choose(off, S[i] - delta_[i], S[i]);
+    return off;
+  }
+  /// At θ: to T = (1−θ) T₀ + θ T₁, by the linearizations that were noted.
+  M follow_between(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* Y) {
+    std::swap(row_, last_row_);
+    std::swap(jacobian_, last_jacobian_);
+    norm_ = last_norm_;
+    for (std::size_t j = 0; j < varied(); ++j) target_[j] = (P(1) - theta) * tangent0_[j] + theta * tangent1_[j];
+    return follow(due, t, target_, step.y1, Y, step.p);
+  }
+  /// That of each point's last correction.
+  void note_linearization(const M& where) {
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      last_row_[i] = choose(where, row_[i], last_row_[i]);
+      last_jacobian_[i] = choose(where, jacobian_[i], last_jacobian_[i]);
+    }
+    last_norm_ = choose(where, norm_, last_norm_);
   }
 
   /// One correction of `y1_`.
@@ -255,9 +326,13 @@ class LaneInvariant {
   }
 
   const Job& job_;
+  std::size_t rates_;  // the first row of what the tangent holds
   P *now_, *ready_;
   P *w_ = nullptr, *jacobian_ = nullptr, *row_ = nullptr, *delta_ = nullptr, *point_ = nullptr, *y1_ = nullptr,
     *sizes_ = nullptr, *slope_ = nullptr;
+  P *tangent_ = nullptr, *tangent0_ = nullptr, *tangent1_ = nullptr, *target_ = nullptr;  // (k,), at the ends of steps
+  P *last_row_ = nullptr, *last_jacobian_ = nullptr;
+  P last_norm_{0};
   P held_{0}, norm_{0}, moved_{0}, before_{0}, start_{0};  // of the step in work
 };
 

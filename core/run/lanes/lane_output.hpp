@@ -25,25 +25,25 @@ class LaneInterpolant {
 
   LaneInterpolant(const Job& job, std::size_t degree, Evaluate* evaluate, Host& host)
       : job_(job),
-        size_((degree + 1) * job.n),
+        size_((degree + 1) * job.all),
         evaluate_(evaluate),
         data_(take<W>(host, size_)),
-        lack_(take<W>(host, job.n)) {}
+        lack_(take<W>(host, job.all)) {}
 
   /// Takes the steps, whose coefficients but for the first have been put there.
   [[nodiscard]] P* coefficients() { return data_; }
   INVARIODE_SHARED void begin(const LaneStep<W>& step) {
-    for (std::size_t i = 0; i < job_.n; ++i) data_[i] = step.y0[i];
+    for (std::size_t i = 0; i < job_.all; ++i) data_[i] = step.y0[i];
     if (!job_.corrects) return;
-    evaluate_(data_, size_, job_.n, P(1), lack_);
-    for (std::size_t i = 0; i < job_.n; ++i) lack_[i] = step.y1[i] - lack_[i];
+    evaluate_(data_, size_, job_.all, P(1), lack_);
+    for (std::size_t i = 0; i < job_.all; ++i) lack_[i] = step.y1[i] - lack_[i];
   }
   /// The value at θ, not projected. (At the start the extension has the value of the step: nothing is to be corrected.)
   INVARIODE_SHARED void corrected(const P& theta, P* out) const {
-    evaluate_(data_, size_, job_.n, theta, out);
+    evaluate_(data_, size_, job_.all, theta, out);
     if (!job_.corrects) return;
     const P at1 = part_of_end(theta);
-    for (std::size_t i = 0; i < job_.n; ++i) out[i] += lack_[i] * at1;
+    for (std::size_t i = 0; i < job_.all; ++i) out[i] += lack_[i] * at1;
   }
 
  private:
@@ -60,7 +60,7 @@ class LaneOutput {
 
  public:
   LaneOutput(const Job& job, Host& host)
-      : next_time_(job.forward() * infinity), job_(job), host_(host), value_(take<W>(host, job.n)) {}
+      : next_time_(job.forward() * infinity), job_(job), host_(host), value_(take<W>(host, job.all)) {}
 
   /// The trajectory comes into the lane, at t0 with that y, or where so many have been put out.
   INVARIODE_SHARED void adopt(const Lane& lane, int l) {
@@ -94,10 +94,10 @@ class LaneOutput {
       if (any(before_end)) {
         const P theta = choose(before_end, (at - step.t0) / step.purified, P(1));
         between.corrected(theta, value_);
-        if (held != nullptr) odd = odd | (before_end & mend(value_, step.y1, job_.n));
+        if (held != nullptr) odd = odd | (before_end & mend(value_, step.y1, job_.all));
         if (held != nullptr && job_.projects) odd = odd | held->onto(before_end, at, theta, step, value_);
       }
-      for (std::size_t i = 0; i < job_.n; ++i) value_[i] = choose(before_end, value_[i], step.reached_y[i]);
+      for (std::size_t i = 0; i < job_.all; ++i) value_[i] = choose(before_end, value_[i], step.reached_y[i]);
       if (held != nullptr) held->measure(due, at, value_, step.p);
       for_each_lane(bits(due), [&](int l) {
         put_out(lane(l), l, value_->lanes() + l);
@@ -133,7 +133,7 @@ class EventScan {
         now_(now),
         sign_(take<W>(host, job.count_of_events)),
         last_(take<W>(host, job.count_of_events)),
-        point_(take<W>(host, job.n)) {}
+        point_(take<W>(host, job.all)) {}
 
   /// Takes the signs at the start into `ready`. Returns the lanes where an event is not defined.
   INVARIODE_SHARED M start(P* ready, const P& t, const P* y, const P* p) {
@@ -154,7 +154,7 @@ class EventScan {
       const P part(static_cast<double>(j) / static_cast<double>(intervals_));
       const P t = at_end ? step.t1 : step.t0 + step.purified * part;
       if (!at_end) between.corrected((t - step.t0) / step.purified, point_);
-      if (!at_end) odd = odd | mend(point_, step.y1, job_.n);
+      if (!at_end) odd = odd | mend(point_, step.y1, job_.all);
       for (std::size_t e = 0; e < job_.count_of_events; ++e) {
         const P now = sign_at(e, t, at_end ? step.y1 : point_, step.p, last_[e], odd), before = sign_[e];
         const M zero = now * now < P(1);

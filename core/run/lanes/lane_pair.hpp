@@ -19,7 +19,7 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// The pair T in W lanes. Its rows are f at the point reached.
+/// The pair T in W lanes. Its rows are f at the point reached, with the slopes of sensitivities.
 template <const auto& T, int W>
 class LanePair {
   using P = Pack<W>;
@@ -37,11 +37,13 @@ class LanePair {
       : job_(job),
         y_(now + Rows::y),
         p_(now + rows.parameters),
+        thresholds_(now + rows.thresholds),
+        ready_thresholds_(ready + rows.thresholds),
         first_(ready + rows.memory),
-        stage_(take<W>(host, job.n)),
-        slopes_(take<W>(host, job.n * (stages() - 1))) {
+        stage_(take<W>(host, job.all)),
+        slopes_(take<W>(host, job.all * (stages() - 1))) {
     k_[0] = now + rows.memory;
-    for (std::size_t k = 1; k < stages(); ++k) k_[k] = slopes_ + (k - 1) * job.n;
+    for (std::size_t k = 1; k < stages(); ++k) k_[k] = slopes_ + (k - 1) * job.all;
   }
 
   [[nodiscard]] static std::size_t degree(const Job&) { return T.degree; }
@@ -49,8 +51,8 @@ class LanePair {
 
   /// |h| of the first steps, as `RungeKuttaStep::start` chooses it. Sets where f is not defined.
   P start(const P& t0, const P* y, const P* p, M& undefined) {
-    evaluate(job_.f, t0, y, first_, p);
-    const P speed = Kernel::size_of_stage(0, {first_}, job_.n, weight_of<W>(job_, y, y));
+    evaluate_all(t0, y, first_, p);
+    const P speed = Kernel::size_of_stage(0, {first_}, job_.all, weight(ready_thresholds_, y, y));
     undefined = ~(speed < P(infinity));
     const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
     return initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin_ulps * ulp(t0));
@@ -63,29 +65,29 @@ class LanePair {
 
   /// The candidates and their errors. `odd`: where something is not finite.
   P attempt(const LaneStep<W>& at, P* candidate, M& odd) {
-    Kernel::inner_stages(at.t0, y_, at.purified, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
-      odd = odd | mend(y, y_, job_.n);
-      evaluate(job_.f, t, y, k_[k], p_);
+    Kernel::inner_stages(at.t0, y_, at.purified, k_, job_.all, stage_, [&](const P& t, P* y, std::size_t k) {
+      odd = odd | mend(y, y_, job_.all);
+      evaluate_all(t, y, k_[k], p_);
       return true;
     });
-    Kernel::candidate(y_, at.purified, k_, job_.n, candidate);
-    odd = odd | mend(candidate, y_, job_.n);
-    if constexpr (T.last_in_error()) evaluate(job_.f, at.t1, candidate, k_[last], p_);
-    return absolute(at.purified) * Kernel::error(k_, job_.n, weight_of<W>(job_, y_, candidate));
+    Kernel::candidate(y_, at.purified, k_, job_.all, candidate);
+    odd = odd | mend(candidate, y_, job_.all);
+    if constexpr (T.last_in_error()) evaluate_all(at.t1, candidate, k_[last], p_);
+    return absolute(at.purified) * Kernel::error(k_, job_.all, weight(thresholds_, y_, candidate));
   }
 
   /// What is left to evaluate at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     if constexpr (T.last_in_error()) return no_lane<W>();
-    evaluate(job_.f, step.t1, step.y1, k_[last], p_);
-    return not_finite(k_[last], job_.n);
+    evaluate_all(step.t1, step.y1, k_[last], p_);
+    return not_finite(k_[last], job_.all);
   }
   /// y′ there.
   [[nodiscard]] const P* slope() { return k_[last]; }
 
   /// Estimated errors of the candidates.
   const P* errors(const P& length) {
-    Kernel::errors(length, k_, job_.n, stage_);
+    Kernel::errors(length, k_, job_.all, stage_);
     return stage_;
   }
 
@@ -93,22 +95,22 @@ class LanePair {
   M extend(const LaneStep<W>& step, P* coefficients) {
     M odd = no_lane<W>();
     if constexpr (T.all_stages > T.stages) {
-      const auto weight = weight_of<W>(job_, step.y0, step.y1);
-      const P most = Kernel::largest_of_extension(k_, job_.n, weight);
-      Kernel::further_stages(step.t1, y_, step.purified, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
-        odd = odd | mend(y, y_, job_.n);
-        evaluate(job_.f, t, y, k_[k], p_);
-        odd = odd | ~(Kernel::size_of_stage(k, k_, job_.n, weight) <= most);
+      const auto weight = this->weight(thresholds_, step.y0, step.y1);
+      const P most = Kernel::largest_of_extension(k_, job_.all, weight);
+      Kernel::further_stages(step.t1, y_, step.purified, k_, job_.all, stage_, [&](const P& t, P* y, std::size_t k) {
+        odd = odd | mend(y, y_, job_.all);
+        evaluate_all(t, y, k_[k], p_);
+        odd = odd | ~(Kernel::size_of_stage(k, k_, job_.all, weight) <= most);
         return true;
       });
     }
-    Kernel::coefficients(step.purified, k_, job_.n, coefficients + job_.n);
+    Kernel::coefficients(step.purified, k_, job_.all, coefficients + job_.all);
     return odd;
   }
 
   /// |h λ| as a quotient, and the limit of the formula.
   std::array<P, 2> stability(const LaneStep<W>& step, const P* candidate) {
-    return Kernel::probed(k_, job_.n, step.purified, step.y1, candidate, weight_of<W>(job_, y_, step.y1));
+    return Kernel::probed(k_, job_.all, step.purified, step.y1, candidate, weight(thresholds_, y_, step.y1));
   }
   [[nodiscard]] static double limit(const Job&) { return Kernel::real_limit; }
 
@@ -122,7 +124,7 @@ class LanePair {
     return choose(accepted, grown, larger(hmin, length * factor));
   }
   void commit(const M& accepted) {
-    for (std::size_t i = 0; i < job_.n; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
+    for (std::size_t i = 0; i < job_.all; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
   }
 
   /// Evaluations of f: at the start, then in each attempt those of all stages but the first; the last one only in
@@ -136,8 +138,21 @@ class LanePair {
  private:
   [[nodiscard]] std::size_t stages() const { return job_.looks_inside() ? T.all_stages : T.stages; }
 
+  /// f, and the slopes of the sensitivities.
+  INVARIODE_EACH void evaluate_all(const P& t, const P* y, P* out, const P* p) const {
+    evaluate(job_.f, t, y, out, p);
+    if (job_.varied.k > 0) evaluate(job_.varied.slope, t, y, out + job_.n, p);
+  }
+  /// The weights of a step from y0 to y1, of the state and its sensitivities.
+  auto weight(const P* thresholds, const P* y0, const P* y1) const {
+    return [this, thresholds, y0, y1](std::size_t i) {
+      const P size = larger(absolute(y0[i]), absolute(y1[i]));
+      return larger(job_.scale != nullptr ? job_.scale[i] * size : size, thresholds[i]);
+    };
+  }
+
   const Job& job_;
-  const P *y_, *p_;
+  const P *y_, *p_, *thresholds_, *ready_thresholds_;
   P *first_, *stage_, *slopes_;
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
 };

@@ -41,6 +41,15 @@ struct Invariant {
   bool tested;                                   ///< whether f conserves it: what follows is of these tests
   const double* direction;                       ///< (n,) in which the Jacobian is compared with a difference
   double (*time_increment)(double t, double h);  ///< of differences with respect to t
+  Called tangent;                                ///< of sensitivities, if there are any: ∇g S_j + g_pj, (k, lanes)
+};
+
+/// Sensitivities behind the state: k of them, none by default.
+struct Sensitivities {
+  std::size_t k = 0;
+  Called slope;              ///< J S_j + f_pj, (k n, lanes)
+  const double* tolerances;  ///< absolute ones, rows (k n,) of all trajectories
+  bool counts;               ///< in the error test
 };
 
 /// What is integrated, without anything that only some runs have: bounds, breakpoints, other limits.
@@ -48,9 +57,12 @@ struct Job {
   Called f;
   CalledSeries series;  ///< of methods by series
   std::size_t order;    ///< of the series
-  std::size_t n, parameters;
+  std::size_t n;        ///< of the state
+  Sensitivities varied;
+  std::size_t all;  ///< what is integrated: (1 + k) n
+  std::size_t parameters;
   std::size_t memory;  ///< rows that the method keeps of a trajectory
-  const double* y0;    ///< rows (n,) of all trajectories
+  const double* y0;    ///< rows (all,) of all trajectories
   const double* rows;  ///< of their parameters
   double t0, tf;       ///< finite, and different
   double hmax;         ///< finite
@@ -58,7 +70,7 @@ struct Job {
   double rtol;
   double max_steps;            ///< a trajectory that would need more is left
   const double* threshold;     ///< (n,)
-  const double* scale;         ///< (n,), or null: all 1
+  const double* scale;         ///< (all,), or null: all 1
   const Invariant* invariant;  ///< or null: none is held
   // Output on the way:
   const double* times;  ///< in the order of integration
@@ -73,16 +85,16 @@ struct Job {
 };
 
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
-/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); what the
-/// method remembers, such as f there (n,); its parameters; of each event its value and sign, and how often it has
-/// occurred; then what belongs to the invariant.
+/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y with its
+/// sensitivities (all,); what the method remembers, such as f there (all,); its parameters; its thresholds
+/// (all,); of each event its value and sign, and how often it has occurred; then what belongs to the invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, of_event };
   /// The value, the largest residuals of candidates and at outputs or the end, the largest correction in units of rtol;
   /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is tested for a change with t,
   /// and f for a rate, the drift that was acquitted; g at the end of the step, if known. Sums (n,) of the errors and
-  /// the corrections that `HarmDetector` looks at.
+  /// the corrections that `HarmDetector` looks at; what the tangent holds of each sensitivity (k,).
   enum : std::size_t {
     value,
     before,
@@ -99,14 +111,15 @@ struct Rows {
     known,
     errors
   };
-  std::size_t memory, parameters, events, invariant, size;
+  std::size_t memory, parameters, thresholds, events, invariant, size;
 
   explicit Rows(const Job& job)
-      : memory(y + job.n),
+      : memory(y + job.all),
         parameters(memory + job.memory),
-        events(parameters + job.parameters),
+        thresholds(parameters + job.parameters),
+        events(thresholds + job.all),
         invariant(events + of_event * job.count_of_events),
-        size(invariant + (job.invariant != nullptr ? errors + 2 * job.n : 0)) {}
+        size(invariant + (job.invariant != nullptr ? errors + 2 * job.n + job.varied.k : 0)) {}
 };
 
 /// A trajectory in its lane: rows that are `stride` apart.
@@ -179,7 +192,7 @@ class Host {
   virtual bool take(std::uint32_t& trajectory) = 0;
   /// Searches the step, and keeps the events of the trajectory that it finds.
   virtual Found search(const Crossed& step) = 0;
-  /// y (n,) with that stride, at output time number `output`.
+  /// y with its sensitivities (all,) with that stride, at output time number `output`.
   virtual void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) = 0;
   virtual void keep(const Ended& ended) = 0;
   /// Something rare has happened to it: it is to be integrated from its start by the code that knows everything.

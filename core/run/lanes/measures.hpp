@@ -27,7 +27,7 @@ class LaneNorm {
   Pack<W> max_{0}, undefined_{0};
 };
 
-/// `Weights::at` of |y_i|
+/// `Weights::at` of |y_i|, of the state.
 template <int W>
 INVARIODE_EACH Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size) {
   return larger(job.scale != nullptr ? job.scale[i] * size : size, Pack<W>(job.threshold[i]));

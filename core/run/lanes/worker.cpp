@@ -26,11 +26,13 @@ void evaluate_alone(void* context, const double* t, const double* y, double* out
     *out = std::numeric_limits<double>::quiet_NaN();  // the code for single runs finds out why
 }
 
-/// The functions of one trajectory: f, the events, and of the invariant g and its Jacobian.
+/// The functions of one trajectory: f, the slope of its sensitivities, the events, and of the invariant g, its Jacobian
+/// and its tangent. What there is not is empty.
 std::vector<Callback> functions_of(const Problem& problem) {
-  std::vector<Callback> functions{problem.f};
+  std::vector<Callback> functions{problem.f, problem.variations ? problem.variations->slope : Callback()};
   for (const EventFunction& event : problem.events) functions.push_back(event.function);
-  for (const InvariantBlock& block : problem.invariants) functions.insert(functions.end(), {block.g, block.jacobian});
+  for (const InvariantBlock& block : problem.invariants)
+    functions.insert(functions.end(), {block.g, block.jacobian, block.tangent});
   return functions;
 }
 
@@ -40,8 +42,10 @@ LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   const auto called = [&functions](std::size_t i) { return lanes::Called{evaluate_alone, &functions[i]}; };
   form.instructions = &of_every_processor();
   form.f = called(0);
-  for (std::size_t e = 1; e <= events; ++e) form.events.push_back(called(e));
-  if (functions.size() > events + 1) form.g = called(events + 1), form.jacobian = called(events + 2);
+  form.slope = called(1);
+  std::size_t next = 2;
+  for (; next < events + 2; ++next) form.events.push_back(called(next));
+  if (functions.size() > next) form.g = called(next), form.jacobian = called(next + 1), form.tangent = called(next + 2);
   return form;
 }
 
@@ -62,11 +66,20 @@ lanes::Invariant invariant_of(const Solver& solver, const LaneForm& form, const 
           .iterations = solver.settings().iterations,
           .tested = solver.settings().check,
           .direction = direction.data(),
-          .time_increment = Invariants::time_increment};
+          .time_increment = Invariants::time_increment,
+          .tangent = form.tangent};
+}
+
+lanes::Sensitivities sensitivities_of(const Problem& problem, const Ensemble& ensemble, const LaneForm& form) {
+  if (!problem.variations) return {};
+  return {.k = problem.variations->k,
+          .slope = form.slope,
+          .tolerances = ensemble.tolerances,
+          .counts = problem.variations->error_test};
 }
 
 lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm& form,
-                  const lanes::Invariant& invariant) {
+                  const lanes::Invariant& invariant, const std::vector<double>& scale) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
   const std::optional<SystemSeries>& series = solver.problem().series;
@@ -74,7 +87,9 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
   return {.f = form.f,
           .series = form.series,
           .order = series ? static_cast<std::size_t>(series->solution.order()) : 0,
-          .n = ensemble.n,
+          .n = solver.problem().n,
+          .varied = sensitivities_of(solver.problem(), ensemble, form),
+          .all = ensemble.n,
           .parameters = ensemble.parameters,
           .memory = series ? 1 + ensemble.n : ensemble.n,
           .y0 = ensemble.y0,
@@ -86,7 +101,7 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
           .rtol = weights.rtol(),
           .max_steps = limited ? static_cast<double>(settings.max_steps) : std::numeric_limits<double>::infinity(),
           .threshold = weights.threshold().data(),
-          .scale = weights.scale().empty() ? nullptr : weights.scale().data(),
+          .scale = scale.empty() ? nullptr : scale.data(),
           .invariant = holds ? &invariant : nullptr,
           .times = settings.times.data(),
           .count_of_times = settings.output_at_times ? settings.times.size() : 0,
@@ -121,7 +136,8 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (problem.series && !problem.events.empty()) return "events are searched along Taylor polynomials";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
-  if (problem.variations) return "there are sensitivities";
+  if (problem.variations && problem.series) return "sensitivities are expanded in series";
+  if (problem.variations && !problem.events.empty()) return "there are events and sensitivities";
   for (const EventFunction& event : problem.events) {
     if (event.action) return "events have actions";
     if (event.samples != 0) return "events have samples of their own";
@@ -133,7 +149,8 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (!std::isfinite(settings.tf)) return "the interval is infinite";
   const std::size_t occurrences = problem.events.empty() ? 0 : plenty;
   const auto points = static_cast<std::int64_t>((settings.output_at_times ? settings.times.size() : 1) + occurrences);
-  const auto bytes = static_cast<std::int64_t>((problem.n + 1) * sizeof(double));  // of a point that is kept
+  const auto bytes =
+      static_cast<std::int64_t>((problem.extent().size() + 1) * sizeof(double));  // of a point that is kept
   const bool limited = settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
                        settings.max_bytes / bytes <= points;
   return limited ? "runs are limited" : nullptr;
@@ -144,20 +161,21 @@ LaneWorker::Order::Order(const Solver& solver, const Ensemble& ensemble, LaneFor
     : form(std::move(functions)),
       kernel(*form.instructions->kernel(solver.method().name)),
       invariant(invariant_of(solver, form, direction)),
-      job(job_of(solver, ensemble, form, invariant)) {}
+      scale(solver.augmented_weights().scale()),
+      job(job_of(solver, ensemble, form, invariant, scale)) {}
 
-LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
+LaneWorker::LaneWorker(Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
                        EnsembleResult& result)
     : solver_(solver),
       ensemble_(ensemble),
       queue_(queue),
       result_(result),
       functions_(functions_of(solver.problem())),
-      direction_(directions(ensemble.n)),
+      direction_(directions(solver.problem().n)),
       order_(solver, ensemble, form, direction_),
       alone_(solver, ensemble, form_alone(functions_, form.events.size()), direction_),
       jump_search_(solver.problem().f, solver.weights()),
-      end_(ensemble.n) {}
+      end_(solver.problem().n) {}
 
 void LaneWorker::run() {
   if (order_.job.count_of_events > 0) search_.emplace(solver_, ensemble_);

@@ -26,8 +26,7 @@ namespace invariode {
 /// lanes leave is integrated alone.
 class LaneWorker final : public lanes::Host {
  public:
-  LaneWorker(const Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
-             EnsembleResult& result);
+  LaneWorker(Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue, EnsembleResult& result);
 
   void run();
 
@@ -55,6 +54,7 @@ class LaneWorker final : public lanes::Host {
     const LaneForm form;
     const lanes::Kernel& kernel;
     const lanes::Invariant invariant;
+    const std::vector<double> scale;
     const lanes::Job job;
   };
 
@@ -64,7 +64,7 @@ class LaneWorker final : public lanes::Host {
     void operator()(std::byte* bytes) const { ::operator delete(bytes, std::align_val_t{alignment}); }
   };
 
-  const Solver& solver_;
+  Solver& solver_;
   const Ensemble& ensemble_;
   Queue& queue_;
   EnsembleResult& result_;

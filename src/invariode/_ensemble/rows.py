@@ -76,9 +76,19 @@ def attempted(
 
 def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
     core, workers = solver(plan), min(workers, len(task.y0))
-    if core.native and plan.varied is None and _fits_all(task):
+    if core.native and _own_to_each(plan) is None and _fits_all(task):
         return _on_threads(task, plan, core, workers, report)
     return _in_processes(task, plan, workers, report)
+
+
+def _own_to_each(plan: Plan) -> str | None:
+    """What each trajectory with sensitivities needs a plan of its own for. None: nothing."""
+    if plan.varied is None:
+        return None
+    linear = plan.functions.linear
+    if linear is not None and linear.algebraic:
+        return "the start is moved onto algebraic equations, and tolerances of sensitivities with it"
+    return plan.varied.own_to_each
 
 
 def _fits_all(task: Task) -> bool:
@@ -96,22 +106,25 @@ def _on_threads(
     y0 = np.ascontiguousarray(task.y0)
     solvers = [core, *(solver(plan) for _ in range(workers - 1))]
     series = None if plan.expansion is None else plan.expansion.in_lanes
-    functions = plan.functions.in_lanes()
-    lanes = choose_lanes(core, functions, series, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
-    rows = y0.view(float).reshape(len(y0), -1)
-    run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
+    lanes = choose_lanes(core, plan.in_lanes(), series, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    parameters = _parameters(task, plan)
+    rows, tolerances = _augmented(plan, y0.view(float).reshape(len(y0), -1), parameters)
+    run = _core.integrate_all(solvers, rows, parameters, report, lanes.for_core(), tolerances)
     dtype = y0.dtype
     states = run.take_states()
     failures = run.failures() if (_CODES[states] < 0).any() else []
     misshapen = _misshapen(task, failures)
     value, before, after, correction = run.take_drift()
     stiff_since, discontinuity = run.take_remarks()
-    status, y_end = _CODES[states], run.take_end().view(dtype)
+    n, k = y0.shape[1], 0 if plan.varied is None else len(plan.varied.names)
+    y, S = _apart(run.take_y().view(dtype), n, k)
+    y_end, S_end = _apart(run.take_end().view(dtype), n, k)
+    status = _CODES[states]
     status[list(misshapen)] = _RAISED
-    none = np.zeros((*y0.shape, 0))
     y_end[status == _RAISED] = np.nan
+    S_end[status == _RAISED] = np.nan
     return Outcomes(
-        y=run.take_y().view(dtype),
+        y=y,
         t_end=run.take_t(),
         y_end=y_end,
         status=status,
@@ -120,15 +133,33 @@ def _on_threads(
         stiff_since=stiff_since,
         discontinuity=discontinuity,
         messages=_messages(task, plan, failures, misshapen, states),
-        events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()[: plan.own_events]],
+        events=[
+            in_order(trajectory, t, points.view(dtype)[:, :n])
+            for trajectory, t, points in run.take_events()[: plan.own_events]
+        ],
         value=value,
         residual_before=before,
         residual_after=after,
         correction=correction,
-        S=none[..., None],
-        S_end=none,
+        S=S,
+        S_end=S_end,
         lanes=lanes.described(run.alone),
     )
+
+
+def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array | None]:
+    """The rows that the core starts from, and rows of tolerances of sensitivities, if there are any."""
+    if plan.varied is None:
+        return y0, None
+    start, size = plan.varied.start.ravel(), len(y0)
+    tolerances = plan.varied.sizes.in_rows(y0, parameters).reshape(size, -1)
+    return np.hstack([y0, np.broadcast_to(start, (size, len(start)))]), tolerances
+
+
+def _apart(Y: Array, n: int, k: int) -> tuple[Array, Array]:
+    """y (N, n, ...) and S (N, n, k, ...) of rows ((1 + k) n, ...)."""
+    parts = Y.reshape(len(Y), 1 + k, n, *Y.shape[2:])
+    return np.ascontiguousarray(parts[:, 0]), np.ascontiguousarray(np.swapaxes(parts[:, 1:], 1, 2))
 
 
 def _parameters(task: Task, plan: Plan) -> Array:
@@ -281,7 +312,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
     size, n = task.y0.shape
     times, m = plan.settings.times, len(plan.bound)
     k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
-    why = "functions are in Python" if plan.varied is None else "sensitivities are computed with each trajectory"
+    why = _own_to_each(plan) or "functions are in Python"
     return Outcomes(
         y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
         S=np.full((size, n, k, count), np.nan, dtype=task.y0.dtype),

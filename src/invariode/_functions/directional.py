@@ -31,7 +31,7 @@ from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order
 from .graph.python import Formula
-from .graph.switches import Switch, evaluated, has_steps, switches
+from .graph.switches import Switch, conditions, evaluated, has_steps, switches
 from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of, with_numbers
 
 #: What functions raise for complex numbers that they are not made for.
@@ -270,6 +270,11 @@ class Directional:
         return [] if self._graph is None else self._graph.switches(at)
 
     @property
+    def has_conditions(self) -> bool:
+        """Whether its graph has any, at which its values jump or not."""
+        return self._graph is not None and self._graph.has_conditions()
+
+    @property
     def knows_jumps(self) -> bool:
         """Whether its values jump nowhere else."""
         return self._graph is not None and not has_steps(self._graph.outputs)
@@ -384,6 +389,10 @@ class _OfGraph:
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""
         return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t), self._before)
+
+    def has_conditions(self) -> bool:
+        """See `Directional.has_conditions`."""
+        return bool(conditions(self._exact.outputs, self._before))
 
     def of_inputs(self, node: Node) -> bool:
         """See `Directional.of_inputs`."""

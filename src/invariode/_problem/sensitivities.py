@@ -101,19 +101,20 @@ class Sensitivities:
         return parameter_names(fun, args, labels, n, wanted, first=first)
 
     def sizes(self, names: Sequence[ParameterName], default: Array) -> Array:
-        """Sizes p̄ of the parameters, of shape (k,), with defaults for those that `scale` does not specify."""
-        scale, size = self.scale, default
+        """Sizes p̄ of the parameters, of shape (..., k), with defaults for those that `scale` does not specify."""
+        scale = self.scale
         if scale is None:
-            return size
+            return default
         if isinstance(scale, Mapping):
             known = {one.name: j for j, one in enumerate(names)}
-            size = size.copy()
+            size = default.copy()
             for name, given in scale.items():
                 if name not in known:
                     raise ValueError(
                         f"scale of Sensitivities names {name!r}, which is not a parameter{meant(name, known)}"
                     )
-                size[known[name]] = real_numbers(f"the scale of {name}", given)
+                size[..., known[name]] = real_numbers(f"the scale of {name}", given)
+            numbers = size[..., [known[name] for name in scale]]
         else:
             numbers = real_numbers("scale of Sensitivities", scale)
             if numbers.shape not in ((), (len(names),)):
@@ -121,8 +122,8 @@ class Sensitivities:
                     f"scale of Sensitivities must be one number for each of {len(names)} parameters, got "
                     f"{shown(self.scale)}"
                 )
-            size = np.broadcast_to(numbers, (len(names),))
-        if not (np.isfinite(size) & (size > 0)).all():
+            size = np.broadcast_to(numbers, default.shape)
+        if not (np.isfinite(numbers) & (numbers > 0)).all():
             raise ValueError(f"scale of Sensitivities must be positive, got {shown(self.scale)}")
         return size
 

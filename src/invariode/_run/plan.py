@@ -144,13 +144,6 @@ class Functions(NamedTuple):
     value: Array  # at which they are held
     bounds: Bounds | None  # of y
 
-    def in_lanes(self) -> dict[str, Any]:
-        """What is evaluated in each step, as messages call it: f, the first invariant and its Jacobian, events."""
-        functions = {"f": self.fun}
-        for invariant in self.invariants[:1]:
-            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
-        return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.events, 1)}
-
 
 class Choice(NamedTuple):
     """A method with its options, checked: what is known of a run before its problem."""
@@ -193,6 +186,18 @@ class Plan(NamedTuple):
     def own_events(self) -> int:
         """How many events are the user's; the conditions of f are behind them."""
         return len(self.called.events)
+
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, as messages call it: f, the slope of sensitivities, the first invariant with
+        its Jacobian and its tangent, events."""
+        functions, varied = {"f": self.functions.fun}, self.varied
+        if varied is not None:
+            functions["the slope of the sensitivities"] = varied.slope
+        for invariant in self.functions.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+            if varied is not None:
+                functions["the tangent of the invariant"] = varied.tangents[0]
+        return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.functions.events, 1)}
 
     @property
     def laws(self) -> Laws:

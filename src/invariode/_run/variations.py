@@ -30,6 +30,7 @@ from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, We
 from .algebraic import Algebraic, dense_mass
 from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
 from .pairs import for_complex, in_complex, real_form, require_analytic
+from .variation_sizes import Sizes
 
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
 _NEAR = 0.02
@@ -47,6 +48,8 @@ class Variations:
         Those of the parameters.
     start : ndarray, (k, n)
         S at the start.
+    sizes : Sizes
+        What the tolerances of S follow from.
     for_core : _core.Variations
         What the core takes.
     tangents : list
@@ -73,6 +76,7 @@ class Variations:
 
     names: list[str]
     start: Array
+    sizes: Sizes
     for_core: _core.Variations
     tangents: list[Any]
     how: dict[str, str]
@@ -84,6 +88,20 @@ class Variations:
     follows_jumps: bool
     derivatives_of: list[Directional]
     is_complex: bool = False
+
+    @property
+    def slope(self) -> Any:
+        """(t, Y) -> f_y S_j + f_pj, as the core calls it."""
+        return self.derivatives_of[0].for_core
+
+    @property
+    def own_to_each(self) -> str | None:
+        """What is not the same for all initial values and parameters, but for the tolerances: conditions of f are
+        compared around y0, and functions called with the arguments."""
+        if self.derivatives_of[0].has_conditions:
+            return "f has branches, which are examined for each trajectory"
+        given = self.sizes.wanted.dy0dp
+        return "dy0dp is a function, which is called for each trajectory" if callable(given) else None
 
     def tangent_nodes(self) -> list[Node]:
         """f_y S + f_p as a graph, of (t, Y).
@@ -200,13 +218,13 @@ def make_variations(
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
-    scale = wanted.sizes(names, _default_sizes(names, problem, sizes, weights))
+    measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     tangents = [form(law.for_core, complex_values=False) for law in laws]
     for_core = _core.Variations(
         k=len(names),
         slope=form(slope.for_core if mass is None else WithMass(slope, mass)),
-        thresholds=np.ascontiguousarray(_absolute(y0, weights) / scale[:, None]),
+        thresholds=measure.tolerances(y0, values_of(args, sizes, names)),
         invariants=tangents,
         jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
         breakpoints=[form(one) for one in doses],
@@ -217,6 +235,7 @@ def make_variations(
     return Variations(
         names=[one.name for one in names],
         start=start,
+        sizes=measure,
         for_core=for_core,
         tangents=tangents,
         how=about.how,
@@ -516,23 +535,3 @@ def _dfdp(given: Any, problem: Description, names: Sequence[ParameterName]) -> A
     if all(one.kind != "args" for one in names):
         raise ValueError("dfdp of Sensitivities is given, and no parameter is in args")
     return fed(given, problem.inputs)
-
-
-def _default_sizes(names: Sequence[ParameterName], problem: Description, sizes: Array, weights: Weights) -> Array:
-    """|p|, 1 of a parameter that is zero; of initial values, of these sizes, at least atol / rtol."""
-    values = np.abs(values_of(problem.args, sizes, names))
-    floor = np.broadcast_to(weights.threshold, sizes.shape)
-    for j, one in enumerate(names):
-        if one.kind != "args":
-            values[j] = max(values[j], floor[one.index])
-    values[values == 0] = 1
-    return values
-
-
-def _absolute(y0: Array, weights: Weights) -> Array:
-    """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0: then
-    that of y at the start."""
-    absolute = weights.rtol * np.broadcast_to(weights.threshold, y0.shape)
-    largest = np.abs(y0).max(initial=0) or 1.0
-    relative = weights.rtol * np.where(y0 == 0, largest, np.abs(y0))
-    return np.where(absolute == 0, relative, absolute)

@@ -1,0 +1,71 @@
+"""The absolute tolerances of sensitivities, at one point or at many: (..., n) initial values, (..., k) parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.layout import place_of
+from .._problem.parameters import ParameterName
+from .._problem.sensitivities import Sensitivities
+from .actions import Weights
+
+
+class Sizes(NamedTuple):
+    """What tolerances follow from.
+
+    Attributes
+    ----------
+    wanted : Sensitivities
+        The option.
+    names : sequence of ParameterName
+        The parameters.
+    weights : Weights
+        Those of y.
+    places : list of int
+        Where the values of the parameters are: among the numbers of the arguments, or the initial values.
+    """
+
+    wanted: Sensitivities
+    names: Sequence[ParameterName]
+    weights: Weights
+    places: list[int]
+
+    @classmethod
+    def of(
+        cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...]
+    ) -> Sizes:
+        """Those of a problem with these arguments."""
+        places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index for one in names]
+        return cls(wanted, names, weights, places)
+
+    def tolerances(self, y0: Array, values: Array) -> Array:
+        """Those of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
+        scale = self.wanted.sizes(self.names, self._default(np.abs(values), y0.shape[-1]))
+        return np.ascontiguousarray(self._of_state(y0)[..., None, :] / scale[..., None])
+
+    def in_rows(self, y0: Array, numbers: Array) -> Array:
+        """The same for rows of initial values, and of the numbers of the arguments."""
+        pairs = zip(self.names, self.places, strict=True)
+        return self.tolerances(y0, np.stack([(numbers if one.kind == "args" else y0)[:, i] for one, i in pairs], 1))
+
+    def _default(self, sizes: Array, n: int) -> Array:
+        """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
+        floor = np.broadcast_to(self.weights.threshold, (n,))
+        for j, one in enumerate(self.names):
+            if one.kind != "args":
+                sizes[..., j] = np.maximum(sizes[..., j], floor[one.index])
+        sizes[sizes == 0] = 1
+        return sizes
+
+    def _of_state(self, y0: Array) -> Array:
+        """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0:
+        then that of y at the start."""
+        rtol, sizes = self.weights.rtol, np.abs(y0)
+        absolute = rtol * np.broadcast_to(self.weights.threshold, y0.shape)
+        largest = sizes.max(axis=-1, initial=0, keepdims=True)
+        relative = rtol * np.where(y0 == 0, np.where(largest == 0, 1.0, largest), sizes)
+        return np.where(absolute == 0, relative, absolute)
