@@ -213,6 +213,12 @@ class Settings:
     def dense(self, arg: object, /) -> None: ...
 
     @property
+    def sections(self) -> object: ...
+
+    @sections.setter
+    def sections(self, arg: object, /) -> None: ...
+
+    @property
     def save_all(self) -> object: ...
 
     @save_all.setter
@@ -338,6 +344,11 @@ class Run:
     def take_value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_dense(self) -> Dense | None: ...
+
+    def take_sections(self) -> list[tuple[int, float, bytes]]:
+        """
+        (accepted steps before, t, memory for `Solver.resume`) of each section.
+        """
 
     @property
     def state(self) -> str: ...
@@ -522,7 +533,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of events.
     """
 
-LANES: list = [('avx2', 16, 256), ('baseline', 8, 128)]
+LANES: list = ...
 
 class StopRequest:
     """A wish to end a run."""

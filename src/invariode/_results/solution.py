@@ -181,6 +181,7 @@ class Solution(Exports):
 
         It takes one backward run of the adjoint equations, whatever the number of parameters; `sensitivities`, the
         alternative, adds a system of the size of y for each parameter. The run must have `adjoint` or `dense_output`.
+        With ``adjoint="checkpoints"`` it is solved again, section by section, in less memory.
 
         Parameters
         ----------
@@ -205,7 +206,8 @@ class Solution(Exports):
         Raises
         ------
         TypeError, ValueError
-            A shape is wrong; or the run has no continuous solution, no functions since it was loaded or unpickled,
+            A shape is wrong; or the run has neither a continuous solution nor checkpoints (which are not in files), no
+            functions since it was loaded or unpickled, other steps when it is solved again from its checkpoints,
             several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix that
             depends on t, a `MechanicalSystem`, `Dissipated` or complex y0.
 
