@@ -533,12 +533,14 @@ void define_arrays_of_run(RunClass& run) {
              }
              return jumps;
            })
-      .def("take_value",
-           [](FinishedRun& self) {
-             const std::size_t m = self.value.size();
-             return to_array<Vector>(std::move(self.value), m);
-           })
-      .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
+      .def("take_value", [](FinishedRun& self) {
+        const std::size_t m = self.value.size();
+        return to_array<Vector>(std::move(self.value), m);
+      });
+}
+
+void define_course_of_run(RunClass& run) {
+  run.def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
       .def(
           "take_sections",
           [](FinishedRun& self) {
@@ -810,6 +812,7 @@ void define_stepper(nb::module_& module) {
 void define_run(nb::module_& module) {
   RunClass run(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.");
   define_arrays_of_run(run);
+  define_course_of_run(run);
   define_report_of_run(run);
   define_summary_of_run(run);
   define_ensemble(module);

@@ -8,6 +8,7 @@ import pytest
 import invariode as iv
 from cases import METHODS, explicit_and_implicit, families
 from invariode._run.run import solve
+from test_sensitivities import condensate, in_reals, inside, precession, turned, untraced_precession
 
 RTOL, ATOL = 1e-7, 1e-9
 RATES = (1.5, 1.0, 3.0, 1.0)
@@ -184,7 +185,9 @@ def both_ways(sol, *, times=None, rtol):
     times rtol of the run, 100 times where jumps add to the errors. With checkpoints it is the same."""
     times = np.linspace(*sol.sol.ts[[0, -1]], 5) if times is None else np.asarray(times)
     costs = np.random.default_rng(29).normal(size=(len(sol.y), len(times)))
-    terms = costs[:, None, :] * sol.sol.sensitivities(times)
+    if np.iscomplexobj(sol.y):
+        costs = costs * np.exp(1j * np.arange(len(times)))
+    terms = np.real(costs[:, None, :] * sol.sol.sensitivities(times))
     expected = terms.sum(axis=(0, 2))
     found = sol.gradient(costs, t=times)
     np.testing.assert_allclose(found, expected, atol=rtol * np.abs(terms).max())
@@ -458,6 +461,43 @@ def test_what_the_adjoint_does_not_follow_is_refused_by_name():
     ):
         with pytest.raises(ValueError, match=message):
             sol.gradient(np.ones(len(sol.y)))
+
+
+@pytest.mark.filterwarnings("ignore:sensitivities. the derivatives of fun:invariode.AccuracyWarning")
+@pytest.mark.parametrize("method", ["dop853", "ode113", "ode15s", "radau"])
+@pytest.mark.parametrize(("fun", "more"), [
+    (precession, {}),
+    (untraced_precession, {}),
+    (condensate, {"breakpoints": {0.5: turned}, "atol": [1e-9, 2e-9]}),
+    (condensate, {"events": iv.Event(inside, action=turned), "invariants": lambda t, y, w, g: (abs(y) ** 2).sum()}),
+    (lambda t, y, w, g: [-1j * w * y[0] * (2.0 if abs(y[1]) > g / 2 else 1.0), -g * y[0]], {}),
+])  # fmt: skip
+def test_complex_states_have_the_gradient_of_their_sensitivities(method, fun, more):
+    """To arguments, which are real, for any f: dG is the real part of dG_dy dy."""
+    given = {"args": (1.0, 1.1), "rtol": RTOL, "atol": ATOL, "sensitivities": True, "dense_output": True}
+    sol = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], method, **given | more)
+    assert "events" not in more or len(sol.t_events[0])
+    both_ways(sol, rtol=100 * RTOL)
+
+
+@pytest.mark.parametrize("fun", [precession, condensate])
+def test_complex_initial_values_have_a_gradient_for_any_f(fun):
+    """∂G/∂Re y0 − i ∂G/∂Im y0, which is that of the real problem; if f is analytic it is dG_dy S."""
+    given = {"args": (1.0, 1.1), "rtol": 1e-9, "atol": 1e-11, "adjoint": True}
+    sol = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], "dop853", **given)
+    cost = np.array([1.0 - 2.0j, 0.3j])
+    found = sol.gradient(cost, [0.1, 0.2], wrt=["g", "y0[1]"], integrand=lambda t, y, w, g: abs(y[0]) ** 2)
+    parts = iv.solve_ivp(in_reals(fun), (0, 1), [1.0, 0.0, 0.0, 0.5], "dop853", **given)
+    real = parts.gradient(
+        [1.0, 2.0, 0.0, -0.3],
+        wrt=["args[1]", "y0[2]", "y0[3]"],
+        integrand=lambda t, x, w, g: x[0] ** 2 + x[1] ** 2,
+    )
+    np.testing.assert_allclose(found, [real[0] + 0.1, real[1] - 1j * real[2] + 0.2], atol=1e-7)
+    if fun is precession:
+        start = {name: one for name, one in given.items() if name != "adjoint"}
+        S = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], "dop853", **start, sensitivities="y0").sensitivities
+        np.testing.assert_allclose(sol.gradient(cost, wrt="y0"), cost @ S[:, :, -1], atol=1e-7)
 
 
 def test_wrong_input_is_said_by_name():

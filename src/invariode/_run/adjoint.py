@@ -18,14 +18,14 @@ Where a solution is held on invariants, costs go through the projection of its s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import LEAST_RTOL, Array, quietly, real_numbers, shown, warn
+from .._base.arguments import LEAST_RTOL, Array, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.directional import Directional, Point
@@ -34,6 +34,7 @@ from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import Options
+from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import DenseSolution, Result
 from .actions import Rate
@@ -41,6 +42,7 @@ from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import Algebraic, dense_mass
 from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
+from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
 from .plan import make_plan, ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
 from .walk import Walk
@@ -108,7 +110,6 @@ def gradient(
 ) -> Array:
     """See `Solution.gradient`."""
     problem = run.problem
-    problem._require_real("gradient")
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
@@ -118,31 +119,66 @@ def gradient(
             f"gradient: the run ended at t = {run.t} without success ({run.solution.message}); give times that it has "
             "reached as t="
         )
-    adjoint = _Adjoint(run, problem)
-    return adjoint.gradient(_objective(run, dG_dy, dG_dp, t, integrand, adjoint.k))
+    names = problem.parameters()
+    require_possible(problem, names)
+    if any(law.sense for law in problem.invariants):
+        raise ValueError(
+            "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it out"
+        )
+    objective = _objective(run, dG_dy, dG_dp, t, integrand, len(names))
+    if problem.y0.dtype.kind == "c":
+        return _of_complex(run, problem, objective)
+    return _Adjoint(run, problem, names).gradient(objective)
+
+
+def _of_complex(run: Forward, problem: Description, objective: Objective) -> Array:
+    """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
+    initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
+    form = real_form(problem, [], both_parts=True)
+    costs = np.empty((2 * len(objective.costs), len(objective.times)))
+    costs[0::2], costs[1::2] = objective.costs.real, -objective.costs.imag
+    integrand = of_pairs(objective.integrand, complex_values=False)
+    of_parts = _Adjoint(run, form.problem, form.names).gradient(
+        Objective(objective.times, costs, np.zeros(len(form.names)), integrand)
+    )
+    if all(one.kind == "args" for one in form.names):
+        return objective.direct + of_parts
+    found, place = [], 0
+    for one in problem.parameters():
+        if one.kind == "args":
+            found.append(of_parts[place])
+            place += 1
+        else:
+            found.append(complex(of_parts[place], -of_parts[place + 1]))
+            place += 2
+    return np.asarray(objective.direct + np.array(found))
 
 
 class _Adjoint:
-    """The equations of λ along a solution."""
+    """The equations of λ along a solution.
 
-    def __init__(self, run: Forward, problem: Description) -> None:
-        self._run, self._problem = run, problem
+    Parameters
+    ----------
+    run : Forward
+        The run, perhaps of complex states.
+    problem : Description
+        The problem, of real ones: of pairs if the states of the run are complex.
+    names : sequence of ParameterName
+        The parameters.
+    """
+
+    def __init__(self, run: Forward, problem: Description, names: Sequence[ParameterName]) -> None:
+        self._run, self._problem, self._names = run, problem, names
+        self._is_complex = run.problem.y0.dtype.kind == "c"
         self._follow(run.solution)
-        self._names = problem.parameters()
-        self.n, self.k = len(problem.y0), len(self._names)
+        self.n, self.k = len(problem.y0), len(names)
         self._total: Array = np.zeros(self.k)  # what is known of the gradient
         self._at = Point(problem.t_span[0], problem.y0)
-        require_possible(problem, self._names)
-        if any(law.sense for law in problem.invariants):
-            raise ValueError(
-                "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it "
-                "out"
-            )
-        fun, given = given_derivatives(problem, self._names)
+        fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol, self._y)
-        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(
+        self._jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold).of(
             self._sol, self._y, self._breakpoints, self._rests
         )
         self._tell_of_jumps(bool(conditions))
@@ -155,6 +191,8 @@ class _Adjoint:
                 "gradient needs the continuous solution, or checkpoints, which are not in files: solve with "
                 "adjoint=True, adjoint='checkpoints' or dense_output=True"
             )
+        if self._is_complex:
+            self._sol, self._y = with_pairs(sol), AsPairs(self._y)
 
     def _conditions(self) -> list[Switching]:
         """Conditions at which f jumps; the solution is made again with them as events."""
@@ -168,7 +206,8 @@ class _Adjoint:
                 )
             return []
         run = self._run
-        located = run.problem.replace(events=[*run.problem.events, *(one.event for one in found)], sensitivities=None)
+        events = [event_of_pairs_in_complex(one.event) if self._is_complex else one.event for one in found]
+        located = run.problem.replace(events=[*run.problem.events, *events], sensitivities=None)
         sectioned = run.options.get("adjoint") == "checkpoints"
         options: Options = {
             **run.options,
@@ -197,7 +236,8 @@ class _Adjoint:
         given = self._run.options.get("breakpoints")
         points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
         low, high = sorted((self._problem.t_span[0], self._run.t))
-        return [one for one in points if low <= one.t <= high]
+        form = of_pairs if self._is_complex else (lambda action: action)
+        return [one._replace(action=form(one.action)) for one in points if low <= one.t <= high]
 
     def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
         return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
@@ -224,7 +264,7 @@ class _Adjoint:
 
     @cached_property
     def _laws(self) -> Laws:
-        return Laws(self._problem, self._derivatives, self._weights)
+        return Laws(self._problem, self.k, self._derivatives, self._weights)
 
     @cached_property
     def _start(self) -> Array:
@@ -455,10 +495,11 @@ def _objective(
     sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
         raise ValueError("gradient needs dG_dy, the derivative of a scalar with respect to y, or an integrand g(t, y)")
-    direct = np.zeros(k) if dG_dp is None else real_numbers("dG_dp", dG_dp)
+    given = numbers if run.problem.y0.dtype.kind == "c" else real_numbers
+    direct = np.zeros(k) if dG_dp is None else given("dG_dp", dG_dp)
     if direct.shape != (k,):
         raise ValueError(f"dG_dp must have one number for each of {k} parameters, got {shown(dG_dp)}")
-    costs = np.zeros((n, 1)) if dG_dy is None else real_numbers("dG_dy", dG_dy)
+    costs = np.zeros((n, 1)) if dG_dy is None else given("dG_dy", dG_dy)
     if t is not None:
         times = np.atleast_1d(real_numbers("t", t))
     else:

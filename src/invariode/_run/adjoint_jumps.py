@@ -22,6 +22,7 @@ from .._functions.directional import Directional
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
+from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
 from .actions import Rate, restoration
 from .sections import SectionedSolution
@@ -148,6 +149,8 @@ class Jumps:
     ----------
     problem : Description
         The problem.
+    names : sequence of ParameterName
+        The parameters.
     derivatives : callable
         Makes derivatives of its functions.
     conditions : list of Switching
@@ -159,11 +162,12 @@ class Jumps:
     def __init__(
         self,
         problem: Description,
+        names: Sequence[ParameterName],
         derivatives: Derivatives,
         conditions: Sequence[Switching],
         threshold: float | Array,
     ) -> None:
-        fun, given = given_derivatives(problem, problem.parameters())
+        fun, given = given_derivatives(problem, names)
         n = len(problem.y0)
         self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
         self._derivatives, self._conditions = derivatives, conditions
@@ -173,8 +177,8 @@ class Jumps:
             problem.y0,
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
-        self._n, self._k = n, len(problem.parameters())
-        self._restored = restoration(problem, problem.parameters(), threshold)
+        self._n, self._k = n, len(names)
+        self._restored = restoration(problem, names, threshold)
 
     def of(
         self, sol: Result, y: Callable[[float], Array], points: Sequence[Breakpoint], rests: Sequence[Rest]
