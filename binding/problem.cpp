@@ -455,6 +455,7 @@ constexpr Setting settings[] = {
      },
      [](const RunSettings& s) { return nb::cast(name_of(s.interpolation)); }},
     plain<&RunSettings::dense>("dense"),
+    plain<&RunSettings::sections>("sections"),
     plain<&RunSettings::save_all>("save_all"),
     plain<&RunSettings::record>("record"),
     plain<&RunSettings::check>("check"),

@@ -193,7 +193,7 @@ class DrivenRun {
   bool without_interpreter(const Beginning& begin) {
     const Unlocked released;
     return run_watched(
-        run_.integration(), [&] { return begin(run_); },
+        run_, [&] { return begin(run_); },
         [&] { return holding_interpreter([&] { return PyErr_CheckSignals() == 0 && tell_if_due(); }); });
   }
 
@@ -201,12 +201,12 @@ class DrivenRun {
   bool with_interpreter(const Beginning& begin) {
     if (begin(run_) != State::running) return true;
     if (!progress_ && !keeper_) {
-      run_.integration().run();
+      run_.run();
       return true;
     }
     do
       if (!tell_if_due()) return false;
-    while (run_.integration().advance() == State::running);
+    while (run_.advance() == State::running);
     return true;
   }
 
@@ -546,12 +546,23 @@ void define_arrays_of_run(RunClass& run) {
              }
              return jumps;
            })
-      .def("take_value",
-           [](FinishedRun& self) {
-             const std::size_t m = self.value.size();
-             return to_array<Vector>(std::move(self.value), m);
-           })
-      .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); });
+      .def("take_value", [](FinishedRun& self) {
+        const std::size_t m = self.value.size();
+        return to_array<Vector>(std::move(self.value), m);
+      });
+}
+
+void define_course_of_run(RunClass& run) {
+  run.def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
+      .def(
+          "take_sections",
+          [](FinishedRun& self) {
+            std::vector<std::tuple<std::int64_t, double, nb::bytes>> all;
+            for (const Section& one : std::exchange(self.result.sections, {}))
+              all.emplace_back(one.steps, one.t, nb::bytes(one.memory.data(), one.memory.size()));
+            return all;
+          },
+          "(accepted steps before, t, memory for `Solver.resume`) of each section.");
 }
 
 /// Defines a property that is read from the result.
@@ -814,6 +825,7 @@ void define_stepper(nb::module_& module) {
 void define_run(nb::module_& module) {
   RunClass run(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.");
   define_arrays_of_run(run);
+  define_course_of_run(run);
   define_report_of_run(run);
   define_summary_of_run(run);
   define_ensemble(module);

@@ -519,6 +519,10 @@ std::optional<DenseOutput> Integration::last_step() {
   return one;
 }
 
+std::size_t Integration::most_bytes_of_step() const {
+  return (interpolant_.max_size() + DenseOutput::most_of_step(n_)) * sizeof(double);
+}
+
 void Integration::end_attempts() {
   if (auto* implicit = dynamic_cast<ImplicitInterface*>(step_.get())) implicit->end_attempts();
 }

@@ -85,6 +85,10 @@ class Integration {
   void keep_last_step() { keeps_last_ = true; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
+  /// Of that solution, at most.
+  [[nodiscard]] std::size_t most_bytes_of_step() const;
+  /// Whether the method's memory is that of the point reached, and nothing is to happen there before the next step.
+  [[nodiscard]] bool between_steps() const;
   [[nodiscard]] const Manifold& manifold() const { return manifold_; }
   [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
   [[nodiscard]] const DiscontinuityDetector& discontinuities() const { return discontinuities_; }
@@ -105,7 +109,6 @@ class Integration {
   bool refuse(const Finding& finding);
   bool unless_stopped(Status status) { return status == Status::ok || end(State::interrupted); }
   bool nothing_to_integrate();
-  [[nodiscard]] bool between_steps() const;
   bool start_again();
   bool start_memory(double t, const double* y);
   bool watch_events(Outcome outcome);

@@ -7,7 +7,6 @@
 
 namespace invariode {
 
-/// Whether the method's memory is that of the point reached, and nothing is to happen there before the next step.
 bool Integration::between_steps() const {
   const bool ended_there = state_ == State::running || state_ == State::reached_end || state_ == State::limit_reached ||
                            state_ == State::stopped_by_request ||

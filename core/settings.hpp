@@ -44,6 +44,7 @@ struct Settings {
   Times times;
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
+  bool sections = false;  ///< what the run remembers is kept at some of its steps: see `Sections`
   bool save_all = true;   ///< false: the final point only
   bool record = true;     ///< with save_all: a record of each step too
   bool check = true;      ///< the tests that may find that an invariant is not conserved

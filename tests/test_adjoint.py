@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import FAMILIES, dealt
+from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families
+from invariode._run.run import solve
+from test_sensitivities_complex import condensate, in_reals, inside, precession, turned, untraced_precession
 
 RTOL, ATOL = 1e-7, 1e-9
 RATES = (1.5, 1.0, 3.0, 1.0)
@@ -15,6 +17,14 @@ START = [1.0, 1.0]
 GRADIENT = np.array([0.6219615855514, 0.0680014041508, 0.1691764639959, 0.27256069395])
 #: In units of rtol, times the sizes of the terms: the errors of the two runs, on which the methods differ.
 MOST = {2: 3000, 3: 1000}
+
+
+CHECKPOINTS = {"adjoint": "checkpoints"}
+
+
+def sections(sol):
+    """Of how many a run consists."""
+    return sum(len(one.begins) for one in sol._origin.sectioned)
 
 
 def predators(t, y, a, b, c, d):
@@ -77,6 +87,69 @@ def test_a_mass_matrix_and_what_depends_on_y0(method):
     np.testing.assert_allclose(sol.gradient(cost), cost @ sol.sensitivities[:, :, -1], rtol=1e-4)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_checkpoints_change_no_bit_of_the_gradient(method):
+    """Of a long run, where invariants are held, with costs at several times and an integral."""
+    rtol = 1e-5 if method in ("ode23", "ode23s", "ode23t", "ode23tb") else RTOL
+    given = {"t_span": (0, 25), "invariants": conserved, "rtol": rtol, "atol": rtol / 100}
+    whole = solved(method, **given)
+    sol = solved(method, **given, keep="end", **CHECKPOINTS)
+    assert sol.sol is None
+    assert sections(sol) > 1
+    costs, times = np.random.default_rng(29).normal(size=(2, 7)), np.linspace(0, 25, 7)
+    more = {"t": times, "integrand": lambda t, y, a, b, c, d: y[0] * y[1]}
+    assert np.array_equal(sol.gradient(costs, **more), whole.gradient(costs, **more))
+    assert np.array_equal(sol.gradient([1.0, 0.0], wrt="y0"), whole.gradient([1.0, 0.0], wrt="y0"))
+
+
+@families
+def test_checkpoints_of_a_run_that_is_extended_limited_or_imposed(method):
+    given = {"invariants": conserved, "max_steps": 150}
+    expected, sol = (solved(method, (0, 60), **given, **more) for more in ({}, CHECKPOINTS))
+    for change in (lambda one: one, lambda one: one.extend(30, max_steps=None), lambda one: one.impose()):
+        expected, sol = change(expected), change(sol)
+        cost = {"dG_dy": [1.0, 2.0], "t": sol.t_end}
+        assert np.array_equal(sol.gradient(**cost), expected.gradient(**cost))
+    assert len(sol._origin.sectioned) == 2
+
+
+@explicit_and_implicit
+def test_the_memory_of_checkpoints_grows_with_the_root_of_the_steps(method):
+    sizes, steps = [], []
+    for end in (50, 800):
+        sol = solved(method, (0, end), rtol=1e-6, keep="end", **CHECKPOINTS)
+        (one,) = sol._origin.sectioned
+        counts = np.diff([begin for begin, _, _ in one.begins] + [one.steps])
+        sizes.append([sum(len(memory) for _, _, memory in one.begins), counts.max()])
+        steps.append(one.steps)
+    assert steps[1] > 10 * steps[0]
+    assert (np.divide(*sizes[::-1]) < 2.5 * np.sqrt(steps[1] / steps[0])).all()
+
+
+def test_functions_that_change_between_two_runs_are_found_out():
+    """Also by roundoff, which changes no step."""
+    rate = [1.0]
+    sol = iv.solve_ivp(lambda t, y, k: [-k * rate[0] * y[0]], (0, 3), [1.0], args=(0.5,), rtol=1e-9, **CHECKPOINTS)
+    for rate[0] in (2.0, 1.0 + 1e-15):
+        with pytest.raises(ValueError, match=r"other steps up to t = .*: a function .* or use adjoint=True"):
+            sol.gradient([1.0], wrt="y0")
+
+
+def test_where_there_are_no_checkpoints(tmp_path):
+    with pytest.raises(ValueError, match="give one of them"):
+        solved(dense_output=True, **CHECKPOINTS)
+    with pytest.raises(TypeError, match='adjoint must be True, False or "checkpoints", got'):
+        solved(adjoint="some")
+    problem = iv.Problem(predators, (0, 1), START, args=RATES)
+    problem.solve(**CHECKPOINTS).save(tmp_path / "run")
+    again = iv.load(tmp_path / "run", problem)
+    for sol in (again, again.extend(2)):
+        with pytest.raises(ValueError, match="checkpoints, which are not in files"):
+            sol.gradient([1.0, 0.0])
+    still = iv.solve_ivp(predators, (0, 0), START, args=RATES, **CHECKPOINTS)
+    assert np.array_equal(still.gradient([1.0, 2.0], wrt="y0"), [1.0, 2.0])
+
+
 def test_each_of_many_parameters_has_its_derivative():
     """y'' + y = a sum of 60 pulses, each with a weight: y(3) answers a push at t by sin(3 − t)."""
     nodes = np.linspace(0, 3, 60)
@@ -108,13 +181,19 @@ def test_a_jump_of_f_at_a_breakpoint_is_not_stepped_over():
 
 def both_ways(sol, *, times=None, rtol):
     """The gradient of a cost at some times, forwards and backwards, up to a tolerance in units of the largest term: ten
-    times rtol of the run, 100 times where jumps add to the errors."""
+    times rtol of the run, 100 times where jumps add to the errors. With checkpoints it is the same."""
     times = np.linspace(*sol.sol.ts[[0, -1]], 5) if times is None else np.asarray(times)
     costs = np.random.default_rng(29).normal(size=(len(sol.y), len(times)))
-    terms = costs[:, None, :] * sol.sol.sensitivities(times)
+    if np.iscomplexobj(sol.y):
+        costs = costs * np.exp(1j * np.arange(len(times)))
+    terms = np.real(costs[:, None, :] * sol.sol.sensitivities(times))
     expected = terms.sum(axis=(0, 2))
     found = sol.gradient(costs, t=times)
     np.testing.assert_allclose(found, expected, atol=rtol * np.abs(terms).max())
+    source = sol._origin.source
+    options = source.options | {"dense_output": False, "keep": "end"} | CHECKPOINTS
+    again = solve(source.problem, source.method, options)
+    assert np.array_equal(again.gradient(costs, t=times), found)
 
 
 def ball(t, y, gravity, restitution):
@@ -381,6 +460,43 @@ def test_what_the_adjoint_does_not_follow_is_refused_by_name():
     ):
         with pytest.raises(ValueError, match=message):
             sol.gradient(np.ones(len(sol.y)))
+
+
+@pytest.mark.filterwarnings("ignore:sensitivities. the derivatives of fun:invariode.AccuracyWarning")
+@pytest.mark.parametrize("method", ["dop853", "ode113", "ode15s", "radau"])
+@pytest.mark.parametrize(("fun", "more"), [
+    (precession, {}),
+    (untraced_precession, {}),
+    (condensate, {"breakpoints": {0.5: turned}, "atol": [1e-9, 2e-9]}),
+    (condensate, {"events": iv.Event(inside, action=turned), "invariants": lambda t, y, w, g: (abs(y) ** 2).sum()}),
+    (lambda t, y, w, g: [-1j * w * y[0] * (2.0 if abs(y[1]) > g / 2 else 1.0), -g * y[0]], {}),
+])  # fmt: skip
+def test_complex_states_have_the_gradient_of_their_sensitivities(method, fun, more):
+    """To arguments, which are real, for any f: dG is the real part of dG_dy dy."""
+    given = {"args": (1.0, 1.1), "rtol": RTOL, "atol": ATOL, "sensitivities": True, "dense_output": True}
+    sol = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], method, **given | more)
+    assert "events" not in more or len(sol.t_events[0])
+    both_ways(sol, rtol=100 * RTOL)
+
+
+@pytest.mark.parametrize("fun", [precession, condensate])
+def test_complex_initial_values_have_a_gradient_for_any_f(fun):
+    """∂G/∂Re y0 − i ∂G/∂Im y0, which is that of the real problem; if f is analytic it is dG_dy S."""
+    given = {"args": (1.0, 1.1), "rtol": 1e-9, "atol": 1e-11, "adjoint": True}
+    sol = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], "dop853", **given)
+    cost = np.array([1.0 - 2.0j, 0.3j])
+    found = sol.gradient(cost, [0.1, 0.2], wrt=["g", "y0[1]"], integrand=lambda t, y, w, g: abs(y[0]) ** 2)
+    parts = iv.solve_ivp(in_reals(fun), (0, 1), [1.0, 0.0, 0.0, 0.5], "dop853", **given)
+    real = parts.gradient(
+        [1.0, 2.0, 0.0, -0.3],
+        wrt=["args[1]", "y0[2]", "y0[3]"],
+        integrand=lambda t, x, w, g: x[0] ** 2 + x[1] ** 2,
+    )
+    np.testing.assert_allclose(found, [real[0] + 0.1, real[1] - 1j * real[2] + 0.2], atol=1e-7)
+    if fun is precession:
+        start = {name: one for name, one in given.items() if name != "adjoint"}
+        S = iv.solve_ivp(fun, (0, 1), [1.0 + 0j, 0.5j], "dop853", **start, sensitivities="y0").sensitivities
+        np.testing.assert_allclose(sol.gradient(cost, wrt="y0"), cost @ S[:, :, -1], atol=1e-7)
 
 
 def test_wrong_input_is_said_by_name():

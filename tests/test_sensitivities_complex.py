@@ -110,9 +110,6 @@ def test_what_complex_problems_have_no_derivatives_of_is_refused_by_name():
     ):
         with pytest.raises(ValueError, match=message):
             iv.solve_ivp(fun, *start, **{**COMPLEX, **more})
-    sol = iv.solve_ivp(precession, *start, **COMPLEX, adjoint=True)
-    with pytest.raises(ValueError, match="gradient is for real problems, and y0 is complex"):
-        sol.gradient([1.0, 0.0])
     problem = iv.Problem(precession, *start[:2], args=COMPLEX["args"], sensitivities=True)
     with pytest.raises(ValueError, match="check_sensitivities is for real problems"):
         iv.check_sensitivities(problem)

@@ -1,6 +1,7 @@
 #include "run/run.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <memory>
 #include <utility>
 
@@ -215,6 +216,22 @@ void Run::start_loop() {
       return make_tangent_consistent(linear_algebra(), t, Y);
     };
   integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
+  if (solver_.settings().sections) sections_.emplace(integration_->most_bytes_of_step());
+}
+
+State Run::advance() {
+  const Integration& loop = *integration_;
+  if (sections_ && loop.between_steps() && sections_->due(loop.counts().steps)) {
+    const RunMemory all = memory(std::numeric_limits<std::size_t>::max());
+    sections_->add({loop.counts().steps, loop.t(), all.copy()});
+  }
+  return integration_->advance();
+}
+
+State Run::run() {
+  while (advance() == State::running) {
+  }
+  return integration_->state();
 }
 
 Consistency Run::prepare(double t0, double* y0) {
@@ -294,6 +311,7 @@ RunResult Run::take_result() {
   result.record = std::move(output.steps);
   result.jumps = std::move(output.jumps);
   result.dense = std::move(output.dense);
+  if (sections_) result.sections = sections_->take();
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);
   return result;

@@ -19,6 +19,7 @@
 #include "manifold/invariants.hpp"
 #include "manifold/slope.hpp"
 #include "run/problem.hpp"
+#include "run/sections.hpp"
 #include "sensitivity/variations.hpp"
 
 namespace invariode {
@@ -32,6 +33,7 @@ struct RunResult {
   Drift drift;
   std::vector<Jump> jumps;
   std::optional<DenseOutput> dense;
+  std::vector<Section> sections;
   State state = State::created;
   Report report;
   Counts counts;
@@ -80,6 +82,10 @@ class Run {
   /// Evaluations of invariants by `prepare`: the result counts them, where a single solve counts its own before the
   /// run.
   [[nodiscard]] std::int64_t evaluations_of_prepare() const;
+
+  /// Goes on by one accepted step, or to the end: as the integration does, with sections where they are wanted.
+  State advance();
+  State run();
 
   [[nodiscard]] Integration& integration() { return *integration_; }
   [[nodiscard]] const Integration& integration() const { return *integration_; }
@@ -157,6 +163,7 @@ class Run {
   ManifoldTerms manifold_;
 
   std::optional<Integration> integration_;
+  std::optional<Sections> sections_;
   std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,
   std::int64_t before_ = 0;    // and by that of the run that goes on here, which did not count them
 };

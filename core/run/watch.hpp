@@ -5,24 +5,24 @@
 #include <chrono>
 #include <utility>
 
-#include "integrate.hpp"
+#include "run/run.hpp"
 
 namespace invariode {
 
 /// How long native code runs between two calls of watch().
 inline constexpr std::chrono::milliseconds watch_interval(50);
 
-/// Begins the integration by begin() and runs it to its end. Whenever `watch_interval` has passed, watch() may stop it
+/// Begins the run by begin() and goes on to its end. Whenever `watch_interval` has passed, watch() may stop it
 /// by returning false. True: it has ended by itself.
 template <class Begin, class Watch>
-bool run_watched(Integration& integration, Begin begin, Watch watch) {
+bool run_watched(Run& run, Begin begin, Watch watch) {
   using Clock = std::chrono::steady_clock;
   constexpr int most = 16;  // steps from one look at the clock to the next: more of those that are fast
   int steps = 1;
   auto watched = Clock::now(), looked = watched;
   State state = begin();
   for (int step = 0; state == State::running;) {
-    state = integration.advance();
+    state = run.advance();
     if (++step < steps) continue;
     step = 0;
     const auto now = Clock::now(), before = std::exchange(looked, now);

@@ -213,6 +213,12 @@ class Settings:
     def dense(self, arg: object, /) -> None: ...
 
     @property
+    def sections(self) -> object: ...
+
+    @sections.setter
+    def sections(self, arg: object, /) -> None: ...
+
+    @property
     def save_all(self) -> object: ...
 
     @save_all.setter
@@ -338,6 +344,11 @@ class Run:
     def take_value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_dense(self) -> Dense | None: ...
+
+    def take_sections(self) -> list[tuple[int, float, bytes]]:
+        """
+        (accepted steps before, t, memory for `Solver.resume`) of each section.
+        """
 
     @property
     def state(self) -> str: ...

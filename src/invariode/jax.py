@@ -51,9 +51,9 @@ def solve(
     method : str, default 'ode45'
         The method.
     **options
-        As in `Problem.solve`. With ``adjoint=True``, gradients are computed by one run backwards, for many parameters;
-        then there is only reverse mode (`jax.grad`, `jax.vjp`), and a second run forwards for each gradient. Without
-        it, derivatives are forward sensitivities, for either mode.
+        As in `Problem.solve`. With ``adjoint=True``, or "checkpoints", gradients are computed by one run backwards, for
+        many parameters; then there is only reverse mode (`jax.grad`, `jax.vjp`), and a second run forwards for each
+        gradient. Without it, derivatives are forward sensitivities, for either mode.
         ``on_failure="raise"``, here the default, raises an error if the run does not reach all times; with "return" the
         values it does not reach are NaN, and so are gradients of this run.
 

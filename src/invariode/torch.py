@@ -50,8 +50,8 @@ def solve(
     method : str, default 'ode45'
         The method.
     **options
-        As in `Problem.solve`. With ``adjoint=True``, gradients are computed by one run backwards, for many parameters.
-        Without it, they are forward sensitivities, computed in the same run.
+        As in `Problem.solve`. With ``adjoint=True``, or "checkpoints", gradients are computed by one run backwards, for
+        many parameters. Without it, they are forward sensitivities, computed in the same run.
         ``on_failure="raise"``, here the default, raises an error if the run does not reach all times; with "return" the
         values it does not reach are NaN, and so are gradients of this run.
 

@@ -28,10 +28,11 @@ def run_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
     = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
-    str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool = ...,
-    interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array],
-    object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., checkpoint:
-    CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
+    str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool |
+    Literal['checkpoints'] = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ...,
+    callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits:
+    Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure
+    = ...
 ) -> Options: ...
 def suite_options(
     *, args: Iterable[Any] | None = ..., vectorized: bool = ..., events: EventsLike = ..., invariants: InvariantsLike |
@@ -41,10 +42,10 @@ def suite_options(
     SensitivitiesLike | None = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step:
     LargestStep = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ...,
     max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., t_eval:
-    ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool = ..., interpolation: Interpolation = ..., refine:
-    int = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ...,
-    max_steps: int | None = ..., limits: Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt:
-    OnInterrupt = ..., on_failure: OnFailure = ...
+    ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool | Literal['checkpoints'] = ..., interpolation:
+    Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None =
+    ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., checkpoint: CheckpointLike |
+    None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
 ) -> AllOptions: ...
 def ensemble_options(
     *, invariants: InvariantsLike | None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] |

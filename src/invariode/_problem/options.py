@@ -97,11 +97,11 @@ def to_members(name: str, value: Any) -> tuple[str, str]:
     return explicit_one.name, implicit_one.name
 
 
-def _flag_or_strict(name: str, value: object) -> bool | Literal["strict"]:
-    if isinstance(value, str) and value == "strict":
-        return "strict"
+def _flag_or(name: str, value: object, *, word: str) -> bool | str:
+    if isinstance(value, str) and value == word:
+        return word
     if isinstance(value, str):
-        raise TypeError(f'{name} must be True, False or "strict", got {shown(value)}')
+        raise TypeError(f'{name} must be True, False or "{word}", got {shown(value)}')
     return flag(name, value)
 
 
@@ -247,7 +247,7 @@ class MethodOptions(TypedDict, total=False):
             "Test that f conserves the invariants, and that their Jacobians are right; and, at the first run of a "
             "function of `invariode.compile` in a process, that it has the values of the Python function at the "
             'accepted steps 1, 2, 4, 8, ... and near the end. A difference is a warning; with "strict" an error.',
-            _flag_or_strict,
+            partial(_flag_or, word="strict"),
         ),
     ]
     min_step: Annotated[
@@ -390,13 +390,15 @@ class OutputOptions(TypedDict, total=False):
     ]
     dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
     adjoint: Annotated[
-        bool,
+        bool | Literal["checkpoints"],
         Option(
             False,
-            "bool",
-            "Keep what ``Solution.gradient`` needs, the gradient of a scalar with respect to many parameters: the "
-            "continuous solution, as `dense_output` does.",
-            flag,
+            "bool or 'checkpoints'",
+            "Keep what ``Solution.gradient`` needs, the gradient of a scalar with respect to many parameters. True: "
+            "the continuous solution, as `dense_output` does. 'checkpoints', for less memory: the state of the run at "
+            "some of its steps, from which ``gradient`` solves the sections between them again, with the same steps "
+            "and the same result bit for bit. For N steps the memory grows as √N; the time is that of one more run.",
+            partial(_flag_or, word="checkpoints"),
         ),
     ]
 

@@ -181,12 +181,13 @@ class Solution(Exports):
 
         It takes one backward run of the adjoint equations, whatever the number of parameters; `sensitivities`, the
         alternative, adds a system of the size of y for each parameter. The run must have `adjoint` or `dense_output`.
+        With ``adjoint="checkpoints"`` it is solved again, section by section, in less memory.
 
         Parameters
         ----------
         dG_dy : array_like of shape (n,) or (n, m), optional
             The derivatives of G(y(t_1), y(t_2), ...) with respect to the solution at m times; shape (n,) is for one
-            time. Default: 0.
+            time. If y is complex, ∂G/∂Re y - i ∂G/∂Im y. Default: 0.
         dG_dp : array_like of shape (k,), optional
             The derivatives of G with respect to the parameters with y fixed. Default: 0.
         wrt : bool, str, int, list of these, or Sensitivities, optional
@@ -200,14 +201,16 @@ class Solution(Exports):
         Returns
         -------
         ndarray of shape (k,)
-            About as accurate as the solution: it agrees with `sensitivities` to within a few tolerances.
+            About as accurate as the solution: it agrees with `sensitivities` to within a few tolerances. It is complex
+            if initial values of a complex y are among the parameters: ∂G/∂Re y0 - i ∂G/∂Im y0.
 
         Raises
         ------
         TypeError, ValueError
-            A shape is wrong; or the run has no continuous solution, no functions since it was loaded or unpickled,
+            A shape is wrong; or the run has neither a continuous solution nor checkpoints (which are not in files), no
+            functions since it was loaded or unpickled, other steps when it is solved again from its checkpoints,
             several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix that
-            depends on t, a `MechanicalSystem`, `Dissipated` or complex y0.
+            depends on t, a `MechanicalSystem`, `Dissipated`, or complex y0 with a mass matrix.
 
         Notes
         -----

@@ -18,14 +18,15 @@ Where a solution is held on invariants, costs go through the projection of its s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import LEAST_RTOL, Array, quietly, real_numbers, shown, warn
+from .._base.arguments import LEAST_RTOL, Array, numbers, quietly, real_numbers, shown, warn
+from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
@@ -33,18 +34,22 @@ from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import Options
+from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
-from .._results.result import Result
+from .._results.result import DenseSolution, Result
 from .actions import Rate
-from .adjoint_jumps import Jump, Jumps, at_bounds
+from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import Algebraic, dense_mass
 from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
-from .plan import ordered_breakpoints
+from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
+from .plan import make_plan, ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
+from .walk import Walk
 
-#: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
-_POINTS = 5
+#: Nodes and weights of the quadrature in each step of λ: of order 10, beyond which the continuous solution is not
+#: smooth.
+_GAUSS = np.polynomial.legendre.leggauss(5)
 #: The method of λ, where that of y takes some f only.
 _OF_ANY: MethodName = "dop853"
 #: Of the largest tolerance of λ, so that components on which nothing depends have one.
@@ -105,7 +110,6 @@ def gradient(
 ) -> Array:
     """See `Solution.gradient`."""
     problem = run.problem
-    problem._require_real("gradient")
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
@@ -115,35 +119,80 @@ def gradient(
             f"gradient: the run ended at t = {run.t} without success ({run.solution.message}); give times that it has "
             "reached as t="
         )
-    adjoint = _Adjoint(run, problem)
-    return adjoint.gradient(_objective(run.solution, run.t, dG_dy, dG_dp, t, integrand, adjoint.k))
+    names = problem.parameters()
+    require_possible(problem, names)
+    if any(law.sense for law in problem.invariants):
+        raise ValueError(
+            "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it out"
+        )
+    objective = _objective(run, dG_dy, dG_dp, t, integrand, len(names))
+    if problem.y0.dtype.kind == "c":
+        return _of_complex(run, problem, objective)
+    return _Adjoint(run, problem, names).gradient(objective)
+
+
+def _of_complex(run: Forward, problem: Description, objective: Objective) -> Array:
+    """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
+    initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
+    form = real_form(problem, [], both_parts=True)
+    costs = np.empty((2 * len(objective.costs), len(objective.times)))
+    costs[0::2], costs[1::2] = objective.costs.real, -objective.costs.imag
+    integrand = of_pairs(objective.integrand, complex_values=False)
+    of_parts = _Adjoint(run, form.problem, form.names).gradient(
+        Objective(objective.times, costs, np.zeros(len(form.names)), integrand)
+    )
+    if all(one.kind == "args" for one in form.names):
+        return objective.direct + of_parts
+    found, place = [], 0
+    for one in problem.parameters():
+        if one.kind == "args":
+            found.append(of_parts[place])
+            place += 1
+        else:
+            found.append(complex(of_parts[place], -of_parts[place + 1]))
+            place += 2
+    return np.asarray(objective.direct + np.array(found))
 
 
 class _Adjoint:
-    """The equations of λ along a solution."""
+    """The equations of λ along a solution.
 
-    def __init__(self, run: Forward, problem: Description) -> None:
-        self._run, self._sol, self._problem = run, run.solution, problem
-        if self._sol.sol is None:
-            raise ValueError("gradient needs the continuous solution: solve with adjoint=True, or with dense_output")
-        self._names = problem.parameters()
-        self.n, self.k = len(problem.y0), len(self._names)
+    Parameters
+    ----------
+    run : Forward
+        The run, perhaps of complex states.
+    problem : Description
+        The problem, of real ones: of pairs if the states of the run are complex.
+    names : sequence of ParameterName
+        The parameters.
+    """
+
+    def __init__(self, run: Forward, problem: Description, names: Sequence[ParameterName]) -> None:
+        self._run, self._problem, self._names = run, problem, names
+        self._is_complex = run.problem.y0.dtype.kind == "c"
+        self._follow(run.solution)
+        self.n, self.k = len(problem.y0), len(names)
         self._total: Array = np.zeros(self.k)  # what is known of the gradient
         self._at = Point(problem.t_span[0], problem.y0)
-        require_possible(problem, self._names)
-        if any(law.sense for law in problem.invariants):
-            raise ValueError(
-                "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it "
-                "out"
-            )
-        fun, given = given_derivatives(problem, self._names)
+        fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
-        self._rests = at_bounds(problem, self._sol)
-        self._jumps = Jumps(problem, self._derivatives, conditions, self._threshold).of(
-            self._sol, self._breakpoints, self._rests
+        self._rests = at_bounds(problem, self._sol, self._y)
+        self._jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold).of(
+            self._sol, self._y, self._breakpoints, self._rests
         )
         self._tell_of_jumps(bool(conditions))
+
+    def _follow(self, sol: Result) -> None:
+        """λ is that along this solution."""
+        self._sol, self._y = sol, sol._origin.continuous(sol)
+        if self._y is None:
+            raise ValueError(
+                "gradient needs the continuous solution, or checkpoints, which are not in files: solve with "
+                "adjoint=True, adjoint='checkpoints' or dense_output=True"
+            )
+        if self._is_complex:
+            self._sol, self._y = with_pairs(sol), AsPairs(self._y)
 
     def _conditions(self) -> list[Switching]:
         """Conditions at which f jumps; the solution is made again with them as events."""
@@ -157,10 +206,18 @@ class _Adjoint:
                 )
             return []
         run = self._run
-        located = run.problem.replace(events=[*run.problem.events, *(one.event for one in found)], sensitivities=None)
-        options: Options = {**run.options, "dense_output": True, "keep": None, "t_eval": None, "checkpoint": None}
+        events = [event_of_pairs_in_complex(one.event) if self._is_complex else one.event for one in found]
+        located = run.problem.replace(events=[*run.problem.events, *events], sensitivities=None)
+        sectioned = run.options.get("adjoint") == "checkpoints"
+        options: Options = {
+            **run.options,
+            "dense_output": not sectioned,
+            "keep": "end" if sectioned else None,
+            "t_eval": None,
+            "checkpoint": None,
+        }
         with quietly():  # the run has warned
-            self._sol = run.solve(located.replace(t_span=(located.t_span[0], run.t)), run.method, options)
+            self._follow(run.solve(located.replace(t_span=(located.t_span[0], run.t)), run.method, options))
         return found
 
     def _tell_of_jumps(self, followed: bool) -> None:
@@ -179,7 +236,8 @@ class _Adjoint:
         given = self._run.options.get("breakpoints")
         points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
         low, high = sorted((self._problem.t_span[0], self._run.t))
-        return [one for one in points if low <= one.t <= high]
+        form = of_pairs if self._is_complex else (lambda action: action)
+        return [one._replace(action=form(one.action)) for one in points if low <= one.t <= high]
 
     def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
         return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
@@ -206,7 +264,7 @@ class _Adjoint:
 
     @cached_property
     def _laws(self) -> Laws:
-        return Laws(self._problem, self._derivatives, self._weights)
+        return Laws(self._problem, self.k, self._derivatives, self._weights)
 
     @cached_property
     def _start(self) -> Array:
@@ -256,7 +314,7 @@ class _Adjoint:
         if objective.integrand is not None:
             self._g = g = self._derivatives(objective.integrand, "integrand", m=1, moves_t=False)
         t0, tf = self._problem.t_span[0], self._run.t
-        states = self._sol.sol(objective.times)
+        states = self._y(objective.times)
         costs: dict[float, Array] = {}
         for t, cost in zip(objective.times.tolist(), objective.costs.T, strict=True):
             costs[t] = costs.get(t, 0) + cost
@@ -265,7 +323,7 @@ class _Adjoint:
         for piece in reversed(self._pieces(t0, tf)):
             mu = self._across(piece, mu, costs)
         for jump in reversed([one for one in self._jumps if one.t == t0]):
-            mu = self._through(jump, mu)
+            mu = self._through(jump.found(), mu)
         mu, beside = self._laws.on_tangent(t0, self._at.y, mu, taking=True)
         return np.asarray(self._total + beside + mu @ self._start)
 
@@ -296,19 +354,17 @@ class _Adjoint:
         if piece.end == self._run.t and piece.end in costs:
             mu = mu + self._cost(piece.end, costs.pop(piece.end))
         for jump in reversed(piece.jumps):
-            mu = self._through(jump, mu)
+            mu = self._through(jump.found(), mu)
         if piece.begin == piece.end:
             return mu
         low, high = sorted((piece.begin, piece.end))
         within = {t: self._cost(t, cost) for t, cost in costs.items() if low <= t <= high and t != piece.end}
         first = within.pop(piece.begin, np.zeros(self.n))
-        lam = self._backwards(piece, mu, within)
-        self._total = self._total + self._integral(piece, lam)
-        end = lam.y[:, -1]
+        end = self._backwards(piece, mu, within)
         return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
-        y = self._sol.sol(t)
+        y = self._y(t)
         cost, beside = self._laws.on_tangent(t, y, cost)
         self._total = self._total + beside
         return self._differential(t, y, cost)
@@ -332,16 +388,16 @@ class _Adjoint:
         costs = [*zip(states.T, objective.costs.T, strict=True)]
         if g is not None:
             times = [t0, 0.5 * (t0 + tf), tf]
-            along = zip(times, self._sol.sol(times).T, strict=True)
+            along = zip(times, self._y(times).T, strict=True)
             costs += [(y, abs(tf - t0) / len(times) * g.jacobian(t, y)[0]) for t, y in along]
         weights = np.array([self._weights(y) for y, _ in costs])
         size = sum(float(w @ np.abs(cost)) for w, (_, cost) in zip(weights, costs, strict=True))
         return np.asarray(size / weights.max(axis=0))
 
-    def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Result:
-        """μ, or λ if M is singular, as a function of s = end − t, whose smallest steps are shorter than those at the
-        end."""
-        slope, solution, n, g = self._slope, self._sol.sol, self.n, self._g
+    def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
+        """μ, or λ if M is singular, at the beginning of a piece. It is solved for as a function of s = end − t, whose
+        smallest steps are shorter than those at the end. ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
+        slope, solution, n, g = self._slope, self._y, self.n, self._g
         singular = self._algebraic
 
         def rate(s: float, mu: Array) -> Array:
@@ -380,24 +436,32 @@ class _Adjoint:
         options: Options = {
             "rtol": rtol,
             "atol": np.maximum(atol, np.finfo(float).tiny),
-            "dense_output": True,
+            "keep": "end",
             "breakpoints": {piece.end - t: (lambda s, mu, cost=cost: mu + cost) for t, cost in costs.items()},
             "max_step": np.inf,
-            "on_failure": "raise",
         }
-        return self._run.solve(adjoint, method, options)
+        plan = make_plan(adjoint, method, options)
+        walk = Walk(plan, plan.y0)
+        total = np.zeros(self.k)
+        while walk.state == "running":
+            s = walk.t
+            walk.step()
+            if walk.t != s:
+                total += self._integral(piece, walk.over_last_step(), s, walk.t)
+        if walk.state != "reached_end":
+            raise SolveError(f"gradient: {walk.failure[1]}")
+        self._total = self._total + total
+        return walk.y
 
-    def _integral(self, piece: _Piece, mu: Result) -> Array:
-        """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a piece."""
+    def _integral(self, piece: _Piece, mu: DenseSolution, begin: float, end: float) -> Array:
+        """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a step."""
         g = self._g
-        nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
-        lengths = np.diff(mu.t)
-        begins, lengths = mu.t[:-1][lengths != 0], lengths[lengths != 0]
-        places = (begins[:, None] + 0.5 * lengths[:, None] * (1 + nodes)).ravel()
-        parts = (0.5 * lengths[:, None] * weights).ravel()
+        nodes, weights = _GAUSS
+        places = begin + 0.5 * (end - begin) * (1 + nodes)
+        parts = 0.5 * (end - begin) * weights
         times = np.array([piece.inside(s) for s in places.tolist()])
         total = np.zeros(self.k)
-        for t, part, y, here in zip(times.tolist(), parts, self._sol.sol(times).T, mu.sol(places).T, strict=True):
+        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu(places).T, strict=True):
             lam = here if self._algebraic else self._multiplier(t, here)
             total += part * self._of_parameters(t, y, piece.moving * lam)
             if g is not None:
@@ -410,7 +474,7 @@ class _Piece(NamedTuple):
 
     begin: float
     end: float
-    jumps: list[Jump]
+    jumps: list[Occurrence]
     moving: Array
 
     def inside(self, s: float) -> float:
@@ -420,8 +484,7 @@ class _Piece(NamedTuple):
 
 
 def _objective(
-    sol: Result,
-    t_end: float,
+    run: Forward,
     dG_dy: ArrayLike | None,
     dG_dp: ArrayLike | None,
     t: ArrayLike | None,
@@ -429,17 +492,18 @@ def _objective(
     k: int,
 ) -> Objective:
     """As it is given, with shapes checked."""
-    n = len(sol.y)
+    sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
         raise ValueError("gradient needs dG_dy, the derivative of a scalar with respect to y, or an integrand g(t, y)")
-    direct = np.zeros(k) if dG_dp is None else real_numbers("dG_dp", dG_dp)
+    given = numbers if run.problem.y0.dtype.kind == "c" else real_numbers
+    direct = np.zeros(k) if dG_dp is None else given("dG_dp", dG_dp)
     if direct.shape != (k,):
         raise ValueError(f"dG_dp must have one number for each of {k} parameters, got {shown(dG_dp)}")
-    costs = np.zeros((n, 1)) if dG_dy is None else real_numbers("dG_dy", dG_dy)
+    costs = np.zeros((n, 1)) if dG_dy is None else given("dG_dy", dG_dy)
     if t is not None:
         times = np.atleast_1d(real_numbers("t", t))
     else:
-        times = np.array([t_end]) if costs.shape in ((n,), (n, 1)) else np.asarray(sol.t)
+        times = np.array([run.t]) if costs.shape in ((n,), (n, 1)) else np.asarray(sol.t)
     if costs.ndim == 1:
         costs = costs[:, None]
     if times.ndim != 1 or costs.shape != (n, len(times)):
@@ -447,7 +511,7 @@ def _objective(
             f"dG_dy must have shape ({n},), at the end, or ({n}, m) with m times t, which are those of the solution if "
             f"t is left out; got {shown(dG_dy)} and {len(times)} times"
         )
-    low, high = sol.sol.t_min, sol.sol.t_max
+    low, high = sorted((run.problem.t_span[0], run.t))
     if not ((times >= low) & (times <= high)).all():
         raise ValueError(f"t of gradient must be between {low} and {high}, where the solution is, got {shown(t)}")
     return Objective(times, costs, direct, integrand)

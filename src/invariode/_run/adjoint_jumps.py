@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from .._functions.directional import Directional
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event
-from .._results.result import Result
+from .._problem.parameters import ParameterName
+from .._results.result import DenseSolution, Result
 from .actions import Rate, restoration
-from .variations import Switching, given_derivatives
+from .sections import SectionedSolution
+from .variations import Crossing, Switching, given_derivatives
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]
@@ -87,6 +90,21 @@ class Partials(NamedTuple):
         return Partials(then.of_y @ self.of_y, then.of_y @ self.of_p + then.of_p, then.of_y @ self.of_t + then.of_t)
 
 
+class Occurrence(NamedTuple):
+    """A jump that is computed when it is passed: its matrices are not kept.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    found : callable
+        () -> the jump.
+    """
+
+    t: float
+    found: Callable[[], Jump]
+
+
 class Action(NamedTuple):
     """What moves y at a time: an action of an event or at a breakpoint.
 
@@ -94,8 +112,8 @@ class Action(NamedTuple):
     ----------
     t : float
         When.
-    before : ndarray, (n,)
-        The state, before all of that time.
+    before : callable
+        () -> the state, before all of that time.
     action : Directional
         The derivatives of the action.
     event : Directional or None
@@ -105,7 +123,7 @@ class Action(NamedTuple):
     """
 
     t: float
-    before: Array
+    before: Callable[[], Array]
     action: Directional
     event: Directional | None
     reholds: bool
@@ -113,6 +131,10 @@ class Action(NamedTuple):
 
 #: Relative differences of derivatives of times that are roundoff.
 _ALIKE = 1e-6
+
+
+def _behind(one: Occurrence) -> Array:
+    return one.found().after
 
 
 def _at_one_time(actions: list[Action]) -> list[list[Action]]:
@@ -127,6 +149,8 @@ class Jumps:
     ----------
     problem : Description
         The problem.
+    names : sequence of ParameterName
+        The parameters.
     derivatives : callable
         Makes derivatives of its functions.
     conditions : list of Switching
@@ -138,11 +162,12 @@ class Jumps:
     def __init__(
         self,
         problem: Description,
+        names: Sequence[ParameterName],
         derivatives: Derivatives,
         conditions: Sequence[Switching],
         threshold: float | Array,
     ) -> None:
-        fun, given = given_derivatives(problem, problem.parameters())
+        fun, given = given_derivatives(problem, names)
         n = len(problem.y0)
         self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
         self._derivatives, self._conditions = derivatives, conditions
@@ -152,11 +177,14 @@ class Jumps:
             problem.y0,
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
-        self._n, self._k = n, len(problem.parameters())
-        self._restored = restoration(problem, problem.parameters(), threshold)
+        self._n, self._k = n, len(names)
+        self._restored = restoration(problem, names, threshold)
 
-    def of(self, sol: Result, points: Sequence[Breakpoint], rests: Sequence[Rest]) -> list[Jump]:
-        """Those of a solution, in the order of its times; at one time in that in which the run takes them.
+    def of(
+        self, sol: Result, y: Callable[[float], Array], points: Sequence[Breakpoint], rests: Sequence[Rest]
+    ) -> list[Occurrence]:
+        """Those of a solution, y as a function of t, in the order of its times; at one time in that in which the run
+        takes them.
 
         Raises
         ------
@@ -165,23 +193,23 @@ class Jumps:
             of events whose times differ for other parameters.
         """
         events = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
-        actions = [self._of_point(sol, one) for one in points if one.action is not None]
-        found: list[Jump] = []
+        actions = [self._of_point(y, one) for one in points if one.action is not None]
+        found: list[Occurrence] = []
         for together in sorted([*_at_one_time(events), *_at_one_time(actions)], key=lambda one: self._order(one[0])):
             before, t = together[0].before, together[0].t
             if found and found[-1].t == t:  # events come first
-                before = found[-1].after
+                before = partial(_behind, found[-1])
             singular = self._rate.is_singular and len(together) > 1
             self._require(not singular, t, "together with others, and the mass matrix is singular")
-            found.append(self._jump(together, before))
+            found.append(Occurrence(t, partial(self._jump, together, before)))
         conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
         for one in conditions:
             self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
-        found += [*conditions, *(self._of_rest(sol, one) for one in rests)]
+        found += [*conditions, *(Occurrence(one.begin, partial(self._of_rest, y, one)) for one in rests)]
         found.sort(key=self._order)
         return found
 
-    def _order(self, one: Action | Jump) -> float:
+    def _order(self, one: Action | Occurrence) -> float:
         return float(self._forward * one.t)
 
     @staticmethod
@@ -200,15 +228,19 @@ class Jumps:
         action = self._derivatives(event.action, f"the action of event {event.__name__}", m=self._n, moves_t=True)
         last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
         occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
-        return [Action(t, y, action, times, event.rehold) for t, y in occurred]
+        return [Action(t, partial(np.asarray, y), action, times, event.rehold) for t, y in occurred]
 
-    def _of_point(self, sol: Result, point: Breakpoint) -> Action:
+    def _of_point(self, y: Callable[[float], Array], point: Breakpoint) -> Action:
         action = self._derivatives(point.action, "the action in breakpoints", m=self._n, moves_t=False)
-        before: Any = self._y0 if point.t == self._t0 else sol.sol(np.nextafter(point.t, self._t0))
+
+        def before() -> Array:
+            return self._y0 if point.t == self._t0 else y(np.nextafter(point.t, self._t0))
+
         return Action(point.t, before, action, None, reholds=True)
 
-    def _jump(self, together: list[Action], before: Array) -> Jump:
+    def _jump(self, together: list[Action], start: Callable[[], Array]) -> Jump:
         """What actions at one time do, all of events or all at breakpoints; they begin in this state."""
+        before = start()
         n, k, y, t = self._n, self._k, before, together[0].t
         reholds = all(one.reholds for one in together)
         h = Partials(np.eye(n), np.zeros((n, k)), np.zeros(n))
@@ -234,7 +266,7 @@ class Jumps:
         self._require(alike, t, "together with that of another event, which has another time for other parameters")
         return found[0]
 
-    def _of_condition(self, sol: Result, i: int) -> list[Jump]:
+    def _of_condition(self, sol: Result, i: int) -> list[Occurrence]:
         condition = self._conditions[i]
         place = len(self._events) + i
         found = []
@@ -243,16 +275,19 @@ class Jumps:
             if crossing is None:
                 continue
             condition.tell(t, crossing)
-            e = Partials.at(condition.difference, t, y)
-            moved = crossing.before - crossing.behind
-            of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
-            A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
-            found.append(Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False))
+            found.append(Occurrence(t, partial(self._of_crossing, condition, crossing, t, y)))
         return found
 
-    def _of_rest(self, sol: Result, rest: Rest) -> Jump:
+    def _of_crossing(self, condition: Switching, crossing: Crossing, t: float, y: Array) -> Jump:
+        e = Partials.at(condition.difference, t, y)
+        moved = crossing.before - crossing.behind
+        of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
+        A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
+        return Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False)
+
+    def _of_rest(self, solution: Callable[[float], Array], rest: Rest) -> Jump:
         """Where it begins: S_i is 0."""
-        y: Any = sol.sol(rest.begin)
+        y = solution(rest.begin)
         A, n, k = np.eye(self._n), self._n, self._k
         A[rest.component, rest.component] = 0
         none = np.zeros((n, k))
@@ -267,19 +302,28 @@ class Rest(NamedTuple):
     end: float
 
 
-def at_bounds(problem: Description, sol: Result) -> list[Rest]:
+def at_bounds(problem: Description, sol: Result, y: DenseSolution | SectionedSolution) -> list[Rest]:
     """When components are held at their bounds: between steps that end there, where f leads out of the bounds."""
     if problem.bounds is None or not sol.stats.clipped:
         return []
-    t = sol.sol.ts
-    y: Any = sol.sol(t)
-    middle = 0.5 * (t[1:] + t[:-1])
-    outwards = np.sign(problem.slope(middle, sol.sol(middle))) * np.sign(t[-1] - t[0])
-    found = []
-    for side, bound in ((-1, problem.bounds.lower), (1, problem.bounds.upper)):
-        there = y == bound[:, None]
-        held = there[:, 1:] & there[:, :-1] & (outwards == side)
-        for i, row in enumerate(held):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]])))
-            found += [Rest(i, float(t[a]), float(t[b])) for a, b in edges.reshape(-1, 2)]
-    return found
+    found: list[Rest] = []
+    since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
+    for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
+        states = y(t)
+        middle = 0.5 * (t[1:] + t[:-1])
+        outwards = np.sign(problem.slope(middle, y(middle))) * np.sign(t[-1] - t[0])
+        for side, bound in ((-1, problem.bounds.lower), (1, problem.bounds.upper)):
+            there = states == bound[:, None]
+            held = there[:, 1:] & there[:, :-1] & (outwards == side)
+            for i, row in enumerate(held):
+                before = since.pop((side, i), None)
+                if before is not None and not row[0]:
+                    found.append(Rest(i, before, float(t[0])))
+                edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]])))
+                for a, b in edges.reshape(-1, 2):
+                    begin = before if a == 0 and before is not None else float(t[a])
+                    if b == len(row):
+                        since[side, i] = begin
+                    else:
+                        found.append(Rest(i, begin, float(t[b])))
+    return found + [Rest(i, begin, sol.t_end) for (_, i), begin in since.items()]

@@ -64,6 +64,8 @@ class Laws:
     ----------
     problem : Description
         The problem.
+    k : int
+        How many parameters there are.
     derivatives : callable
         Makes derivatives of its functions.
     weights : callable
@@ -71,10 +73,10 @@ class Laws:
     """
 
     def __init__(
-        self, problem: Description, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
+        self, problem: Description, k: int, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
     ) -> None:
         self._laws, self._args, self._weights = [], problem.args, weights
-        self._k = len(problem.parameters())
+        self._k = k
         for one in problem.invariants:
             jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
             law = derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)

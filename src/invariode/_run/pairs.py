@@ -24,6 +24,7 @@ from .._problem.events import Event
 from .._problem.invariants import Invariants
 from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities
+from .._results.result import Result
 
 #: Where the equations of Cauchy and Riemann are tested, in units of the sizes of the components; and to which part of
 #: the largest derivative, beyond the errors of differences.
@@ -90,7 +91,7 @@ class RealForm(NamedTuple):
     problem : Description
         The problem.
     names : tuple of ParameterName
-        The parameters; an initial value stands for its real part.
+        The parameters; an initial value stands for its real part, or for both, one after the other.
     points : list of Breakpoint
         The breakpoints.
     """
@@ -100,8 +101,9 @@ class RealForm(NamedTuple):
     points: list[Breakpoint]
 
 
-def real_form(problem: Description, points: Sequence[Breakpoint]) -> RealForm:
+def real_form(problem: Description, points: Sequence[Breakpoint], *, both_parts: bool = False) -> RealForm:
     """The problem with real states. It has no Jacobians: those of complex problems are of analytic functions.
+    `both_parts`: both parts of initial values are parameters, so that nothing needs to be analytic.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def real_form(problem: Description, points: Sequence[Breakpoint]) -> RealForm:
     assert wanted is not None
     of_start = [one.name for one in names if one.kind != "args"]
     for what, there in (("a mass matrix", problem.matrices.mass is not None), ("events", bool(problem.events))):
-        if there and (what != "events" or of_start):
+        if there and (what != "events" or (of_start and not both_parts)):
             to = f" to {of_start[0]}" if what == "events" else ""
             raise ValueError(
                 f"sensitivities{to} of a complex problem are not possible with {what}: write the problem in real and "
@@ -136,7 +138,11 @@ def real_form(problem: Description, points: Sequence[Breakpoint]) -> RealForm:
         inputs=problem.inputs or None,
         sensitivities=of_args,
     )
-    doubled = (one if one.kind == "args" else dataclasses.replace(one, index=2 * one.index) for one in names)
+    doubled = [
+        dataclasses.replace(one, index=2 * one.index + part) if one.kind != "args" else one
+        for one in names
+        for part in (range(2) if both_parts and one.kind != "args" else (0,))
+    ]
     return RealForm(form, tuple(doubled), [one._replace(action=of_pairs(one.action)) for one in points])
 
 
@@ -162,6 +168,38 @@ def for_complex(function: Any, complex_values: bool = True) -> Any:
         return found.view(complex) if complex_values else found
 
     return called
+
+
+class AsPairs:
+    """A continuous solution of complex states as one of pairs."""
+
+    def __init__(self, solution: Callable[[Any], Array]) -> None:
+        self._solution = solution
+
+    def __call__(self, t: Any) -> Array:
+        return _as_pairs(self._solution(t))
+
+
+def with_pairs(sol: Result) -> Result:
+    """The same with tolerances and states at events of pairs."""
+    each = (np.repeat(one, 2) if np.ndim(one) else one for one in (sol._rtol, sol._atol))
+    events = sol.y_events and [np.ascontiguousarray(states).view(float) for states in sol.y_events]
+    return sol.changed(**dict(zip(("_rtol", "_atol"), each, strict=True)), y_events=events)
+
+
+def event_of_pairs_in_complex(one: Event) -> Event:
+    """An event, of pairs, of a complex problem."""
+    fun, action = one.fun, one.action
+
+    def called(t: float, y: Array, *args: Any) -> Any:
+        return fun(t, y.view(float), *args)
+
+    def acting(t: float, y: Array, *args: Any) -> Array:
+        return np.ascontiguousarray(action(t, y.view(float), *args)).view(complex)
+
+    made = Event(fun if is_native(fun) else called, action=None if action is None else acting, rehold=one.rehold)
+    made.__name__ = one.__name__
+    return made
 
 
 def in_complex(pairs: Array, axis: int) -> Array:

@@ -104,6 +104,7 @@ class Settings(NamedTuple):
     refine: int
     interpolation: str
     dense: bool
+    sections: bool  # what the run remembers is kept at some steps, from which its parts are solved again
     save_all: bool
     record: bool
     check: bool
@@ -400,9 +401,15 @@ def _settings(method: Method, options: Options) -> Settings:
     """Those of the method and its options, on no interval yet."""
     at_times = options["t_eval"] is not None
     keep = options["keep"] or ("outputs" if at_times else "all")  # with t_eval no record, unless it is requested
-    dense = options["dense_output"] or options["adjoint"]
+    sections = options["adjoint"] == "checkpoints"
+    dense = options["dense_output"] or options["adjoint"] is True
+    if sections and dense:
+        raise ValueError(
+            'adjoint="checkpoints" is for runs whose continuous solution is not kept, and dense_output=True keeps it: '
+            "give one of them"
+        )
     if keep == "end" and (at_times or dense):
-        other = "t_eval, dense_output and adjoint need"
+        other = "t_eval, dense_output and adjoint=True need"
         raise ValueError(f'keep="end" keeps only the final state: {other} keep="outputs" or "all"')
     if options["refine"] > 1 and (at_times or keep == "end"):
         other = "t_eval" if at_times else 'keep="end"'
@@ -422,6 +429,7 @@ def _settings(method: Method, options: Options) -> Settings:
         refine=options["refine"],
         interpolation=options["interpolation"],
         dense=dense,
+        sections=sections,
         save_all=keep != "end",
         record=keep == "all",
         check=bool(options["check"]),

@@ -55,6 +55,7 @@ from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
 from .second_order import require_no_velocities
+from .sections import Sectioned, SectionedSolution
 from .template import Template, plan_or_template
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ class RunOrigin:
     memory: bytes
     imposed: bool = False
     checkpoint: Checkpoint | None = None
+    sectioned: tuple[Sectioned, ...] = ()  # with adjoint="checkpoints": of the run, and of its extensions
     memory_version: int = _core.MEMORY_VERSION
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -123,6 +125,12 @@ class RunOrigin:
         """See `Solution.gradient`."""
         source = self.source
         return gradient(Forward(source.problem, source.method, source.options, solve, self.t, sol), *given)
+
+    def continuous(self, sol: Solution) -> DenseSolution | SectionedSolution | None:
+        """The solution as a function of t, perhaps solved again from checkpoints; None: it was not asked for."""
+        if sol.sol is not None or not self.sectioned:
+            return sol.sol
+        return SectionedSolution(self.sectioned, sol, self.y, imposed=self.imposed)
 
     def identity(self) -> Identity:
         """What tells its run from another."""
@@ -396,6 +404,7 @@ def _solution(
         y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
         plan.varied.tell_of_steps(t, y)
     stats = _stats(run, plan) if plan.names else Stats.when_needed(partial(_stats, run, plan))
+    sectioned = (Sectioned.of(plan, run),) if plan.settings.sections else ()
     next_h = run.next_h if plan.method.fixed_order and run.steps else None
     return Solution(
         {
@@ -405,7 +414,7 @@ def _solution(
             "_drift": BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
             "_names": plan.called,
             "_sensitivities": sensitivities,
-            "_origin": RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
+            "_origin": RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint, sectioned=sectioned),
         },
         t=t,
         y=y,
@@ -566,6 +575,8 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     sensitivities = None
     if old._sensitivities is not None and new._sensitivities is not None:
         sensitivities = old._sensitivities.joined(new._sensitivities, points)
+    known = old._origin.sectioned  # not of a run that was loaded
+    sectioned = known + new._origin.sectioned if known else ()
     return new.changed(
         t=np.concatenate([old.t[:points], new.t]),
         y=np.concatenate([old.y[:, :points], new.y], axis=1),
@@ -576,6 +587,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         steps=steps,
         _invariants=bound,
         _sensitivities=sensitivities,
+        _origin=dataclasses.replace(new._origin, sectioned=sectioned),
     )
 
 

@@ -121,4 +121,5 @@ def _holds_for_all(plan: Plan, problem: Description) -> bool:
         and not plan.progress
         and plan.on_interrupt == "raise"
         and plan.checkpoint is None
+        and not plan.settings.sections
     )

@@ -121,10 +121,11 @@ class Bridge:
     def _prepared(self, wanted: tuple[int, ...] | None) -> PreparedSolver:
         """A solver with sensitivities to the wanted operands; None: for the adjoint."""
         options = self._options.copy()
-        options["adjoint"] = wanted is None
+        if wanted is not None:
+            options["adjoint"] = False
         if self._t is not None:
             options["t_eval"] = self._t
-        elif wanted is not None:
+        elif options.get("adjoint") is not True:
             options["keep"] = "end"
         problem = self._problem.replace(sensitivities=self._selected(wanted) if wanted else None)
         if self._t is not None:
