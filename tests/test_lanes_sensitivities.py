@@ -213,6 +213,25 @@ def test_algebraic_equations_are_solved_with_each_trajectory():
     np.testing.assert_array_equal(found.sensitivities[1, ..., 0], one.sensitivities[..., -1])
 
 
+def precession(t, y, w, g):
+    return -1j * (w * y[0] + g * y[1]), -1j * (g * y[0] - w * y[1])
+
+
+@pytest.mark.parametrize("wanted", [True, ["g", "y0"]])
+@pytest.mark.parametrize("method", ["ode45", "ode15s"])
+def test_complex_states(wanted, method):
+    fun, (y0, p) = iv.compile(precession), rows()
+    y0 = y0 + 1j * y0[::-1]
+    options = {"t_eval": [1.0, 2.0], "rtol": 1e-5, "sensitivities": wanted}
+    found = iv.solve_ensemble(fun, (0, 2), y0, method, args=p, workers=1, **options)
+    why = "explicit Runge-Kutta pair" if method == "ode15s" else "lanes, "
+    assert (why if wanted is True else "must be analytic") in found.stats.lanes
+    for i in (0, 21):
+        one = iv.solve_ivp(fun, (0, 2), y0[i], method, args=tuple(p[i]), **options)
+        np.testing.assert_array_equal(found.y[i], one.y)
+        np.testing.assert_array_equal(found.sensitivities[i], one.sensitivities)
+
+
 def branching(t, y, a, b):
     return y[1], -(a if y[0] > b else 2 * a) * y[0]
 

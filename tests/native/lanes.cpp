@@ -83,6 +83,29 @@ void slope_of_energy(double, const double* y, double* out, const double* p, std:
   out[2 * stride] = 0;
 }
 
+constexpr std::size_t varied = 2;  // sensitivities, to p₀ and to an initial value
+
+/// Those of the first two laws.
+void slope_of_sensitivities(double, const double* y, double* out, const double* p, std::size_t stride) {
+  const double x = y[0];
+  for (std::size_t j = 0; j < varied; ++j) {
+    const double* S = y + 3 * (1 + j) * stride;
+    double* slope = out + 3 * j * stride;
+    slope[0] = S[stride];
+    slope[stride] = -(p[0] + 3 * p[stride] * x * x) * S[0] - (j == 0 ? x : 0);
+    slope[2 * stride] = -S[2 * stride];
+  }
+}
+
+void tangent_of_energy(double t, const double* y, double* out, const double* p, std::size_t stride) {
+  std::vector<double> gradient(3 * stride);
+  slope_of_energy(t, y, gradient.data(), p, stride);
+  for (std::size_t j = 0; j < varied; ++j) {
+    out[j * stride] = j == 0 ? y[0] * y[0] / 2 : 0;
+    for (std::size_t i = 0; i < 3; ++i) out[j * stride] += gradient[i * stride] * y[(3 * (1 + j) + i) * stride];
+  }
+}
+
 void position(double, const double* y, double* out, const double*, std::size_t) { out[0] = y[0]; }
 
 /// Undefined for some after a while, as the third component is.
@@ -103,12 +126,15 @@ Status expanded_alone(void* context, double, double unit, const double* y, doubl
   return Status::ok;
 }
 
-/// What runs have beside f: an invariant; events, which may be terminal.
+/// What runs have beside f: an invariant; events, which may be terminal; sensitivities, which may count in the error
+/// test.
 struct Beside {
   bool invariant = false;
   bool series = false;
   bool events = false;
   std::int64_t terminal[2] = {0, 0};
+  bool sensitivities = false;
+  bool counts = true;
 };
 
 struct InLanes {
@@ -123,13 +149,15 @@ struct InLanes {
     if (beside.invariant) form.g = {called<energy>, this};
     if (beside.invariant) form.jacobian = {called<slope_of_energy>, this};
     if (beside.events) form.events = {{called<position>, this}, {called<speed>, this}};
+    if (beside.sensitivities) form.slope = {called<slope_of_sensitivities, 3 * (1 + varied)>, this};
+    if (beside.sensitivities) form.tangent = {called<tangent_of_energy, 3 * (1 + varied)>, this};
     return form;
   }
 
-  template <Law& one>
+  template <Law& one, std::size_t n = 3>
   static void called(void* context, const double* t, const double* y, double* out, const double* p) {
     auto& me = *static_cast<InLanes*>(context);
-    if (!all_finite(y, 3 * me.lanes) || !all_finite(t, me.lanes)) me.finite = false;
+    if (!all_finite(y, n * me.lanes) || !all_finite(t, me.lanes)) me.finite = false;
     for (std::size_t l = 0; l < me.lanes; ++l) one(t[l], y + l, out + l, p + l, me.lanes);
   }
   static void expanded(void* context, const double*, const double* unit, const double* y, double* out,
@@ -142,6 +170,7 @@ struct InLanes {
 
 struct Rows {
   std::vector<double> y0, p;
+  std::vector<double> all, tolerances;  // y0 with sensitivities, and tolerances of these
 
   Rows(std::size_t size, std::mt19937_64& random, double far = 1e3) {
     std::uniform_real_distribution<double> uniform(-1, 1);
@@ -154,7 +183,18 @@ struct Rows {
     if (size > 4) y0[3 * 4] = std::numeric_limits<double>::quiet_NaN();
     if (size > 7) p[3 * 7] = std::numeric_limits<double>::infinity();
   }
-  [[nodiscard]] Ensemble ensemble() const { return {y0.size() / 3, y0.data(), p.data(), 3, parameters}; }
+  void vary(std::mt19937_64& random) {
+    std::uniform_real_distribution<double> uniform(-6, 0);
+    for (std::size_t i = 0; i < y0.size(); i += 3) {
+      all.insert(all.end(), &y0[i], &y0[i] + 3);
+      all.insert(all.end(), {0, 0, 0, 1, 0, 0});
+      for (std::size_t j = 0; j < 3 * varied; ++j) tolerances.push_back(std::exp(uniform(random)));
+    }
+  }
+  [[nodiscard]] Ensemble ensemble() const {
+    if (all.empty()) return {y0.size() / 3, y0.data(), p.data(), 3, parameters};
+    return {y0.size() / 3, all.data(), p.data(), 3 * (1 + varied), parameters, tolerances.data()};
+  }
 };
 
 /// As many solvers, each with parameters of its own.
@@ -177,6 +217,7 @@ class Solvers {
         block.jacobian = {evaluated_alone<slope_of_energy>, place.data()};
         block.m = 1;
         block.held = true;
+        if (beside.sensitivities) block.tangent = {evaluated_alone<tangent_of_energy>, place.data()};
         problem.invariants.push_back(block);
         problem.value.push_back(0);
       }
@@ -186,6 +227,11 @@ class Solvers {
         problem.events[1] = {
             .function = {evaluated_alone<speed>, place.data()}, .terminal = beside.terminal[1], .direction = 1};
       }
+      if (beside.sensitivities)
+        problem.variations = {.k = varied,
+                              .slope = {evaluated_alone<slope_of_sensitivities>, place.data()},
+                              .tolerance = std::vector<double>(3 * varied, 1),
+                              .error_test = beside.counts};
       problem.parameters = place;
       solvers_.push_back(std::make_unique<Solver>(method, problem, weights, settings, MethodOptions{}));
       pointers_.push_back(solvers_.back().get());
@@ -327,6 +373,33 @@ TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
   }
   CHECK(beside_others > 500);
   CHECK(refused > 100);
+}
+
+TEST(sensitivities_in_lanes_are_those_of_single_runs) {
+  std::mt19937_64 random(29);
+  std::size_t beside_others = 0;
+  for (const Method& method : general_methods()) {
+    if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
+    for (Case& one : random_cases(random)) {
+      Rows rows(one.size, random, 500);
+      rows.vary(random);
+      one.beside = {.invariant = random() % 2 == 0, .sensitivities = true, .counts = random() % 4 != 0};
+      one.settings.iterations = method.iterations;
+      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
+      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
+      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
+      for (const lanes::Instructions* instructions : lanes::instructions()) {
+        const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows");
+        Solvers crew(method, 2, one.weights, one.settings, one.beside);
+        InLanes form{instructions->lanes};
+        const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
+        check_same(*found, *alone);
+        CHECK(form.finite);
+        beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
+      }
+    }
+  }
+  CHECK(beside_others > 500);
 }
 
 TEST(series_in_lanes_are_those_of_single_runs) {

@@ -74,7 +74,7 @@ def choose_lanes(
     size: int,
 ) -> Lanes:
     """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
-    by what they are called in reasons: f, then those of an invariant that is held. `series` has the code of the
+    by what they are called in reasons (`Plan.in_lanes`). `series` has the code of the
     Taylor coefficients in so many lanes, if the method takes them, and makes it if it is told to."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:

@@ -97,11 +97,13 @@ class Variations:
     @property
     def own_to_each(self) -> str | None:
         """What is not the same for all initial values and parameters, but for the tolerances: conditions of f are
-        compared around y0, and functions called with the arguments."""
+        compared around y0, functions called with the arguments, and complex derivatives tested at y0."""
         if self.derivatives_of[0].has_conditions:
             return "f has branches, which are examined for each trajectory"
-        given = self.sizes.wanted.dy0dp
-        return "dy0dp is a function, which is called for each trajectory" if callable(given) else None
+        if callable(self.sizes.wanted.dy0dp):
+            return "dy0dp is a function, which is called for each trajectory"
+        of_start = any(one.kind != "args" for one in self.sizes.names)
+        return "f must be analytic, which is tested for each trajectory" if self.is_complex and of_start else None
 
     def tangent_nodes(self) -> list[Node]:
         """f_y S + f_p as a graph, of (t, Y).
