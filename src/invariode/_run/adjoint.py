@@ -7,7 +7,7 @@ For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t
 
 (Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24, 2003, 1076-1089). y is that of the continuous
 solution. The integral is a quadrature over the steps of λ, so that the parameters are no unknowns of the run. If M is
-singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y)ᵀ λ − (∂g/∂y)ᵀ.
+singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y + M')ᵀ λ − (∂g/∂y)ᵀ.
 
 Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and Bᵀ μ⁺ is added to the gradient. There is a run
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
@@ -40,8 +40,8 @@ from .._results.result import DenseSolution, Result
 from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
-from .algebraic import Algebraic, dense_mass
-from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
+from .algebraic import dense_mass
+from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
 from .plan import make_plan, ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
@@ -120,7 +120,7 @@ def gradient(
             "reached as t="
         )
     names = problem.parameters()
-    require_possible(problem, names)
+    require_possible(problem)
     if any(law.sense for law in problem.invariants):
         raise ValueError(
             "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it out"
@@ -236,8 +236,8 @@ class _Adjoint:
         given = self._run.options.get("breakpoints")
         points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
         low, high = sorted((self._problem.t_span[0], self._run.t))
-        form = of_pairs if self._is_complex else (lambda action: action)
-        return [one._replace(action=form(one.action)) for one in points if low <= one.t <= high]
+        inside = [one for one in points if low <= one.t <= high]
+        return [one._replace(action=of_pairs(one.action)) for one in inside] if self._is_complex else inside
 
     def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
         return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
@@ -245,15 +245,15 @@ class _Adjoint:
     # -------------------------------------------------------------------------------------------------------- the mass
 
     @cached_property
-    def _algebraic(self) -> Algebraic | None:
+    def _algebraic(self) -> AlgebraicOverTime | None:
         """The algebraic equations of a singular M."""
-        mass = self._problem.matrices.mass
-        found = Algebraic.of(dense_mass(mass, self._at.t, self._problem.args))
-        if found is not None and moves_in_time(self._problem):
-            raise ValueError(
-                "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
-            )
-        return found
+        found = AlgebraicOverTime(self._problem)
+        return found if found.is_singular else None
+
+    @cached_property
+    def _mass_rate(self) -> Callable[[float], Array]:
+        """M', of a singular M that is a function of t."""
+        return mass_rate(self._problem, self._derivatives)
 
     def _multiplier(self, t: float, mu: Array) -> Array:
         """λ."""
@@ -277,7 +277,7 @@ class _Adjoint:
         if self._algebraic is None:
             return cost
         J = self._slope.jacobian(t, y)
-        cost, multiplier = self._algebraic.differential(J, cost)
+        cost, multiplier = self._algebraic.at(t).differential(J, cost)
         self._total = self._total + self._of_parameters(t, y, multiplier)
         return cost
 
@@ -361,7 +361,7 @@ class _Adjoint:
         within = {t: self._cost(t, cost) for t, cost in costs.items() if low <= t <= high and t != piece.end}
         first = within.pop(piece.begin, np.zeros(self.n))
         end = self._backwards(piece, mu, within)
-        return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
+        return np.asarray((end if self._algebraic is None else self._algebraic.at(piece.begin).M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
         y = self._y(t)
@@ -399,26 +399,35 @@ class _Adjoint:
         smallest steps are shorter than those at the end. ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
         slope, solution, n, g = self._slope, self._y, self.n, self._g
         singular = self._algebraic
+        moves = singular is not None and singular.moves
 
         def rate(s: float, mu: Array) -> Array:
             t = piece.inside(s)
             y = solution(t)
             lam = mu if singular else self._multiplier(t, mu)
             found = slope.transposed(t, y, piece.moving * lam)[:n]
+            if moves:
+                found = found + self._mass_rate(t).T @ lam
             return found if g is None else found + g.jacobian(t, y)[0]
 
         def jacobian(s: float, mu: Array) -> Array:
             t = piece.inside(s)
             found = slope.jacobian(t, solution(t)).T * piece.moving
-            M = None if singular else dense_mass(self._problem.matrices.mass, t, self._problem.args)
+            if singular is not None:
+                return np.asarray(found + self._mass_rate(t).T if moves else found)
+            M = dense_mass(self._problem.matrices.mass, t, self._problem.args)
             return found if M is None else np.linalg.solve(M, found.T).T
+
+        def mass(s: float) -> Array:
+            assert singular is not None
+            return singular.at(piece.inside(s)).M.T
 
         sizes = self._sizes
         if singular is not None:
             end = piece.inside(0.0)
-            solved = singular.multiplier(slope.jacobian(end, solution(end)))
+            solved = singular.at(end).multiplier(slope.jacobian(end, solution(end)))
             mu, sizes = solved @ mu, np.abs(solved) @ sizes
-            costs = {t: np.linalg.lstsq(singular.M.T, cost, rcond=None)[0] for t, cost in costs.items()}
+            costs = {t: np.linalg.lstsq(singular.at(t).M.T, cost, rcond=None)[0] for t, cost in costs.items()}
         method, rtol = self._run.method, np.max(self._sol._rtol)
         about = find_method(method)[0]
         if about.equations != "any":  # λ has neither a graph nor an equation of second order
@@ -429,7 +438,7 @@ class _Adjoint:
             (0.0, piece.end - piece.begin),
             mu,
             jac=jacobian if implicit else None,
-            mass=None if singular is None else singular.M.T,
+            mass=None if singular is None else mass if moves else mass(0.0),
             name="the adjoint",
         )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
