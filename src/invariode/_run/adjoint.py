@@ -18,13 +18,16 @@ Where a solution is held on invariants, costs go through the projection of its s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import _core
 from .._base.arguments import LEAST_RTOL, Array, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
@@ -36,14 +39,14 @@ from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
-from .._results.result import DenseSolution, Result
+from .._results.result import Result
 from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import dense_mass
 from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
-from .plan import make_plan, ordered_breakpoints
+from .plan import Plan, make_plan, ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
 from .walk import Walk
 
@@ -396,7 +399,7 @@ class _Adjoint:
 
     def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
         """μ, or λ if M is singular, at the beginning of a piece. It is solved for as a function of s = end − t, whose
-        smallest steps are shorter than those at the end. ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
+        smallest steps are shorter than those at the end."""
         slope, solution, n, g = self._slope, self._y, self.n, self._g
         singular = self._algebraic
         moves = singular is not None and singular.moves
@@ -449,20 +452,23 @@ class _Adjoint:
             "breakpoints": {piece.end - t: (lambda s, mu, cost=cost: mu + cost) for t, cost in costs.items()},
             "max_step": np.inf,
         }
-        plan = make_plan(adjoint, method, options)
+        return self._walked(piece, make_plan(adjoint, method, options))
+
+    def _walked(self, piece: _Piece, plan: Plan) -> Array:
+        """μ at the end of its run, in which only the last step is kept; ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
         walk = Walk(plan, plan.y0)
         total = np.zeros(self.k)
         while walk.state == "running":
             s = walk.t
             walk.step()
             if walk.t != s:
-                total += self._integral(piece, walk.over_last_step(), s, walk.t)
+                total += self._integral(piece, walk.core.interpolant(), s, walk.t)
         if walk.state != "reached_end":
             raise SolveError(f"gradient: {walk.failure[1]}")
         self._total = self._total + total
         return walk.y
 
-    def _integral(self, piece: _Piece, mu: DenseSolution, begin: float, end: float) -> Array:
+    def _integral(self, piece: _Piece, mu: _core.Dense, begin: float, end: float) -> Array:
         """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a step."""
         g = self._g
         nodes, weights = _GAUSS
@@ -470,7 +476,7 @@ class _Adjoint:
         parts = 0.5 * (end - begin) * weights
         times = np.array([piece.inside(s) for s in places.tolist()])
         total = np.zeros(self.k)
-        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu(places).T, strict=True):
+        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu.evaluate(places, None), strict=True):
             lam = here if self._algebraic else self._multiplier(t, here)
             total += part * self._of_parameters(t, y, piece.moving * lam)
             if g is not None:
@@ -478,7 +484,8 @@ class _Adjoint:
         return total
 
 
-class _Piece(NamedTuple):
+@dataclass
+class _Piece:
     """An interval on which the solution is smooth, what happens at its end, and which components move in it."""
 
     begin: float
@@ -486,10 +493,13 @@ class _Piece(NamedTuple):
     jumps: list[Occurrence]
     moving: Array
 
+    def __post_init__(self) -> None:
+        inner = math.nextafter(self.begin, self.end), math.nextafter(self.end, self.begin)
+        self._low, self._high = sorted(inner)
+
     def inside(self, s: float) -> float:
         """The time end − s, inside the interval: at its ends f and y may be those of its neighbours."""
-        low, high = sorted((np.nextafter(self.begin, self.end), np.nextafter(self.end, self.begin)))
-        return float(min(max(self.end - s, low), high))
+        return min(max(self.end - s, self._low), self._high)
 
 
 def _objective(
