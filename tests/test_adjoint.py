@@ -439,6 +439,16 @@ def test_events_beside_algebraic_equations_of_a_mass_matrix_that_depends_on_t():
         np.testing.assert_allclose(sol.sensitivities_t_events[0][:, j], of_time, atol=1e-6)
 
 
+@pytest.mark.parametrize("tf", [2.0, np.inf])
+def test_a_mass_matrix_that_does_not_depend_on_its_parameter_at_the_start(tf):
+    """Nor on t, if the run has no end but an event: as y' = f / M."""
+    given = {"args": (3.0,), "rtol": 1e-9, "atol": 1e-11, "sensitivities": True}
+    given["events"] = iv.Event(lambda t, y, k: t - 2.0, terminal=True)
+    sol = iv.solve_ivp(lambda t, y, k: -y, (0, tf), [1.0], "radau", mass=lambda t, k: [[2 + np.sin(k * t)]], **given)
+    plain = iv.solve_ivp(lambda t, y, k: [-y[0] / (2 + np.sin(k * t))], (0, tf), [1.0], "radau", **given)
+    np.testing.assert_allclose(sol.sensitivities[0, 0, -1], plain.sensitivities[0, 0, -1], rtol=1e-6)
+
+
 def test_algebraic_equations_that_turn_are_refused():
     def turning(t, m, k):
         return m * np.outer([np.cos(t), np.sin(t)], [1.0, 0.2])

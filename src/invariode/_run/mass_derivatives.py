@@ -128,23 +128,32 @@ def mass_derivatives(
 
 def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
     """Whether the mass matrix depends on one of these parameters."""
-    mass, t0, args = problem.matrices.mass, problem.t_span[0], problem.args
+    mass, args = problem.matrices.mass, problem.args
     if not callable(mass):
         return False
     own = [one for one in names if one.kind == "args"]
-    here = as_matrix("mass", mass(t0, *args), False)
+    times = _some_times(problem)
+    here = [as_matrix("mass", mass(t, *args), False) for t in times]
     for one, value in zip(own, values_of(args, problem.y0, own).tolist(), strict=True):
         changed = value * (1 + _CHANGE) if value else _CHANGE
-        other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
-        if abs(as_matrix("mass", other, False) - here).max() != 0:
+        others = with_numbers(args, {one.index: {one.item or 0: changed}})
+        if any(
+            abs(as_matrix("mass", mass(t, *others), False) - M).max() != 0 for t, M in zip(times, here, strict=True)
+        ):
             return True
     return False
 
 
 def moves_in_time(problem: Description) -> bool:
     """Whether the mass matrix is a function of t."""
-    mass, (t0, tf) = problem.matrices.mass, problem.t_span
+    mass = problem.matrices.mass
     if not callable(mass):
         return False
-    first, *others = (as_matrix("mass", mass(t0 + part * (tf - t0), *problem.args), False) for part in _TIMES)
+    first, *others = (as_matrix("mass", mass(t, *problem.args), False) for t in _some_times(problem))
     return any(abs(one - first).max() != 0 for one in others)
+
+
+def _some_times(problem: Description) -> list[float]:
+    t0, tf = problem.t_span
+    length = tf - t0 if np.isfinite(tf) else np.copysign(max(abs(t0), 1.0), tf)
+    return [t0 + part * length for part in _TIMES]
