@@ -219,14 +219,5 @@ def test_complex_steps_that_fail_later_are_a_warning():
 
 
 def test_what_has_no_sensitivities_is_refused_by_name():
-    given = {"args": (1.0,), "sensitivities": True}
-    for more, what in (
-        ({"mass": lambda t, p: np.diag([1.0 + t, 0.0]), "events": lambda t, y, p: y[1] - 1.9}, "events"),
-        ({"mass": lambda t, p: np.diag([p + t, 0.0])}, "parameters in it"),
-    ):
-        with pytest.raises(ValueError, match=f"with {what} and a singular mass matrix that is a function of t"):
-            iv.solve_ivp(
-                lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3], (0, 1), [1.0, 2.0], "ode15s", **given, **more
-            )
     with pytest.raises(ValueError, match="has an argument 'y0'"):
         iv.solve_ivp(lambda t, y, y0: [y0 - y[0]], (0, 1), [2.0], args=(0.5,), sensitivities="y0")

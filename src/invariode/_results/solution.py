@@ -209,8 +209,8 @@ class Solution(Exports):
         TypeError, ValueError
             A shape is wrong; or the run has neither a continuous solution nor checkpoints (which are not in files), no
             functions since it was loaded or unpickled, other steps when it is solved again from its checkpoints,
-            several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix that
-            depends on t, a `MechanicalSystem`, `Dissipated`, or complex y0 with a mass matrix.
+            several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix whose
+            null spaces depend on t, a `MechanicalSystem`, `Dissipated`, or complex y0 with a mass matrix.
 
         Notes
         -----

@@ -28,7 +28,8 @@ from .._problem.description import Description
 from .._problem.events import Event
 from .._problem.invariants import AccuracyWarning, Invariants
 from .._problem.parameters import ParameterName
-from .algebraic import Algebraic, dense_mass
+from .algebraic import dense_mass
+from .mass_derivatives import AlgebraicOverTime
 
 #: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
 _AHEAD = 1e-6
@@ -52,19 +53,19 @@ class Rate:
 
     def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
-        self._algebraic = Algebraic.of(dense_mass(self._mass, problem.t_span[0], problem.args))
-        self._derivatives = None if self._algebraic is None else slope()
+        self._algebraic = AlgebraicOverTime(problem)
+        self._derivatives = slope() if self.is_singular else None
 
     @property
     def is_singular(self) -> bool:
         """Whether M is."""
-        return self._algebraic is not None
+        return self._algebraic.is_singular
 
     def __call__(self, t: float, y: Array) -> Array:
         f = self._slope(np.array([t]), y[:, None])[:, 0]
-        if self._algebraic is not None and self._derivatives is not None:
+        if self._derivatives is not None:
             ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
-            return self._algebraic.rate(self._derivatives.jacobian(t, y), f, ft)
+            return self._algebraic.at(t).rate(self._derivatives.jacobian(t, y), f, ft)
         M = dense_mass(self._mass, t, self._args)
         return f if M is None else np.asarray(np.linalg.solve(M, f))
 

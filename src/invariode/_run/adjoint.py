@@ -7,7 +7,7 @@ For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t
 
 (Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24, 2003, 1076-1089). y is that of the continuous
 solution. The integral is a quadrature over the steps of λ, so that the parameters are no unknowns of the run. If M is
-singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y)ᵀ λ − (∂g/∂y)ᵀ.
+singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y + M')ᵀ λ − (∂g/∂y)ᵀ.
 
 Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and Bᵀ μ⁺ is added to the gradient. There is a run
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
@@ -18,13 +18,16 @@ Where a solution is held on invariants, costs go through the projection of its s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import _core
 from .._base.arguments import LEAST_RTOL, Array, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
@@ -36,14 +39,14 @@ from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
-from .._results.result import DenseSolution, Result
+from .._results.result import Result
 from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
-from .algebraic import Algebraic, dense_mass
-from .mass_derivatives import MassDerivatives, mass_derivatives, moves_in_time
+from .algebraic import dense_mass
+from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
-from .plan import make_plan, ordered_breakpoints
+from .plan import Plan, make_plan, ordered_breakpoints
 from .variations import Switching, followed, given_derivatives, require_possible
 from .walk import Walk
 
@@ -120,7 +123,7 @@ def gradient(
             "reached as t="
         )
     names = problem.parameters()
-    require_possible(problem, names)
+    require_possible(problem)
     if any(law.sense for law in problem.invariants):
         raise ValueError(
             "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it out"
@@ -236,8 +239,8 @@ class _Adjoint:
         given = self._run.options.get("breakpoints")
         points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
         low, high = sorted((self._problem.t_span[0], self._run.t))
-        form = of_pairs if self._is_complex else (lambda action: action)
-        return [one._replace(action=form(one.action)) for one in points if low <= one.t <= high]
+        inside = [one for one in points if low <= one.t <= high]
+        return [one._replace(action=of_pairs(one.action)) for one in inside] if self._is_complex else inside
 
     def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
         return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
@@ -245,15 +248,15 @@ class _Adjoint:
     # -------------------------------------------------------------------------------------------------------- the mass
 
     @cached_property
-    def _algebraic(self) -> Algebraic | None:
+    def _algebraic(self) -> AlgebraicOverTime | None:
         """The algebraic equations of a singular M."""
-        mass = self._problem.matrices.mass
-        found = Algebraic.of(dense_mass(mass, self._at.t, self._problem.args))
-        if found is not None and moves_in_time(self._problem):
-            raise ValueError(
-                "gradient: the mass matrix is singular and a function of t: use sensitivities=, or a constant one"
-            )
-        return found
+        found = AlgebraicOverTime(self._problem)
+        return found if found.is_singular else None
+
+    @cached_property
+    def _mass_rate(self) -> Callable[[float], Array]:
+        """M', of a singular M that is a function of t."""
+        return mass_rate(self._problem, self._derivatives)
 
     def _multiplier(self, t: float, mu: Array) -> Array:
         """λ."""
@@ -277,7 +280,7 @@ class _Adjoint:
         if self._algebraic is None:
             return cost
         J = self._slope.jacobian(t, y)
-        cost, multiplier = self._algebraic.differential(J, cost)
+        cost, multiplier = self._algebraic.at(t).differential(J, cost)
         self._total = self._total + self._of_parameters(t, y, multiplier)
         return cost
 
@@ -361,7 +364,7 @@ class _Adjoint:
         within = {t: self._cost(t, cost) for t, cost in costs.items() if low <= t <= high and t != piece.end}
         first = within.pop(piece.begin, np.zeros(self.n))
         end = self._backwards(piece, mu, within)
-        return np.asarray((end if self._algebraic is None else self._algebraic.M.T @ end) + first)
+        return np.asarray((end if self._algebraic is None else self._algebraic.at(piece.begin).M.T @ end) + first)
 
     def _cost(self, t: float, cost: Array) -> Array:
         y = self._y(t)
@@ -396,29 +399,38 @@ class _Adjoint:
 
     def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
         """μ, or λ if M is singular, at the beginning of a piece. It is solved for as a function of s = end − t, whose
-        smallest steps are shorter than those at the end. ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
+        smallest steps are shorter than those at the end."""
         slope, solution, n, g = self._slope, self._y, self.n, self._g
         singular = self._algebraic
+        moves = singular is not None and singular.moves
 
         def rate(s: float, mu: Array) -> Array:
             t = piece.inside(s)
             y = solution(t)
             lam = mu if singular else self._multiplier(t, mu)
             found = slope.transposed(t, y, piece.moving * lam)[:n]
+            if moves:
+                found = found + self._mass_rate(t).T @ lam
             return found if g is None else found + g.jacobian(t, y)[0]
 
         def jacobian(s: float, mu: Array) -> Array:
             t = piece.inside(s)
             found = slope.jacobian(t, solution(t)).T * piece.moving
-            M = None if singular else dense_mass(self._problem.matrices.mass, t, self._problem.args)
+            if singular is not None:
+                return np.asarray(found + self._mass_rate(t).T if moves else found)
+            M = dense_mass(self._problem.matrices.mass, t, self._problem.args)
             return found if M is None else np.linalg.solve(M, found.T).T
+
+        def mass(s: float) -> Array:
+            assert singular is not None
+            return singular.at(piece.inside(s)).M.T
 
         sizes = self._sizes
         if singular is not None:
             end = piece.inside(0.0)
-            solved = singular.multiplier(slope.jacobian(end, solution(end)))
+            solved = singular.at(end).multiplier(slope.jacobian(end, solution(end)))
             mu, sizes = solved @ mu, np.abs(solved) @ sizes
-            costs = {t: np.linalg.lstsq(singular.M.T, cost, rcond=None)[0] for t, cost in costs.items()}
+            costs = {t: np.linalg.lstsq(singular.at(t).M.T, cost, rcond=None)[0] for t, cost in costs.items()}
         method, rtol = self._run.method, np.max(self._sol._rtol)
         about = find_method(method)[0]
         if about.equations != "any":  # λ has neither a graph nor an equation of second order
@@ -429,7 +441,7 @@ class _Adjoint:
             (0.0, piece.end - piece.begin),
             mu,
             jac=jacobian if implicit else None,
-            mass=None if singular is None else singular.M.T,
+            mass=None if singular is None else mass if moves else mass(0.0),
             name="the adjoint",
         )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
@@ -440,20 +452,23 @@ class _Adjoint:
             "breakpoints": {piece.end - t: (lambda s, mu, cost=cost: mu + cost) for t, cost in costs.items()},
             "max_step": np.inf,
         }
-        plan = make_plan(adjoint, method, options)
+        return self._walked(piece, make_plan(adjoint, method, options))
+
+    def _walked(self, piece: _Piece, plan: Plan) -> Array:
+        """μ at the end of its run, in which only the last step is kept; ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
         walk = Walk(plan, plan.y0)
         total = np.zeros(self.k)
         while walk.state == "running":
             s = walk.t
             walk.step()
             if walk.t != s:
-                total += self._integral(piece, walk.over_last_step(), s, walk.t)
+                total += self._integral(piece, walk.core.interpolant(), s, walk.t)
         if walk.state != "reached_end":
             raise SolveError(f"gradient: {walk.failure[1]}")
         self._total = self._total + total
         return walk.y
 
-    def _integral(self, piece: _Piece, mu: DenseSolution, begin: float, end: float) -> Array:
+    def _integral(self, piece: _Piece, mu: _core.Dense, begin: float, end: float) -> Array:
         """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a step."""
         g = self._g
         nodes, weights = _GAUSS
@@ -461,7 +476,7 @@ class _Adjoint:
         parts = 0.5 * (end - begin) * weights
         times = np.array([piece.inside(s) for s in places.tolist()])
         total = np.zeros(self.k)
-        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu(places).T, strict=True):
+        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu.evaluate(places, None), strict=True):
             lam = here if self._algebraic else self._multiplier(t, here)
             total += part * self._of_parameters(t, y, piece.moving * lam)
             if g is not None:
@@ -469,7 +484,8 @@ class _Adjoint:
         return total
 
 
-class _Piece(NamedTuple):
+@dataclass
+class _Piece:
     """An interval on which the solution is smooth, what happens at its end, and which components move in it."""
 
     begin: float
@@ -477,10 +493,13 @@ class _Piece(NamedTuple):
     jumps: list[Occurrence]
     moving: Array
 
+    def __post_init__(self) -> None:
+        inner = math.nextafter(self.begin, self.end), math.nextafter(self.end, self.begin)
+        self._low, self._high = sorted(inner)
+
     def inside(self, s: float) -> float:
         """The time end − s, inside the interval: at its ends f and y may be those of its neighbours."""
-        low, high = sorted((np.nextafter(self.begin, self.end), np.nextafter(self.end, self.begin)))
-        return float(min(max(self.end - s, low), high))
+        return min(max(self.end - s, self._low), self._high)
 
 
 def _objective(

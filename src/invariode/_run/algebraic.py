@@ -4,7 +4,8 @@ With Zᵀ M = 0 and M N = 0 they are Zᵀ f(t, y, p) = 0, so that
 
     Zᵀ (J y' + ∂f/∂t) = 0   and   Zᵀ (J S + ∂f/∂p) = 0,
 
-which together with M y' = f and M S' = J S + ∂f/∂p are equations for all components.
+which together with M y' = f and M S' = J S + ∂f/∂p are equations for all components. M may be a function of t;
+Z and N may not, as in the core.
 """
 
 from __future__ import annotations

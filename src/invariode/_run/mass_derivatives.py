@@ -14,9 +14,12 @@ from .._functions.layout import with_numbers
 from .._problem.description import Description
 from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
+from .algebraic import Algebraic, dense_mass
 
 #: A change of a parameter that a mass matrix which depends on it shows.
 _CHANGE = 1e-3
+#: Entries relative to the largest which are roundoff.
+_SAME_SPACE = 1e-10
 #: Parts of the interval at which a mass matrix is compared with itself.
 _TIMES = (0.0, 0.3819660112501051, 1.0)
 
@@ -78,6 +81,44 @@ class WithMass:
         return self._slope.tangent(t, rows) - self._mass(t, rows[0])
 
 
+class AlgebraicOverTime:
+    """The algebraic equations of a singular mass matrix, which may be a function of t."""
+
+    def __init__(self, problem: Description) -> None:
+        self._mass, self._args = problem.matrices.mass, problem.args
+        self._at_start = Algebraic.of(dense_mass(self._mass, problem.t_span[0], self._args))
+        self.moves = self.is_singular and moves_in_time(problem)  # M is a function of t
+
+    @property
+    def is_singular(self) -> bool:
+        """Whether there are any."""
+        return self._at_start is not None
+
+    def at(self, t: float) -> Algebraic:
+        """The equations at a time."""
+        assert self._at_start is not None
+        if not self.moves:
+            return self._at_start
+        M = dense_mass(self._mass, t, self._args)
+        assert M is not None
+        found = self._at_start._replace(M=M)
+        if not max(np.abs(found.Z.T @ M).max(), np.abs(M @ found.N).max()) <= _SAME_SPACE * np.abs(M).max():
+            raise ValueError(
+                f"the null spaces of the singular mass matrix are not those of the start at t = {t:.6g}, and events, "
+                "parameters in it and gradients need that: write the equations so that the same ones are algebraic, "
+                "for the same components, at all t"
+            )
+        return found
+
+
+def mass_rate(problem: Description, derivatives: Callable[..., Directional]) -> Callable[[float], Array]:
+    """M' as a function of t."""
+    n = len(problem.y0)
+    made = derivatives(_Rows(problem.matrices.mass), "mass", m=n * n, moves_t=True)
+    along = np.ones(1), np.zeros((1, n)), np.zeros((1, made.k))
+    return lambda t: made.columns(t, problem.y0, *along).reshape(n, n)
+
+
 def mass_derivatives(
     problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
 ) -> MassDerivatives | None:
@@ -87,23 +128,32 @@ def mass_derivatives(
 
 def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
     """Whether the mass matrix depends on one of these parameters."""
-    mass, t0, args = problem.matrices.mass, problem.t_span[0], problem.args
+    mass, args = problem.matrices.mass, problem.args
     if not callable(mass):
         return False
     own = [one for one in names if one.kind == "args"]
-    here = as_matrix("mass", mass(t0, *args), False)
+    times = _some_times(problem)
+    here = [as_matrix("mass", mass(t, *args), False) for t in times]
     for one, value in zip(own, values_of(args, problem.y0, own).tolist(), strict=True):
         changed = value * (1 + _CHANGE) if value else _CHANGE
-        other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
-        if abs(as_matrix("mass", other, False) - here).max() != 0:
+        others = with_numbers(args, {one.index: {one.item or 0: changed}})
+        if any(
+            abs(as_matrix("mass", mass(t, *others), False) - M).max() != 0 for t, M in zip(times, here, strict=True)
+        ):
             return True
     return False
 
 
 def moves_in_time(problem: Description) -> bool:
     """Whether the mass matrix is a function of t."""
-    mass, (t0, tf) = problem.matrices.mass, problem.t_span
+    mass = problem.matrices.mass
     if not callable(mass):
         return False
-    first, *others = (as_matrix("mass", mass(t0 + part * (tf - t0), *problem.args), False) for part in _TIMES)
+    first, *others = (as_matrix("mass", mass(t, *problem.args), False) for t in _some_times(problem))
     return any(abs(one - first).max() != 0 for one in others)
+
+
+def _some_times(problem: Description) -> list[float]:
+    t0, tf = problem.t_span
+    length = tf - t0 if np.isfinite(tf) else np.copysign(max(abs(t0), 1.0), tf)
+    return [t0 + part * length for part in _TIMES]

@@ -27,8 +27,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
-from .algebraic import Algebraic, dense_mass
-from .mass_derivatives import MassDerivatives, WithMass, depends_on, mass_derivatives, moves_in_time
+from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic
 from .variation_sizes import Sizes
 
@@ -196,7 +195,7 @@ def make_variations(
         An unknown parameter; a derivative of a wrong shape; something for which there are no sensitivities.
     """
     names, sizes, is_complex = problem.parameters(), np.abs(y0), y0.dtype.kind == "c"
-    require_possible(problem, names)
+    require_possible(problem)
     if is_complex:
         problem, names, points = real_form(problem, points)
         y0, sizes = y0.view(float), np.repeat(sizes, 2)
@@ -469,22 +468,12 @@ def _sign_of(value: Callable[[float, Array], Array]) -> Callable[..., float]:
 # What is known, and what is possible
 
 
-def require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
+def require_possible(problem: Description) -> None:
     """That there are sensitivities. What there are none for is refused by name."""
     if isinstance(problem.fun, SecondOrder) and problem.fun.native:
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
         )
-    mass, t0 = problem.matrices.mass, problem.t_span[0]
-    if not callable(mass) or Algebraic.of(dense_mass(mass, t0, problem.args)) is None or not moves_in_time(problem):
-        return
-    for what, needed in (("events", bool(problem.events)), ("parameters in it", depends_on(problem, names))):
-        if needed:
-            raise ValueError(
-                f"sensitivities are not possible with {what} and a singular mass matrix that is a function of t, since "
-                "y' of its algebraic components is not known: solve the algebraic equations in fun, or leave out the "
-                f"{what}"
-            )
 
 
 def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> tuple[Any, Given]:
