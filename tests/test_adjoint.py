@@ -137,6 +137,14 @@ def test_the_gradient_goes_through_impacts(method):
     both_ways(sol, rtol=100 * RTOL)
 
 
+def test_actions_may_depend_on_the_time_of_their_event():
+    racket = iv.Event(lambda t, y, *p: y[0], direction=-1, action=lambda t, y, g, e: [0.0, t * np.sin(t) - e * y[1]])
+    options = {"args": (9.81, 0.8), "events": racket, "rtol": RTOL, "atol": ATOL, "dense_output": True}
+    sol = iv.solve_ivp(ball, (0, 1), [1.0, 0.5], "ode45", **options, sensitivities=[*(0, 1), "y0"])
+    assert len(sol.t_events[0]) == 1
+    both_ways(sol, rtol=100 * RTOL)
+
+
 @pytest.mark.parametrize("points", [True, False])
 def test_several_actions_at_one_time_are_taken_in_their_order(points):
     """They do not commute, and the first moves y away from where the event is: as the one action composed of them."""

@@ -780,6 +780,17 @@ class TestForms:
         np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-6)
         assert twice.parameters == pytest.approx(once.parameters, rel=1e-6)
 
+    def test_quantities_of_other_sizes_have_panels_of_their_own(self):
+        plt = pytest.importorskip("matplotlib.pyplot")
+        fit = iv.fit(
+            iv.Problem(lambda t, y, k: [-k * y[0], -k * y[1]], (0, 5), [1.0, 1e-6], args=(1.0,), labels=["x", "z"]),
+            T, np.outer([1.0, 1e-6], np.exp(-0.7 * T)), {"k": (0, 2)}, sigma={"x": 1e-2, "z": 1e-8},
+        )  # fmt: skip
+        assert len(fit.plot().figure.axes) == 2
+        ax = plt.figure().add_subplot()
+        assert fit.plot(ax=ax) is ax
+        plt.close("all")
+
     def test_a_square_of_data_is_ambiguous(self):
         with pytest.raises(ValueError, match="could have the times along either axis: give a dict"):
             iv.fit(hunting(), [1.0, 2.0], np.ones((2, 2)), {"a": (0, 5)})
