@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -215,6 +217,28 @@ def test_the_gradient_goes_through_impacts(method):
     sol = iv.solve_ivp(ball, (0, 2), [1.0, 0.5], method, **options, sensitivities=[*(0, 1), "y0"])
     assert len(sol.t_events[0]) == 3
     both_ways(sol, rtol=100 * RTOL)
+
+
+def struck(t, y, gravity, restitution):
+    return [0.0, t * np.sin(t) - restitution * y[1]]
+
+
+def struck_in_reals(t, y, gravity, restitution):
+    try:  # which tracing refuses
+        return [0.0, t * math.sin(t) - restitution * y[1]]
+    finally:
+        pass
+
+
+@pytest.mark.filterwarnings("ignore:.* are differences:invariode.AccuracyWarning")
+@pytest.mark.parametrize("action", [struck, struck_in_reals])
+def test_actions_may_depend_on_the_time_of_their_event(action):
+    """Whether or not they take complex t."""
+    racket = iv.Event(lambda t, y, gravity, restitution: y[0], direction=-1, action=action)
+    options = {"args": (9.81, 0.8), "events": racket, "rtol": RTOL, "atol": ATOL, "dense_output": True}
+    sol = iv.solve_ivp(ball, (0, 1), [1.0, 0.5], "ode45", **options, sensitivities=[*(0, 1), "y0"])
+    assert len(sol.t_events[0]) == 1
+    both_ways(sol, rtol=1000 * RTOL)
 
 
 @pytest.mark.parametrize("points", [True, False])

@@ -30,13 +30,6 @@ def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpol
     assert np.abs(after - sol.y[:, 1:-1]).max() <= bound
 
 
-@dealt(method=METHODS, problem=PROBLEMS, interpolation=MODES)
-def test_stored_values_at_the_ends_of_steps(method, problem, interpolation):
-    sol = problem.solve(method, dense_output=True, interpolation=interpolation)
-    np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
-    np.testing.assert_array_equal(sol.sol.ts, sol.t)
-
-
 @families_and_series
 def test_a_value_does_not_depend_on_the_other_times(method):
     """Those of a step are evaluated together, in blocks of which the last is not full."""
@@ -52,6 +45,8 @@ def spring(t, y):
 @dealt(method=METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_output_at_given_times_is_the_dense_output(method, problem, interpolation):
     dense = problem.solve(method, dense_output=True, interpolation=interpolation)
+    np.testing.assert_array_equal(dense.sol(dense.t), dense.y)
+    np.testing.assert_array_equal(dense.sol.ts, dense.t)
     t = np.linspace(*problem.t_span, 77)
     at_times = problem.solve(method, t_eval=t, interpolation=interpolation)
     np.testing.assert_array_equal(at_times.t, t)

@@ -122,6 +122,14 @@ def test_a_file_gives_back_every_value_to_the_last_bit(method, run, interpolatio
     assert_same(sol, again)
     np.testing.assert_array_equal(sol.sol.ts, again.sol.ts)
     np.testing.assert_array_equal(sol.sol(times(sol.sol)), again.sol(times(sol.sol)))
+    xr.testing.assert_identical(again.to_xarray(), sol.to_xarray())
+    pd.testing.assert_frame_equal(again.to_dataframe(), sol.to_dataframe(), check_exact=True)
+    assert again.to_dataframe().attrs == sol.to_dataframe().attrs
+    again.save(tmp_path / "again.npz")
+    with np.load(tmp_path / "solution.npz") as first, np.load(tmp_path / "again.npz") as second:
+        assert set(first) == set(second)
+        for name in first:
+            np.testing.assert_array_equal(first[name], second[name])
 
 
 @dealt(method=FAMILIES, run=RUNS)
@@ -164,17 +172,6 @@ def test_only_the_final_state(method, tmp_path):
     assert again.steps is None
     with pytest.raises(ValueError, match="did not keep the corrections of its steps: solve with keep"):
         again.correction  # noqa: B018  # the property raises
-
-
-@dealt(method=FAMILIES, run=RUNS)
-def test_a_loaded_solution_can_be_saved_again(method, run, tmp_path):
-    solve, _ = run
-    solve(method, dense_output=True, refine=2).save(tmp_path / "first.npz")
-    iv.load(tmp_path / "first.npz").save(tmp_path / "second.npz")
-    with np.load(tmp_path / "first.npz") as first, np.load(tmp_path / "second.npz") as second:
-        assert set(first) == set(second)
-        for name in first:
-            np.testing.assert_array_equal(first[name], second[name])
 
 
 def test_a_mass_matrix_with_algebraic_equations(tmp_path):
@@ -619,14 +616,3 @@ def test_csv_and_parquet_round_trip(method, run, tmp_path):
     again = pd.read_parquet(tmp_path / "a.parquet")
     pd.testing.assert_frame_equal(again, table, check_exact=True, check_column_type=False)
     assert again.attrs == table.attrs
-
-
-@dealt(method=FAMILIES, run=RUNS)
-def test_a_loaded_solution_is_the_same_data(method, run, tmp_path):
-    solve, _ = run
-    sol = solve(method)
-    sol.save(tmp_path / "a.npz")
-    again = iv.load(tmp_path / "a.npz")
-    xr.testing.assert_identical(again.to_xarray(), sol.to_xarray())
-    pd.testing.assert_frame_equal(again.to_dataframe(), sol.to_dataframe(), check_exact=True)
-    assert again.to_dataframe().attrs == sol.to_dataframe().attrs

@@ -116,10 +116,15 @@ def twin(t, y):
     return [-2 * y[0] + y[1] * y[2], 2 * y[0] - y[1] * y[2] - 5 * y[1] ** 3, 5 * y[1] ** 3]
 
 
+def crossing(level):
+    return lambda t, y: y[0] - level
+
+
 CODES = {
     "fun": (dict(fun=twin), {}, "fun"),
     "jac": (dict(jac=lambda t, y: np.zeros((3, 3))), {}, "jac"),
     "event": (dict(events=lambda t, y: y[0] - 0.5), {}, "event 0"),
+    "what an event keeps": (dict(events=crossing(0.5)), {}, "event 0"),
     "action": (dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: 2 * y)), {}, "the action of event 0"),
     "invariant": (dict(invariants=lambda t, y: y[0] + y[1] + y[2] + 0 * t), {}, r"invariant 0 \(fun\)"),
     "breakpoint": ({}, {"breakpoints": [(1, lambda t, y: 3 * y)]}, r"the action at t = 1\.0"),
@@ -127,6 +132,7 @@ CODES = {
 FIRST = {
     "jac": dict(jac=lambda t, y: np.ones((3, 3))),
     "event": dict(events=lambda t, y: y[0] - 0.6),
+    "what an event keeps": dict(events=crossing(0.6)),
     "action": dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: y)),
     "invariant": dict(invariants=lambda t, y: y[0] + y[1] + y[2]),
 }

@@ -700,6 +700,8 @@ class TestWhatGoesWrong:
             ((T, LINE_DATA, LINE), {"observe": "z"}, "no component 'z'"),
             ((T, LINE_DATA, LINE), {"sigma": 0}, "sigma of y must be positive"),
             ((T, LINE_DATA, LINE), {"sigma": [1, 2]}, r"sigma must be a number or have shape \(1,\)"),
+            ((T, LINE_DATA, LINE), {"sigma": {"x": 1}}, "sigma names 'x'.*: there are y"),
+            ((T, LINE_DATA, LINE), {"sigma": {}}, "sigma is missing for y"),
             ((T, LINE_DATA, LINE), {"sigma": "s"}, "sigma names 's', which is not among the parameters"),
             ((T, LINE_DATA, {**LINE, "s": iv.Parameter(-1.0)}), {"sigma": "s"}, "s is a noise level"),
             ((T, -LINE_DATA, LINE), {"noise": "lognormal"}, "needs positive data"),
@@ -728,6 +730,7 @@ class TestWhatGoesWrong:
             ({"prior": (3, 0)}, "positive standard deviation"),
             ({"equals": 1, "bounds": (0, 1)}, "with equals has no bounds"),
             ({"equals": np.nan}, "must not be NaN"),
+            ({"equals": np.inf}, "equals of a Parameter must be finite, got inf"),
             ({"bounds": 3}, r"bounds of a Parameter must be \(lower, upper\)"),
             ({"shared": 1}, "shared of a Parameter must be True or False"),
         ],
@@ -776,6 +779,17 @@ class TestForms:
         once = iv.fit(straight(), [1, 3], [1.5, 2.5], LINE, sigma=[[0.1, 0.1 / np.sqrt(2)]])
         np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-6)
         assert twice.parameters == pytest.approx(once.parameters, rel=1e-6)
+
+    def test_quantities_of_other_sizes_have_panels_of_their_own(self):
+        plt = pytest.importorskip("matplotlib.pyplot")
+        fit = iv.fit(
+            iv.Problem(lambda t, y, k: [-k * y[0], -k * y[1]], (0, 5), [1.0, 1e-6], args=(1.0,), labels=["x", "z"]),
+            T, np.outer([1.0, 1e-6], np.exp(-0.7 * T)), {"k": (0, 2)}, sigma={"x": 1e-2, "z": 1e-8},
+        )  # fmt: skip
+        assert len(fit.plot().figure.axes) == 2
+        ax = plt.figure().add_subplot()
+        assert fit.plot(ax=ax) is ax
+        plt.close("all")
 
     def test_a_square_of_data_is_ambiguous(self):
         with pytest.raises(ValueError, match="could have the times along either axis: give a dict"):

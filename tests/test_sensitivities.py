@@ -232,13 +232,3 @@ def test_inputs_and_arrays_of_parameters():
     problem = iv.Problem(lambda t, y, u, p: [p[0] * u - p[1] * y[0]], (0, 2), [0.0], args=([2.0, 0.0],), inputs=tap)
     sol = problem.replace(sensitivities="p[0]").solve("ode45", **TOLERANCES)
     np.testing.assert_allclose(sol.sensitivities[0, 0, -1], 1.5 + 1.25, rtol=1e-7)
-
-
-def test_without_error_test_the_steps_are_those_of_y():
-    run = {"args": RATES, "rtol": 1e-5}
-    alone = iv.solve_ivp(lotka_volterra, (0, 5), [1.0, 1.0], **run)
-    sol = iv.solve_ivp(
-        lotka_volterra, (0, 5), [1.0, 1.0], **run, sensitivities=iv.Sensitivities(True, error_test=False)
-    )
-    assert np.array_equal(sol.t, alone.t)
-    assert np.array_equal(sol.y, alone.y)

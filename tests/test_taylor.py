@@ -363,6 +363,14 @@ def test_touching_zeros_are_reported_where_they_are_asked_for():
     assert len(sol.t_events[1]) == 0
 
 
+@pytest.mark.parametrize("beside", [0.0, 1e-10])
+def test_a_touching_zero_at_the_end_of_a_step_is_reported_once(beside):
+    touches = iv.Event(lambda t, y: (t - 4 - beside) ** 2, touching=True)
+    sol = solve(circle, (0, 8), [0.0, 1.0], events=touches, max_step=1.0, first_step=1.0, **TIGHT)
+    assert 4.0 in sol.t
+    np.testing.assert_allclose(sol.t_events[0], [4.0], atol=1e-7)
+
+
 def test_touching_that_has_no_effect_is_told():
     with pytest.warns(UserWarning, match="touching of event .* has no effect: its function has branches, such as abs"):
         solve(circle, (0, 1), [0.0, 1.0], events=iv.Event(lambda t, y: abs(y[0]), touching=True))

@@ -718,6 +718,11 @@ def filled_complex(t, y, w):
     return slopes
 
 
+def products(t, y):
+    """Of two vectors of complex numbers, in which none is conjugated."""
+    return np.dot(y, 1j * y) * np.array([0.1, 0.2j]) - y * np.inner(y, y.conj())
+
+
 def complex_list(t, z):
     a, b = z
     return [1j * a * b.real, -b + a.imag * np.sqrt(a) + (1 + 2j) / a + a**3 + np.sum(z) * (2 - 1j)]
@@ -727,6 +732,7 @@ COMPLEX = {
     "matrix": (lambda t, psi: -1j * (HAMILTONIAN @ psi), [1.0, 0.5j], ()),
     "wave": (wave, np.exp(-(np.linspace(-3, 3, 20) ** 2)) + 0j, (0.3,)),
     "filled": (filled_complex, [1.0, 0.2j], (2.0,)),
+    "products": (products, [1.0 + 0.5j, 0.2 - 1j], ()),
     "list": (complex_list, [1.0 + 0.5j, 0.2 - 1j], ()),
 }
 

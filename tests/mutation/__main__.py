@@ -36,7 +36,8 @@ FAST = [
     "test_bounds", "test_confined", "test_breakpoints", "test_extend", "test_checkpoints", "test_limits",
     "test_implicit", "test_stiff", "test_stiffness", "test_misfit", "test_krylov", "test_auto", "test_levels",
     "test_mechanics", "test_dissipation", "test_directions", "test_discontinuities", "test_interval", "test_lanes",
-    "test_trust", "test_units", "test_callbacks", "test_jacobians",
+    "test_trust", "test_units", "test_callbacks", "test_jacobians", "test_binding", "test_taylor",
+    "test_sensitivities_core",
 ]  # fmt: skip
 
 
