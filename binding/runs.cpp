@@ -12,6 +12,7 @@
 #include <array>
 #include <atomic>
 #include <chrono>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <memory>
@@ -23,6 +24,7 @@
 #include <utility>
 #include <vector>
 
+#include "arguments.hpp"
 #include "arrays.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
@@ -48,7 +50,8 @@ const Method& method_of(const std::string& name) {
   throw std::invalid_argument("unknown method '" + name + "'");
 }
 
-void require_state(const ConstVector& y0, std::size_t n) {
+template <class State>
+void require_state(const State& y0, std::size_t n) {
   if (y0.size() != n)
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
@@ -323,20 +326,20 @@ class Lent {
 };
 
 /// The fields of `Settings` that depend on the problem, in the order of their names in Python.
-using Course = std::tuple<double, double, double, std::optional<ConstVector>, std::int64_t, std::int64_t>;
+using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
-FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, const ConstVector& y0,
-                            const Course& course) {
-  require_state(y0, self.solver.problem().extent().size());
+FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course) {
+  const std::span<const double> start = numbers_of(y0);
+  require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
-  std::optional<ConstVector> times;
+  nb::object times;
   std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) = course;
-  settings.output_at_times = times.has_value();
-  if (times) settings.times = Times({times->data(), times->size()});
+  settings.output_at_times = !times.is_none();
+  if (settings.output_at_times) settings.times = Times(numbers_of(times));
   const Lent lent(self, std::move(fun), std::move(args), std::move(settings));
   const nb::object nobody = nb::none();
-  return drive(self, {.y0 = y0.data()}, nobody, nullptr, nobody, 0);
+  return drive(self, {.y0 = start.data()}, nobody, nullptr, nobody, 0);
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -495,12 +498,15 @@ void define_arrays_of_run(RunClass& run) {
            RunResult& r = self.result;
            if (std::exchange(self.points_taken, true)) throw handed_over_already();
            const std::size_t count = r.points.t.size();
-           const nb::object end = state_array(r.end(), r.n, self.complex);
+           if (!r.y_end) r.y_end.emplace(r.end(), r.end() + r.n);
            const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
-           return std::make_tuple(times_array(std::move(r.points.t)), y, r.t_end, end);
+           return std::make_tuple(times_array(std::move(r.points.t)), y);
          },
-         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]"),
-         "(t, y) of the points, y of shape (n, n_t), and of the end.")
+         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
+         "(t, y) of the points, y of shape (n, n_t).")
+      .def_prop_ro(
+          "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
+          nb::sig("def end(self) -> numpy.ndarray"), "y there.")
       .def(
           "take_start",
           [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
@@ -511,33 +517,35 @@ void define_arrays_of_run(RunClass& run) {
              for (Trajectory& one : self.result.occurrences) all.push_back(to_arrays(std::move(one), self.result.n));
              return all;
            })
-      .def("take_steps",
-           [](FinishedRun& self) {
-             constexpr std::size_t columns = sizeof(AcceptedStep) / sizeof(double);
-             const std::size_t rows = self.result.record.size();
-             return to_array<Table>(std::move(self.result.record), rows, columns);
-           })
-      .def("take_drift",
-           [](FinishedRun& self) {
-             Drift& drift = self.result.drift;
-             const std::size_t m = drift.residual.size();
-             return std::make_tuple(to_array<Vector>(std::move(drift.residual), m),
-                                    to_array<Vector>(std::move(drift.distance), m), drift.correction);
-           })
-      .def("take_jumps",
-           [](FinishedRun& self) {
-             std::vector<std::tuple<std::size_t, double, Vector>> jumps;
-             for (Jump& jump : self.result.jumps) {
-               const std::size_t m = jump.value.size();
-               jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
-             }
-             return jumps;
-           })
-      .def("take_value",
-           [](FinishedRun& self) {
-             const std::size_t m = self.value.size();
-             return to_array<Vector>(std::move(self.value), m);
-           })
+      .def(
+          "record",
+          [](nb::handle_t<FinishedRun> run) {
+            constexpr std::size_t columns = sizeof(AcceptedStep) / sizeof(double);
+            Buffer<AcceptedStep>& record = nb::cast<FinishedRun&>(run).result.record;
+            return Table(record.data(), {record.size(), columns}, run);
+          },
+          "The accepted steps, in rows that belong to the run.")
+      .def_prop_ro(
+          "drift",
+          [](const FinishedRun& self) {
+            const Drift& drift = self.result.drift;
+            const std::size_t m = drift.residual.size();
+            return std::make_tuple(to_array<Vector>(std::vector(drift.residual), m),
+                                   to_array<Vector>(std::vector(drift.distance), m), drift.correction);
+          },
+          nb::rv_policy::move)
+      .def_prop_ro(
+          "jumps",
+          [](const FinishedRun& self) {
+            std::vector<std::tuple<std::size_t, double, Vector>> jumps;
+            for (const Jump& jump : self.result.jumps)
+              jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::vector(jump.value), jump.value.size()));
+            return jumps;
+          },
+          nb::rv_policy::move)
+      .def_prop_ro(
+          "value", [](const FinishedRun& self) { return to_array<Vector>(std::vector(self.value), self.value.size()); },
+          nb::rv_policy::move)
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); });
 }
 
@@ -593,6 +601,7 @@ void define_summary_of_run(RunClass& run) {
       "counts", [](const FinishedRun& self) { return std::tuple_cat(self.result.counted()); },
       "Numbers, in the order of COUNTS.");
   property(run, "steps", [](const RunResult& r) { return r.counts.steps; });
+  property(run, "t_end", [](const RunResult& r) { return r.t_end; });
   property(run, "nfev", [](const RunResult& r) { return r.nfev; });
   property(run, "njev", [](const RunResult& r) { return r.linear.jacobians; });
   property(run, "nlu", [](const RunResult& r) { return r.linear.factorizations; });
@@ -615,6 +624,16 @@ void define_summary_of_run(RunClass& run) {
   property(run, "remarkable", [](const RunResult& r) {
     return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
   });
+  run.def_prop_ro(
+      "ordinary",
+      [](const FinishedRun& self) {
+        const RunResult& r = self.result;
+        const bool remarkable = r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
+        const bool usual =
+            r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
+        return usual && !remarkable && std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
+      },
+      "Whether its state says how it ended, and nothing besides is to be said.");
   property(run, "sticks_since", [](const RunResult& r) { return r.sticks_since; });
   run.def_prop_ro(
       "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },
