@@ -10,7 +10,9 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
+#include <vector>
 
 #include "interpreter.hpp"
 #include "weights.hpp"
@@ -39,6 +41,11 @@ nb::object new_vector(std::size_t size) {
   PyObject* array = PyArray_SimpleNew(1, shape, NPY_DOUBLE);
   if (array == nullptr) throw nb::python_error();
   return nb::steal(array);
+}
+
+bool all_finite(nb::handle array) {
+  const std::span<const double> all = numbers_of(array);
+  return invariode::all_finite(all.data(), all.size());
 }
 
 double* data_of(const nb::object& vector) {
@@ -83,7 +90,7 @@ nb::object plainly_posed(nb::handle t_span, nb::handle y0, nb::handle args) {
   const std::optional<double> tf = plain_number(PyTuple_GET_ITEM(ends.ptr(), 1));
   if (!t0 || !tf || !std::isfinite(*t0) || std::isnan(*tf)) return nb::none();
   const nb::object y = plain_vector(y0);
-  if (!y || !all_finite(data_of(y), numbers_of(y).size())) return nb::none();
+  if (!y || !all_finite(y)) return nb::none();
   PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject*>(y.ptr()), NPY_ARRAY_WRITEABLE);
   const nb::object extra = args.is_none() ? nb::object(nb::tuple()) : plain_items(args);
   if (!extra) return nb::none();
@@ -109,8 +116,30 @@ nb::object plain_course(nb::handle given) {
   return nb::make_tuple(times, nb::make_tuple(t.front(), t.back()));
 }
 
-/// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval only whether
-/// it was given. None: a value is of another kind than these, and could change.
+/// Times of breakpoints as a new array in the order of integration: those from t0 to tf, or with `ends` false those
+/// between them. None: they were given in another form.
+nb::object plain_breakpoints(nb::handle given, double t0, double tf, bool ends) {
+  const nb::object times = plain_vector(given);
+  if (!times || !all_finite(times)) return nb::none();
+  std::vector<double> kept;
+  for (const double t : numbers_of(times))
+    if (std::min(t0, tf) <= t && t <= std::max(t0, tf) && (ends || (t != t0 && t != tf))) kept.push_back(t);
+  if (tf >= t0)
+    std::ranges::sort(kept);
+  else
+    std::ranges::sort(kept, std::greater());
+  nb::object sorted = new_vector(kept.size());
+  std::ranges::copy(kept, data_of(sorted));
+  return sorted;
+}
+
+bool plain_and_finite(nb::handle given) {
+  const nb::object vector = plain_vector(given);
+  return vector && all_finite(vector);
+}
+
+/// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval, and of
+/// breakpoints without actions, only whether they were given. None: a value is of another kind, and could change.
 nb::object plain_options(const nb::dict& options) {
   const std::array<const PyObject*, 5> kinds = {
       reinterpret_cast<PyObject*>(&PyBool_Type), reinterpret_cast<PyObject*>(&PyLong_Type),
@@ -121,8 +150,11 @@ nb::object plain_options(const nb::dict& options) {
   Py_ssize_t next = 0;
   const auto put = [&](nb::handle one) { PyTuple_SET_ITEM(all.ptr(), next++, one.inc_ref().ptr()); };
   for (const auto& [name, given] : options) {
-    const bool times = PyUnicode_Check(name.ptr()) && PyUnicode_CompareWithASCIIString(name.ptr(), "t_eval") == 0;
-    const nb::handle value = times ? nb::handle(given.is_none() ? Py_False : Py_True) : given;
+    const auto is = [&](const char* one) {
+      return PyUnicode_Check(name.ptr()) && PyUnicode_CompareWithASCIIString(name.ptr(), one) == 0;
+    };
+    const bool times = !given.is_none() && (is("t_eval") || (is("breakpoints") && plain_and_finite(given)));
+    const nb::handle value = times ? nb::handle(Py_True) : given;
     const auto* type = reinterpret_cast<PyObject*>(Py_TYPE(value.ptr()));
     if (std::ranges::find(kinds, type) == kinds.end()) return nb::none();
     put(name);
@@ -146,12 +178,8 @@ std::span<const double> numbers_of(nb::handle given) {
 void define_arguments(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   module.def(
-      "all_finite",
-      [](nb::handle values) {
-        const std::span<const double> all = numbers_of(values);
-        return all_finite(all.data(), all.size());
-      },
-      nb::arg("values"), "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
+      "all_finite", [](nb::handle values) { return all_finite(values); }, nb::arg("values"),
+      "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
   module.def(
       "order", [](nb::handle values) { return order_of(numbers_of(values)); }, nb::arg("values"),
       "1: they rise strictly; -1: they fall strictly; 0: neither.");
@@ -167,9 +195,15 @@ void define_arguments(nb::module_& module) {
   module.def("plain_course", &plain_course, nb::arg("times").none(),
              nb::sig("def plain_course(times: object) -> tuple[numpy.ndarray, tuple[float, float]] | None"),
              "A new array of such times, with the first and the last, if they rise or fall strictly; otherwise None.");
+  module.def("plain_breakpoints", &plain_breakpoints, nb::arg("times").none(), nb::arg("t0"), nb::arg("tf"),
+             nb::arg("ends"),
+             nb::sig("def plain_breakpoints(times: object, t0: float, tf: float, ends: bool) -> numpy.ndarray | None"),
+             "A new array of such finite times, in any order, with those from t0 to tf in the order of integration; "
+             "`ends`: whether those at the ends too. Otherwise None.");
   module.def("plain_options", &plain_options, nb::arg("options"),
              nb::sig("def plain_options(options: dict) -> tuple | None"),
-             "Names, values and types of options that cannot change, and whether there is a t_eval; otherwise None.");
+             "Names, values and types of options that cannot change, and whether there are times of output and "
+             "breakpoints without actions; otherwise None.");
 }
 
 }  // namespace invariode::binding

@@ -308,8 +308,9 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
 /// Settings of a run, with a Python function in the place of f: afterwards the solver holds nothing of the user's.
 class Lent {
  public:
-  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings) : solver_(solver) {
-    solver_.solver.cover(std::move(settings));
+  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings, std::vector<Breakpoint> breakpoints)
+      : solver_(solver) {
+    solver_.solver.cover(std::move(settings), std::move(breakpoints));
     solver_.bound.lend(std::move(fun), std::move(args));
   }
   Lent(const Lent&) = delete;
@@ -318,7 +319,7 @@ class Lent {
     solver_.bound.lend(nb::none(), nb::tuple());
     Settings settings = solver_.solver.settings();
     settings.times = {};
-    solver_.solver.cover(std::move(settings));
+    solver_.solver.cover(std::move(settings), {});
   }
 
  private:
@@ -329,7 +330,8 @@ class Lent {
 using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
-FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course) {
+FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
+                            nb::handle breakpoints) {
   const std::span<const double> start = numbers_of(y0);
   require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
@@ -337,7 +339,10 @@ FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, n
   std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) = course;
   settings.output_at_times = !times.is_none();
   if (settings.output_at_times) settings.times = Times(numbers_of(times));
-  const Lent lent(self, std::move(fun), std::move(args), std::move(settings));
+  std::vector<Breakpoint> breaks;
+  if (!breakpoints.is_none())
+    for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
+  const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks));
   const nb::object nobody = nb::none();
   return drive(self, {.y0 = start.data()}, nobody, nullptr, nobody, 0);
 }
@@ -755,8 +760,10 @@ void define_solver(nb::module_& module) {
            "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
       .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
+           nb::arg("breakpoints") = nb::none(),
            "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
-           "with, and other settings (t0, tf, max_step, times, max_points, max_bytes). It keeps none of them.");
+           "with, other settings (t0, tf, max_step, times, max_points, max_bytes) and other breakpoints, without "
+           "actions and in order. It keeps none of them.");
 }
 
 void define_stepper(nb::module_& module) {

@@ -115,9 +115,10 @@ void Solver::cover(double t0, double tf, double hmax) {
   require_settings(settings_);
 }
 
-void Solver::cover(Settings settings) {
+void Solver::cover(Settings settings, std::vector<Breakpoint> breakpoints) {
   require_settings(settings);
   settings_ = std::move(settings);
+  problem_.breakpoints = std::move(breakpoints);
 }
 
 }  // namespace invariode

@@ -197,7 +197,7 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
         source = Solved(problem._described, method, given)
         if type(found) is not Template:
             return _solved(found, source)
-        run, plan_of_run = found.run(problem, options.get("t_eval"))
+        run, plan_of_run = found.run(problem, options)
         return concluded(presented(Finished(run, found.plan, source, found.members, plan_of_run)), found.plan.on_failure)
     except (TypeError, ValueError) as error:
         explain(error, problem._described())
@@ -211,7 +211,7 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
         if type(found) is not Template:
             sol = _solved(found, Solved(problem._described, method, options))
             return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
-        run, plan_of_run = found.run(problem, options.get("t_eval"))
+        run, plan_of_run = found.run(problem, options)
         if run.ordinary:
             return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
         finished = Finished(run, found.plan, Solved(problem._described, method, options), found.members, plan_of_run)

@@ -1,4 +1,5 @@
-"""Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval and its output times.
+"""Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval, its output times and
+breakpoints.
 
 What does not depend on these is checked once, when the first problem of the kind is solved, and the core's solver is
 made once. Everything else is checked in each solve, by the same code.
@@ -47,14 +48,18 @@ class Template:
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
 
-    def run(self, problem: Posed | Description, t_eval: Any) -> tuple[_core.Run, Callable[[], Plan]]:
-        """A run of a problem of this kind, and what makes its plan, without what is the user's."""
-        course = course_of(self._choice, problem, t_eval)
+    def run(self, problem: Posed | Description, options: Options) -> tuple[_core.Run, Callable[[], Plan]]:
+        """A run of a problem of this kind, and what makes its plan, without what is the user's. `options`: those that
+        the template was found for."""
+        course = course_of(self._choice, problem, options.get("t_eval"))
+        breaks = options.get("breakpoints")
+        if breaks is not None:
+            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
         try:
             core = self._idle.pop()
         except IndexError:
             core = _solver_for_all(planned(problem._described(), self._choice))
-        run = core.integrate_other(problem.fun, problem.args, problem.y0, course)
+        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks)
         self._idle.append(core)  # but not after an exception
         return run, partial(self._plan_of, problem, course)
 

@@ -24,7 +24,7 @@ from .._base.arguments import (
 )
 from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
-from .._core import StateFirst, plain_course
+from .._core import StateFirst, plain_breakpoints, plain_course
 from .._functions.compiled import is_native
 from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
@@ -207,7 +207,7 @@ def odeint(
         **call.options,
         "t_eval": asked.times,
         "callback": None if counter is None else counter.step,
-        "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
+        "breakpoints": None if tcrit is None else _critical_points(tcrit, *span),
         "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
     }
     problem = _problem(call, counter, func, span, y0, args, Dfun, invariants)
@@ -419,11 +419,13 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter | Non
     return jacobian
 
 
-def _critical_points(tcrit: ArrayLike, times: Array) -> list[float]:
+def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
     """Where the run starts again: not at its ends, where there is nothing to do."""
+    plain = plain_breakpoints(tcrit, t0, tf, ends=False)
+    if plain is not None:  # the common case
+        return plain
     points = np.atleast_1d(real_numbers("tcrit", tcrit))
-    low, high = sorted((times[0], times[-1]))
-    inside: list[float] = points[(points > low) & (points < high)].tolist()
+    inside: Array = points[(points > min(t0, tf)) & (points < max(t0, tf))]
     return inside
 
 
