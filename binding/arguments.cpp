@@ -181,12 +181,9 @@ void define_arguments(nb::module_& module) {
       "all_finite", [](nb::handle values) { return all_finite(values); }, nb::arg("values"),
       "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
   module.def(
-      "order", [](nb::handle values) { return order_of(numbers_of(values)); }, nb::arg("values"),
-      "1: they rise strictly; -1: they fall strictly; 0: neither.");
-  module.def(
       "plainly_posed", &plainly_posed, nb::arg("t_span").none(), nb::arg("y0").none(), nb::arg("args").none(),
       nb::sig("def plainly_posed(t_span: object, y0: object, args: object) -> tuple[tuple[float, float], "
-              "numpy.ndarray, tuple] | None"),
+              "numpy.ndarray, tuple[object, ...]] | None"),
       "The three as a problem has them, where they are floats, lists and tuples of these, and arrays of float64; "
       "otherwise None.");
   module.def("plain_times", &plain_times, nb::arg("times").none(), nb::arg("t0"), nb::arg("tf"),
@@ -201,7 +198,7 @@ void define_arguments(nb::module_& module) {
              "A new array of such finite times, in any order, with those from t0 to tf in the order of integration; "
              "`ends`: whether those at the ends too. Otherwise None.");
   module.def("plain_options", &plain_options, nb::arg("options"),
-             nb::sig("def plain_options(options: dict) -> tuple | None"),
+             nb::sig("def plain_options(options: object) -> tuple[object, ...] | None"),
              "Names, values and types of options that cannot change, and whether there are times of output and "
              "breakpoints without actions; otherwise None.");
 }

@@ -103,10 +103,10 @@ bool can_go_on(State state) {
          state == State::stopped_by_callback || state == State::stopped_by_request || state == State::limit_reached;
 }
 
-FinishedRun finish(Run& run, const Solver& solver) {
+FinishedRun finish(Run& run, const Solver& solver, bool remember) {
   RunMemory memory;
   run.integration().end_attempts();
-  if (can_go_on(run.integration().state())) memory = run.memory(most_kept);
+  if (remember && can_go_on(run.integration().state())) memory = run.memory(most_kept);
   return present(run.take_result(), solver, std::move(memory));
 }
 
@@ -233,11 +233,11 @@ struct StopRequest {
 };
 
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
-                  const nb::object& kept, double every) {
+                  const nb::object& kept, double every, bool remember = true) {
   DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every));
   const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
   if (!finished || run.integration().state() == State::interrupted || !driven.tell_the_end()) throw nb::python_error();
-  return finish(run, self.solver);
+  return finish(run, self.solver, remember);
 }
 
 FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::object& progress, StopRequest* request,
@@ -331,7 +331,7 @@ using Course = std::tuple<double, double, double, nb::object, std::int64_t, std:
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
 FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
-                            nb::handle breakpoints) {
+                            nb::handle breakpoints, bool remember) {
   const std::span<const double> start = numbers_of(y0);
   require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
@@ -344,7 +344,8 @@ FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, n
     for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
   const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks));
   const nb::object nobody = nb::none();
-  return drive(self, {.y0 = start.data()}, nobody, nullptr, nobody, 0);
+  Run run(self.solver);
+  return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remember);
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -511,7 +512,7 @@ void define_arrays_of_run(RunClass& run) {
          "(t, y) of the points, y of shape (n, n_t).")
       .def_prop_ro(
           "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
-          nb::sig("def end(self) -> numpy.ndarray"), "y there.")
+          nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
       .def(
           "take_start",
           [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
@@ -760,10 +761,10 @@ void define_solver(nb::module_& module) {
            "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
       .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
-           nb::arg("breakpoints") = nb::none(),
+           nb::arg("breakpoints") = nb::none(), nb::arg("remember") = true,
            "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
            "with, other settings (t0, tf, max_step, times, max_points, max_bytes) and other breakpoints, without "
-           "actions and in order. It keeps none of them.");
+           "actions and in order. It keeps none of them. `remember`: the run can be resumed.");
 }
 
 void define_stepper(nb::module_& module) {

@@ -241,8 +241,8 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     bound = plan.bound
     if jumps := run.jumps:
         bound = bound.jumped(jumps)
-    t, y, t_end = run.take_points()
-    y_end = run.end
+    t, y = run.take_points()
+    t_end, y_end = run.t_end, run.end
     n, k = len(plan.y0), 0
     S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
     if plan.varied is not None:

@@ -24,7 +24,7 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
-from .._core import plainly_posed
+from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
 from .._functions.compiled import is_native, is_plain_function
 from .._functions.graph.function import TracedFunction
@@ -257,7 +257,8 @@ def _posed(
 
 def _as_called(fun: Any, y0: Array) -> Any:
     """f as the solvers call it."""
-    if type(fun) is FunctionType and fun.__name__ != LAMBDIFIED:  # the common case
+    kind = type(fun)
+    if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
         return fun
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):

@@ -195,10 +195,11 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
         given.pop("progress", None)
         keep_arrays(given)
         source = Solved(problem._described, method, given)
-        if type(found) is not Template:
+        if not isinstance(found, Template):
             return _solved(found, source)
-        run, plan_of_run = found.run(problem, options)
-        return concluded(presented(Finished(run, found.plan, source, found.members, plan_of_run)), found.plan.on_failure)
+        run, course = found.run(problem, options)
+        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
+        return concluded(presented(finished), found.plan.on_failure)
     except (TypeError, ValueError) as error:
         explain(error, problem._described())
         raise
@@ -208,13 +209,14 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
     """The outputs of a solve of which nothing else is asked for: the same run, of which no solution is made."""
     try:
         found = plan_or_template(problem, method, options)
-        if type(found) is not Template:
+        if not isinstance(found, Template):
             sol = _solved(found, Solved(problem._described, method, options))
             return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
-        run, plan_of_run = found.run(problem, options)
+        run, course = found.run(problem, options, remember=False)
         if run.ordinary:
             return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
-        finished = Finished(run, found.plan, Solved(problem._described, method, options), found.members, plan_of_run)
+        source = Solved(problem._described, method, options)
+        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
         _require_start(finished)
         _warn(finished)
         return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
@@ -447,14 +449,13 @@ def _solution(finished: Finished) -> Solution:
     if plan.varied is not None:
         y, finished.y_end, happened, finished.sensitivities = _parted(plan, plan.varied, y, run.end, happened or [])
         plan.varied.tell_of_steps(t, y)
-    dtype = y.dtype
     return Solution(
         finished.private,
         t=t,
         y=y,
-        sol=None if dense is None else DenseSolution(dense, dtype, finished.bound),
+        sol=None if dense is None else DenseSolution(dense, y.dtype, finished.bound),
         t_events=None if happened is None else [times for times, _ in happened],
-        y_events=None if happened is None else [points.view(dtype) for _, points in happened],
+        y_events=None if happened is None else [points.view(y.dtype) for _, points in happened],
         nfev=run.nfev,
         njev=run.njev,
         nlu=run.nlu,

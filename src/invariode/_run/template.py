@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import replace
-from functools import partial
-from typing import Any, cast
+from typing import cast
 
 from .. import _core
 from .._base.arguments import warnings_given
@@ -48,9 +47,9 @@ class Template:
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
 
-    def run(self, problem: Posed | Description, options: Options) -> tuple[_core.Run, Callable[[], Plan]]:
-        """A run of a problem of this kind, and what makes its plan, without what is the user's. `options`: those that
-        the template was found for."""
+    def run(self, problem: Posed | Description, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course]:
+        """A run of a problem of this kind, and its course. `options`: those that the template was found for.
+        `remember`: the run can be extended."""
         course = course_of(self._choice, problem, options.get("t_eval"))
         breaks = options.get("breakpoints")
         if breaks is not None:
@@ -59,11 +58,12 @@ class Template:
             core = self._idle.pop()
         except IndexError:
             core = _solver_for_all(planned(problem._described(), self._choice))
-        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks)
+        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, remember)
         self._idle.append(core)  # but not after an exception
-        return run, partial(self._plan_of, problem, course)
+        return run, course
 
-    def _plan_of(self, problem: Posed | Description, course: Course) -> Plan:
+    def plan_of(self, problem: Posed | Description, course: Course) -> Plan:
+        """What a run has done, without what is the user's."""
         bound = replace(self._nothing_held, args=problem.args, forward=1.0 if course.tf >= course.t0 else -1.0)
         return self.plan.on(course, bound, names_of(problem, []))
 
