@@ -14,6 +14,7 @@
 #include <optional>
 #include <vector>
 
+#include "callables.hpp"
 #include "interpreter.hpp"
 #include "weights.hpp"
 
@@ -138,8 +139,9 @@ bool plain_and_finite(nb::handle given) {
   return vector && all_finite(vector);
 }
 
-/// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval, and of
-/// breakpoints without actions, only whether they were given. None: a value is of another kind, and could change.
+/// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval, of
+/// breakpoints without actions, and of a StepLimit, only whether they were given. None: a value is of another kind, and
+/// could change.
 nb::object plain_options(const nb::dict& options) {
   const std::array<const PyObject*, 5> kinds = {
       reinterpret_cast<PyObject*>(&PyBool_Type), reinterpret_cast<PyObject*>(&PyLong_Type),
@@ -153,8 +155,9 @@ nb::object plain_options(const nb::dict& options) {
     const auto is = [&](const char* one) {
       return PyUnicode_Check(name.ptr()) && PyUnicode_CompareWithASCIIString(name.ptr(), one) == 0;
     };
-    const bool times = !given.is_none() && (is("t_eval") || (is("breakpoints") && plain_and_finite(given)));
-    const nb::handle value = times ? nb::handle(Py_True) : given;
+    const bool exchanged = !given.is_none() && (is("t_eval") || (is("breakpoints") && plain_and_finite(given)) ||
+                                                nb::isinstance<StepLimit>(given));
+    const nb::handle value = exchanged ? nb::handle(Py_True) : given;
     const auto* type = reinterpret_cast<PyObject*>(Py_TYPE(value.ptr()));
     if (std::ranges::find(kinds, type) == kinds.end()) return nb::none();
     put(name);

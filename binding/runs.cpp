@@ -26,6 +26,7 @@
 
 #include "arguments.hpp"
 #include "arrays.hpp"
+#include "callables.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
 #include "mechanics.hpp"
@@ -308,9 +309,10 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
 /// Settings of a run, with a Python function in the place of f: afterwards the solver holds nothing of the user's.
 class Lent {
  public:
-  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings, std::vector<Breakpoint> breakpoints)
+  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings, std::vector<Breakpoint> breakpoints,
+       Callback callback)
       : solver_(solver) {
-    solver_.solver.cover(std::move(settings), std::move(breakpoints));
+    solver_.solver.cover(std::move(settings), std::move(breakpoints), callback);
     solver_.bound.lend(std::move(fun), std::move(args));
   }
   Lent(const Lent&) = delete;
@@ -319,7 +321,7 @@ class Lent {
     solver_.bound.lend(nb::none(), nb::tuple());
     Settings settings = solver_.solver.settings();
     settings.times = {};
-    solver_.solver.cover(std::move(settings), {});
+    solver_.solver.cover(std::move(settings), {}, {});
   }
 
  private:
@@ -331,7 +333,7 @@ using Course = std::tuple<double, double, double, nb::object, std::int64_t, std:
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
 FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
-                            nb::handle breakpoints, bool remember) {
+                            nb::handle breakpoints, StepLimit* limit, bool remember) {
   const std::span<const double> start = numbers_of(y0);
   require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
@@ -342,7 +344,8 @@ FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, n
   std::vector<Breakpoint> breaks;
   if (!breakpoints.is_none())
     for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
-  const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks));
+  const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks),
+                  limit == nullptr ? Callback() : limit->callback());
   const nb::object nobody = nb::none();
   Run run(self.solver);
   return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remember);
@@ -704,12 +707,28 @@ void define_ensemble(nb::module_& module) {
   module.attr("LANES") = nb::cast(sets);
 }
 
+void define_other_runs(nb::class_<BoundSolver>& solver) {
+  solver
+      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
+           nb::arg("cover") = nb::none(),
+           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
+      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
+           nb::arg("breakpoints") = nb::none(), nb::arg("limit") = nb::none(), nb::arg("remember") = true,
+           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
+           "with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without "
+           "actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be "
+           "resumed.");
+}
+
 void define_solver(nb::module_& module) {
   nb::class_<StopRequest>(module, "StopRequest", "A wish to end a run.")
       .def(nb::init<>())
       .def("make", [](StopRequest& self) { self.made = true; }, "From any thread, or in a handler of signals.");
-  nb::class_<BoundSolver>(module, "Solver", nb::type_slots(slots<BoundSolver>),
-                          "A problem with a method: all that is known before the initial value.")
+  nb::class_<BoundSolver> solver(module, "Solver", nb::type_slots(slots<BoundSolver>),
+                                 "A problem with a method: all that is known before the initial value.");
+  define_other_runs(solver);
+  solver
       .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
            nb::arg("problem"), nb::arg("tolerances"), nb::arg("settings"))
       .def_prop_ro(
@@ -755,16 +774,7 @@ void define_solver(nb::module_& module) {
            "and at the end, with a Run of what has come since the last time.")
       .def("resume", &resume, nb::arg("memory"), nb::arg("anew"), nb::arg("progress") = nb::none(),
            nb::arg("request") = nb::none(), nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
-           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.")
-      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
-           nb::arg("cover") = nb::none(),
-           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
-           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
-      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
-           nb::arg("breakpoints") = nb::none(), nb::arg("remember") = true,
-           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
-           "with, other settings (t0, tf, max_step, times, max_points, max_bytes) and other breakpoints, without "
-           "actions and in order. It keeps none of them. `remember`: the run can be resumed.");
+           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.");
 }
 
 void define_stepper(nb::module_& module) {

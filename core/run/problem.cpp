@@ -115,10 +115,11 @@ void Solver::cover(double t0, double tf, double hmax) {
   require_settings(settings_);
 }
 
-void Solver::cover(Settings settings, std::vector<Breakpoint> breakpoints) {
+void Solver::cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback) {
   require_settings(settings);
   settings_ = std::move(settings);
   problem_.breakpoints = std::move(breakpoints);
+  problem_.callback = callback;
 }
 
 }  // namespace invariode

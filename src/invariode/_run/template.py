@@ -1,5 +1,5 @@
 """Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval, its output times and
-breakpoints.
+breakpoints, and the state of a limit of steps.
 
 What does not depend on these is checked once, when the first problem of the kind is solved, and the core's solver is
 made once. Everything else is checked in each solve, by the same code.
@@ -39,7 +39,7 @@ class Template:
         self.members = core.members
         self._choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
         self._nothing_held = bind([], 0.0, plan.y0, (), 0.0)
-        functions = plan.functions._replace(fun=None, args=())
+        functions = plan.functions._replace(fun=None, args=(), callback=None)
         #: What the plans of all have in common.
         self.plan = plan._replace(
             settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=self._nothing_held
@@ -51,14 +51,14 @@ class Template:
         """A run of a problem of this kind, and its course. `options`: those that the template was found for.
         `remember`: the run can be extended."""
         course = course_of(self._choice, problem, options.get("t_eval"))
-        breaks = options.get("breakpoints")
+        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
         if breaks is not None:
             breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
         try:
             core = self._idle.pop()
         except IndexError:
             core = _solver_for_all(planned(problem._described(), self._choice))
-        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, remember)
+        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, limit, remember)
         self._idle.append(core)  # but not after an exception
         return run, course
 
@@ -70,7 +70,7 @@ class Template:
 
 def _solver_for_all(plan: Plan) -> _core.Solver:
     """A solver that is lent f and its arguments in each run."""
-    return solver(plan._replace(functions=plan.functions._replace(args=())))
+    return solver(plan._replace(functions=plan.functions._replace(args=(), callback=None)))
 
 
 def plan_or_template(problem: Posed | Description, method: MethodName, options: Options) -> Plan | Template:

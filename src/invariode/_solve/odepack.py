@@ -24,7 +24,7 @@ from .._base.arguments import (
 )
 from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
-from .._core import StateFirst, plain_breakpoints, plain_course
+from .._core import StateFirst, StepLimit, plain_breakpoints, plain_course
 from .._functions.compiled import is_native
 from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
@@ -202,16 +202,17 @@ def odeint(
         warn(text)
     asked = _times(t)
     span = asked.span
-    counter = _Counter(asked.times, call.most, call.full) if call.most or call.full else None
+    limit = StepLimit(asked.times, call.most) if call.most else None
+    counter = _Counter(limit) if call.full else None
     given: Options = {
         **call.options,
         "t_eval": asked.times,
-        "callback": None if counter is None else counter.step,
+        "callback": limit if counter is None else counter.step,
         "breakpoints": None if tcrit is None else _critical_points(tcrit, *span),
         "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
     }
     problem = _problem(call, counter, func, span, y0, args, Dfun, invariants)
-    if counter is None or not call.full:
+    if counter is None:
         found = points(problem, call.method, given)
         _tell(found, call)
         return _rows(found.y, asked)
@@ -289,7 +290,7 @@ def _problem(
     dfun: Any,
     invariants: InvariantsLike | None,
 ) -> Posed | Problem:
-    fun = _in_order(func, "func", call.tfirst, counter.calls if counter is not None and call.full else None)
+    fun = _in_order(func, "func", call.tfirst, None if counter is None else counter.calls)
     start = y0 if isinstance(y0, (list, tuple)) else as_array("y0", y0)
     if isinstance(start, np.ndarray) and not start.ndim:
         start = start[np.newaxis]
@@ -359,27 +360,18 @@ def _times(t: ArrayLike) -> _Times:
 
 
 class _Counter:
-    """Counts during a run, and the step limit between two times of the output."""
+    """Counts during a run, with its step limit between two times of the output."""
 
-    def __init__(self, times: Array, most: int, counting: bool) -> None:
-        self.times = times
-        self.most = most  # steps between them; 0: any number
-        self.counting = counting
+    def __init__(self, limit: StepLimit | None) -> None:
+        self.limit = limit
         self.calls = [0]  # of f, so far
         self.jacobians = 0
         self.after: list[tuple[int, int]] = []  # both, after each step
-        self.place = 0  # in which interval the last step ended
-        self.steps = 0  # in this interval
 
     def step(self, t: float, y: Array) -> bool:
         """An accepted step; whether it was one too many."""
-        if self.counting:
-            self.after.append((self.calls[0], self.jacobians))
-        forward = 1.0 if self.times[-1] >= self.times[0] else -1.0
-        place = int(np.searchsorted(forward * self.times, forward * t))
-        self.steps = self.steps + 1 if place == self.place else 1
-        self.place = place
-        return bool(self.most) and self.steps >= self.most and place < len(self.times) and t != self.times[place]
+        self.after.append((self.calls[0], self.jacobians))
+        return self.limit is not None and self.limit(t, y)
 
 
 def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None) -> Any:
