@@ -667,7 +667,32 @@ void Functions::lend(nb::object f, nb::tuple args) {
 
 Callback Functions::scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}, space_.complex); }
 
+class OwnedStepLimit final : public Callable {
+ public:
+  explicit OwnedStepLimit(StepLimit limit) : limit_(std::move(limit)) {}
+
+  [[nodiscard]] Callback callback() { return limit_.callback(); }
+  int visit(visitproc, void*) const override { return 0; }
+
+ private:
+  StepLimit limit_;
+};
+
+bool StepLimit::exceeded(double t) {
+  const bool forward = times_.back() >= times_.front();
+  const std::size_t before = place_;
+  while (place_ < times_.size() && (forward ? times_[place_] < t : times_[place_] > t)) ++place_;
+  steps_ = place_ == before ? steps_ + 1 : 1;
+  return steps_ >= most_ && place_ < times_.size() && times_[place_] != t;
+}
+
 Callback Functions::truth(nb::handle f, const std::string& name) {
+  if (nb::isinstance<StepLimit>(f)) {
+    auto owner = std::make_unique<OwnedStepLimit>(nb::cast<const StepLimit&>(f));
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
   return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth}, space_.complex);
 }
 
@@ -776,6 +801,20 @@ void define_inputs(nb::module_& module) {
           nb::arg("t"), "The one value at t.");
 }
 
+void define_step_limit(nb::module_& module) {
+  nb::class_<StepLimit>(module, "StepLimit",
+                        "A callback that stops one run after so many steps between two times of its output.")
+      .def(
+          "__init__",
+          [](StepLimit* self, const ConstVector& times, std::int64_t most) {
+            new (self) StepLimit(to_vector(times), most);
+          },
+          nb::arg("times"), nb::arg("most"))
+      .def(
+          "__call__", [](StepLimit& self, double t, const nb::object&) { return self.exceeded(t); }, nb::arg("t"),
+          nb::arg("y"));
+}
+
 void define_machine_code(nb::module_& module) {
   nb::class_<Native>(module, "Native", nb::type_slots(slots<Native>),
                      "Machine code of the user, and what keeps it alive.")
@@ -824,6 +863,7 @@ void define_machine_code(nb::module_& module) {
 void define_callables(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   define_inputs(module);
+  define_step_limit(module);
   define_machine_code(module);
   module.def(
       "capsule_address",

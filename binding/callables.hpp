@@ -66,6 +66,28 @@ struct StateFirst {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
 };
 
+/// A callback that ends a run where a step is one too many between two times of its output, without Python.
+class StepLimit {
+ public:
+  StepLimit(std::vector<double> times, std::int64_t most) : times_(std::move(times)), most_(most) {}
+
+  /// It refers to this.
+  [[nodiscard]] Callback callback() { return {&entry, this}; }
+  /// After an accepted step to t: whether it was one too many.
+  bool exceeded(double t);
+
+ private:
+  static Status entry(void* self, double t, const double*, double* stop) {
+    *stop = static_cast<StepLimit*>(self)->exceeded(t) ? 1 : 0;
+    return Status::ok;
+  }
+
+  std::vector<double> times_;  // strictly in order
+  std::int64_t most_;
+  std::size_t place_ = 0;  // of the first time that the last step has not passed
+  std::int64_t steps_ = 0;
+};
+
 /// The right-hand side of y'' = f(t, y), a Python function or a `Native`, of states y = (q, v).
 struct SecondOrderSpec {
   nb::object fun;  ///< of (t, q)

@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "arguments.hpp"
 #include "arrays.hpp"
 #include "callables.hpp"
 #include "dense.hpp"
@@ -248,7 +249,8 @@ NB_MODULE(_core, module) {
         "sub-interpreters");
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
-  define_outputs(module);
+  prepare_outputs();
+  define_arguments(module);
   define_callables(module);
   define_problem(module);
   define_dense(module);

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "arrays.hpp"
-#include "weights.hpp"
 
 namespace invariode::binding {
 namespace {
@@ -44,23 +43,6 @@ nb::object handed_over(std::span<const npy_intp> shape, bool complex, Buffer<dou
   return array;
 }
 
-bool finite_numbers(nb::handle values) {
-  auto* array = reinterpret_cast<PyArrayObject*>(values.ptr());
-  const bool known = PyArray_Check(values.ptr()) && PyArray_IS_C_CONTIGUOUS(array) &&
-                     (PyArray_TYPE(array) == NPY_DOUBLE || PyArray_TYPE(array) == NPY_CDOUBLE);
-  if (!known) throw nb::type_error("not a contiguous array of float64 or complex128");
-  const auto size = static_cast<std::size_t>(PyArray_NBYTES(array)) / sizeof(double);
-  return all_finite(static_cast<const double*>(PyArray_DATA(array)), size);
-}
-
-/// 1 where each number is above the one before, −1 where each is below, 0 where neither holds.
-int order(const ConstVector& values) {
-  const double* v = values.data();
-  const auto count = static_cast<std::ptrdiff_t>(values.size());
-  if (std::adjacent_find(v, v + count, [](double a, double b) { return !(a < b); }) == v + count) return 1;
-  return std::adjacent_find(v, v + count, [](double a, double b) { return !(a > b); }) == v + count ? -1 : 0;
-}
-
 npy_intp components(std::size_t n, bool complex) { return static_cast<npy_intp>(complex ? n / 2 : n); }
 
 }  // namespace
@@ -80,11 +62,8 @@ nb::object state_array(const double* y, std::size_t n, bool complex) {
   return copied(shape, complex, y, n);
 }
 
-void define_outputs(nb::module_& module) {
+void prepare_outputs() {
   if (_import_array() < 0) throw nb::python_error();
-  module.def("all_finite", &finite_numbers, nb::arg("values"),
-             "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
-  module.def("order", &order, nb::arg("values"), "1: they rise strictly; -1: they fall strictly; 0: neither.");
 }
 
 }  // namespace invariode::binding

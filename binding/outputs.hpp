@@ -18,7 +18,7 @@ nb::object states_array(Buffer<double>&& y, std::size_t n, std::size_t count, bo
 /// A copy of one state, (n or n / 2,).
 nb::object state_array(const double* y, std::size_t n, bool complex);
 
-/// Before the first of them. In the module: whether the numbers of an array are finite.
-void define_outputs(nb::module_& module);
+/// Before the first of them.
+void prepare_outputs();
 
 }  // namespace invariode::binding

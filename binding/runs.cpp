@@ -12,6 +12,7 @@
 #include <array>
 #include <atomic>
 #include <chrono>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <memory>
@@ -23,7 +24,9 @@
 #include <utility>
 #include <vector>
 
+#include "arguments.hpp"
 #include "arrays.hpp"
+#include "callables.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
 #include "mechanics.hpp"
@@ -48,7 +51,8 @@ const Method& method_of(const std::string& name) {
   throw std::invalid_argument("unknown method '" + name + "'");
 }
 
-void require_state(const ConstVector& y0, std::size_t n) {
+template <class State>
+void require_state(const State& y0, std::size_t n) {
   if (y0.size() != n)
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
@@ -100,10 +104,10 @@ bool can_go_on(State state) {
          state == State::stopped_by_callback || state == State::stopped_by_request || state == State::limit_reached;
 }
 
-FinishedRun finish(Run& run, const Solver& solver) {
+FinishedRun finish(Run& run, const Solver& solver, bool remember) {
   RunMemory memory;
   run.integration().end_attempts();
-  if (can_go_on(run.integration().state())) memory = run.memory(most_kept);
+  if (remember && can_go_on(run.integration().state())) memory = run.memory(most_kept);
   return present(run.take_result(), solver, std::move(memory));
 }
 
@@ -230,11 +234,11 @@ struct StopRequest {
 };
 
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
-                  const nb::object& kept, double every) {
+                  const nb::object& kept, double every, bool remember = true) {
   DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every));
   const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
   if (!finished || run.integration().state() == State::interrupted || !driven.tell_the_end()) throw nb::python_error();
-  return finish(run, self.solver);
+  return finish(run, self.solver, remember);
 }
 
 FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::object& progress, StopRequest* request,
@@ -305,8 +309,10 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
 /// Settings of a run, with a Python function in the place of f: afterwards the solver holds nothing of the user's.
 class Lent {
  public:
-  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings) : solver_(solver) {
-    solver_.solver.cover(std::move(settings));
+  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings, std::vector<Breakpoint> breakpoints,
+       Callback callback)
+      : solver_(solver) {
+    solver_.solver.cover(std::move(settings), std::move(breakpoints), callback);
     solver_.bound.lend(std::move(fun), std::move(args));
   }
   Lent(const Lent&) = delete;
@@ -315,7 +321,7 @@ class Lent {
     solver_.bound.lend(nb::none(), nb::tuple());
     Settings settings = solver_.solver.settings();
     settings.times = {};
-    solver_.solver.cover(std::move(settings));
+    solver_.solver.cover(std::move(settings), {}, {});
   }
 
  private:
@@ -323,20 +329,26 @@ class Lent {
 };
 
 /// The fields of `Settings` that depend on the problem, in the order of their names in Python.
-using Course = std::tuple<double, double, double, std::optional<ConstVector>, std::int64_t, std::int64_t>;
+using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
-FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, const ConstVector& y0,
-                            const Course& course) {
-  require_state(y0, self.solver.problem().extent().size());
+FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
+                            nb::handle breakpoints, StepLimit* limit, bool remember) {
+  const std::span<const double> start = numbers_of(y0);
+  require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
-  std::optional<ConstVector> times;
+  nb::object times;
   std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) = course;
-  settings.output_at_times = times.has_value();
-  if (times) settings.times = Times({times->data(), times->size()});
-  const Lent lent(self, std::move(fun), std::move(args), std::move(settings));
+  settings.output_at_times = !times.is_none();
+  if (settings.output_at_times) settings.times = Times(numbers_of(times));
+  std::vector<Breakpoint> breaks;
+  if (!breakpoints.is_none())
+    for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
+  const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks),
+                  limit == nullptr ? Callback() : limit->callback());
   const nb::object nobody = nb::none();
-  return drive(self, {.y0 = y0.data()}, nobody, nullptr, nobody, 0);
+  Run run(self.solver);
+  return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remember);
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -508,12 +520,15 @@ void define_arrays_of_run(RunClass& run) {
            RunResult& r = self.result;
            if (std::exchange(self.points_taken, true)) throw handed_over_already();
            const std::size_t count = r.points.t.size();
-           const nb::object end = state_array(r.end(), r.n, self.complex);
+           if (!r.y_end) r.y_end.emplace(r.end(), r.end() + r.n);
            const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
-           return std::make_tuple(times_array(std::move(r.points.t)), y, r.t_end, end);
+           return std::make_tuple(times_array(std::move(r.points.t)), y);
          },
-         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]"),
-         "(t, y) of the points, y of shape (n, n_t), and of the end.")
+         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
+         "(t, y) of the points, y of shape (n, n_t).")
+      .def_prop_ro(
+          "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
+          nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
       .def(
           "take_start",
           [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
@@ -524,32 +539,35 @@ void define_arrays_of_run(RunClass& run) {
              for (Trajectory& one : self.result.occurrences) all.push_back(to_arrays(std::move(one), self.result.n));
              return all;
            })
-      .def("take_steps",
-           [](FinishedRun& self) {
-             constexpr std::size_t columns = sizeof(AcceptedStep) / sizeof(double);
-             const std::size_t rows = self.result.record.size();
-             return to_array<Table>(std::move(self.result.record), rows, columns);
-           })
-      .def("take_drift",
-           [](FinishedRun& self) {
-             Drift& drift = self.result.drift;
-             const std::size_t m = drift.residual.size();
-             return std::make_tuple(to_array<Vector>(std::move(drift.residual), m),
-                                    to_array<Vector>(std::move(drift.distance), m), drift.correction);
-           })
-      .def("take_jumps",
-           [](FinishedRun& self) {
-             std::vector<std::tuple<std::size_t, double, Vector>> jumps;
-             for (Jump& jump : self.result.jumps) {
-               const std::size_t m = jump.value.size();
-               jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
-             }
-             return jumps;
-           })
-      .def("take_value", [](FinishedRun& self) {
-        const std::size_t m = self.value.size();
-        return to_array<Vector>(std::move(self.value), m);
-      });
+      .def(
+          "record",
+          [](nb::handle_t<FinishedRun> run) {
+            constexpr std::size_t columns = sizeof(AcceptedStep) / sizeof(double);
+            Buffer<AcceptedStep>& record = nb::cast<FinishedRun&>(run).result.record;
+            return Table(record.data(), {record.size(), columns}, run);
+          },
+          "The accepted steps, in rows that belong to the run.")
+      .def_prop_ro(
+          "drift",
+          [](const FinishedRun& self) {
+            const Drift& drift = self.result.drift;
+            const std::size_t m = drift.residual.size();
+            return std::make_tuple(to_array<Vector>(std::vector(drift.residual), m),
+                                   to_array<Vector>(std::vector(drift.distance), m), drift.correction);
+          },
+          nb::rv_policy::move)
+      .def_prop_ro(
+          "jumps",
+          [](const FinishedRun& self) {
+            std::vector<std::tuple<std::size_t, double, Vector>> jumps;
+            for (const Jump& jump : self.result.jumps)
+              jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::vector(jump.value), jump.value.size()));
+            return jumps;
+          },
+          nb::rv_policy::move)
+      .def_prop_ro(
+          "value", [](const FinishedRun& self) { return to_array<Vector>(std::vector(self.value), self.value.size()); },
+          nb::rv_policy::move);
 }
 
 void define_course_of_run(RunClass& run) {
@@ -617,6 +635,7 @@ void define_summary_of_run(RunClass& run) {
       "counts", [](const FinishedRun& self) { return std::tuple_cat(self.result.counted()); },
       "Numbers, in the order of COUNTS.");
   property(run, "steps", [](const RunResult& r) { return r.counts.steps; });
+  property(run, "t_end", [](const RunResult& r) { return r.t_end; });
   property(run, "nfev", [](const RunResult& r) { return r.nfev; });
   property(run, "njev", [](const RunResult& r) { return r.linear.jacobians; });
   property(run, "nlu", [](const RunResult& r) { return r.linear.factorizations; });
@@ -639,6 +658,16 @@ void define_summary_of_run(RunClass& run) {
   property(run, "remarkable", [](const RunResult& r) {
     return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
   });
+  run.def_prop_ro(
+      "ordinary",
+      [](const FinishedRun& self) {
+        const RunResult& r = self.result;
+        const bool remarkable = r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
+        const bool usual =
+            r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
+        return usual && !remarkable && std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
+      },
+      "Whether its state says how it ended, and nothing besides is to be said.");
   property(run, "sticks_since", [](const RunResult& r) { return r.sticks_since; });
   run.def_prop_ro(
       "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },
@@ -703,12 +732,28 @@ void define_ensemble(nb::module_& module) {
   module.attr("LANES") = nb::cast(sets);
 }
 
+void define_other_runs(nb::class_<BoundSolver>& solver) {
+  solver
+      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
+           nb::arg("cover") = nb::none(),
+           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
+      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
+           nb::arg("breakpoints") = nb::none(), nb::arg("limit") = nb::none(), nb::arg("remember") = true,
+           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
+           "with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without "
+           "actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be "
+           "resumed.");
+}
+
 void define_solver(nb::module_& module) {
   nb::class_<StopRequest>(module, "StopRequest", "A wish to end a run.")
       .def(nb::init<>())
       .def("make", [](StopRequest& self) { self.made = true; }, "From any thread, or in a handler of signals.");
-  nb::class_<BoundSolver>(module, "Solver", nb::type_slots(slots<BoundSolver>),
-                          "A problem with a method: all that is known before the initial value.")
+  nb::class_<BoundSolver> solver(module, "Solver", nb::type_slots(slots<BoundSolver>),
+                                 "A problem with a method: all that is known before the initial value.");
+  define_other_runs(solver);
+  solver
       .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
            nb::arg("problem"), nb::arg("tolerances"), nb::arg("settings"))
       .def_prop_ro(
@@ -754,14 +799,7 @@ void define_solver(nb::module_& module) {
            "and at the end, with a Run of what has come since the last time.")
       .def("resume", &resume, nb::arg("memory"), nb::arg("anew"), nb::arg("progress") = nb::none(),
            nb::arg("request") = nb::none(), nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
-           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.")
-      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
-           nb::arg("cover") = nb::none(),
-           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
-           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
-      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
-           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
-           "with, and other settings (t0, tf, max_step, times, max_points, max_bytes). It keeps none of them.");
+           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.");
 }
 
 void define_stepper(nb::module_& module) {

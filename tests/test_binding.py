@@ -224,7 +224,7 @@ def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -
         assert result.state == asked.state == alone.state
         assert (asked.t, asked.h, asked.nfev) == (alone.t, alone.h, alone.nfev)
         np.testing.assert_array_equal(asked.y, alone.y)
-    assert result.take_points()[2] == asked.t == 2
+    assert result.t_end == asked.t == 2
 
 
 @dealt(method=FAMILIES, jump=["breakpoint", "breakpoint with an action", "event with an action"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import gc
+import pickle
 import re
 import threading
 import warnings
@@ -58,6 +60,9 @@ PROBLEMS: dict[str, dict[str, Any]] = {
     "nothing to do": {"t_span": (1, 1)},
     "times": {"t_eval": [0.25, 0.5, 1.0]},
     "other times": {"t_eval": np.linspace(0, 1, 7)},
+    "breakpoints": {"breakpoints": [0.5]},
+    "breakpoints in any order": {"breakpoints": np.array([0.7, 3.0, 0.0, 0.3])},
+    "breakpoints backwards": {"t_span": (0, -1), "breakpoints": (-0.7, -0.3)},
 }
 OPTIONS: dict[str, dict[str, Any]] = {
     "none": {},
@@ -123,12 +128,13 @@ def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
     for fun in FUNCTIONS:
         for problem in PROBLEMS:
             outcome(**case(fun, problem, method=method))
-    kinds = {"t_eval" in problem for problem in PROBLEMS.values()} if METHODS[method].equations == "any" else {}
+    every = {("t_eval" in problem, "breakpoints" in problem) for problem in PROBLEMS.values()}
+    kinds = every if METHODS[method].equations == "any" else {}
     assert len(template._templates) == len(kinds)
 
 
 @dealt(
-    22,
+    24,
     method=["ode45", "auto", "ode15s"],
     wrong=[
         {"y0": [1.0, np.nan, 0.0, 1.0]},
@@ -151,6 +157,8 @@ def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
         {"t_eval": [0.5, 0.2]},
         {"t_eval": [2.0]},
         {"t_eval": "ab"},
+        {"breakpoints": [0.5, np.nan]},
+        {"breakpoints": ["0.5"]},
         {"vectorized": 1},
         {"events": 3},
     ],
@@ -201,6 +209,66 @@ def test_what_the_caller_changes_later_changes_no_solution() -> None:
 
 
 ORIGINAL = {"t_eval": np.array([0.5, 1.0]), "atol": np.full(4, 1e-6)}
+
+
+FORMS: dict[str, list[Any]] = {
+    "y0": [
+        [1, 0, 0.0, 2],
+        (1.0, 0.0, 0, np.float64(2)),
+        np.array([1, 0, 0, 2]),
+        np.array([1.0, 0, 0, 2], ">f8"),
+        np.array([1.0, 0, 0, 2], np.float32),
+        np.array([1, 0, 0, 2], object),
+        np.array([1.0, 9.0, 0.0, 9.0, 0.0, 9.0, 2.0, 9.0])[::2],
+    ],
+    "t_span": [(0, 1), [0.0, 1], np.array([0.0, 1.0]), (np.float64(0), np.int64(1)), iter((False, 1.0))],
+    "t_eval": [[0, 0.5, 1], (0.0, np.float64(0.5), 1), np.array([0.0, 0.5, 1.0]), np.linspace(0, 1, 5)[::2]],
+    "breakpoints": [
+        [0.25, 0.5],
+        (0.5, np.float64(0.25)),
+        np.array([0.25, 0.5]),
+        [(0.25, None), 0.5],
+        {0.5: None, 0.25: None},
+    ],
+    "args": [(1.25,), [1.25], np.array([1.25]), iter([1.25])],
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_the_form_of_an_argument_does_not_matter(name: str) -> None:
+    """What is read at once, in the binding, and what has to be looked at."""
+    found = []
+    for form in FORMS[name]:
+        sol = iv.solve_ivp(**case(**{name: form}))
+        assert (type(sol._origin.source.problem.t_span), sol._origin.source.problem.y0.dtype) == (tuple, float)
+        assert not sol._origin.source.problem.y0.flags.writeable
+        found.append((sol.t, sol.y, sol.steps and sol.steps._rows, sol.nfev, sol._origin.source.problem.args))
+    for other in found[1:]:
+        np.testing.assert_equal(other, found[0])
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda sol: pickle.loads(pickle.dumps(sol))])
+def test_a_copy_has_what_nobody_has_asked_for(copied: Callable[[Any], Any]) -> None:
+    asked, sol = iv.solve_ivp(**case()), iv.solve_ivp(**case())
+    expected = (
+        dict(asked.stats),
+        asked.steps._rows,
+        asked.steps.method,
+        asked._names,
+        asked._rtol,
+        len(asked._invariants),
+    )
+    twin = copied(sol)
+    assert vars(twin).keys() == vars(asked).keys()
+    found = (dict(twin.stats), twin.steps._rows, twin.steps.method, twin._names, twin._rtol, len(twin._invariants))
+    np.testing.assert_equal(found, expected)
+
+
+def test_what_is_not_there_is_not_found_at_once_or_later() -> None:
+    sol = iv.solve_ivp(**case())
+    for _ in range(2):
+        assert not hasattr(sol, "_nothing")
+        assert not hasattr(sol.stats, "nothing")
 
 
 def test_a_template_keeps_nothing_of_the_users() -> None:

@@ -114,9 +114,11 @@ void Solver::cover(double t0, double tf, double hmax) {
   require_settings(settings_);
 }
 
-void Solver::cover(Settings settings) {
+void Solver::cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback) {
   require_settings(settings);
   settings_ = std::move(settings);
+  problem_.breakpoints = std::move(breakpoints);
+  problem_.callback = callback;
 }
 
 void Solver::set_tolerances(std::span<const double> tolerance) {

@@ -70,8 +70,9 @@ class Solver {
   /// Its next runs cover another interval, with steps up to hmax. Output times and breakpoints stay as they are:
   /// whoever calls this has none. Throws std::invalid_argument where hmax is not positive.
   void cover(double t0, double tf, double hmax);
-  /// The same with other output times and limits too, those of the settings.
-  void cover(Settings settings);
+  /// The same with other output times and limits too, those of the settings, with other breakpoints and another
+  /// callback.
+  void cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback);
   /// Its next runs have other absolute tolerances of the sensitivities, (k, n).
   void set_tolerances(std::span<const double> tolerance);
 

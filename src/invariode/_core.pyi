@@ -12,8 +12,30 @@ def all_finite(values: object) -> bool:
     Whether all numbers of a contiguous array of float64 or complex128 are finite.
     """
 
-def order(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> int:
-    """1: they rise strictly; -1: they fall strictly; 0: neither."""
+def plainly_posed(t_span: object, y0: object, args: object) -> tuple[tuple[float, float], numpy.ndarray, tuple[object, ...]] | None:
+    """
+    The three as a problem has them, where they are floats, lists and tuples of these, and arrays of float64; otherwise None.
+    """
+
+def plain_times(times: object, t0: float, tf: float) -> numpy.ndarray | None:
+    """
+    A new array of such times, if they are in order and within the interval; otherwise None.
+    """
+
+def plain_course(times: object) -> tuple[numpy.ndarray, tuple[float, float]] | None:
+    """
+    A new array of such times, with the first and the last, if they rise or fall strictly; otherwise None.
+    """
+
+def plain_breakpoints(times: object, t0: float, tf: float, ends: bool) -> numpy.ndarray | None:
+    """
+    A new array of such finite times, in any order, with those from t0 to tf in the order of integration; `ends`: whether those at the ends too. Otherwise None.
+    """
+
+def plain_options(options: object) -> tuple[object, ...] | None:
+    """
+    Names, values and types of options that cannot change, and whether there are times of output and breakpoints without actions; otherwise None.
+    """
 
 class PiecewisePolynomial:
     """Functions of t that are polynomials between times."""
@@ -25,6 +47,15 @@ class PiecewisePolynomial:
 
     def at(self, t: float) -> float:
         """The one value at t."""
+
+class StepLimit:
+    """
+    A callback that stops one run after so many steps between two times of its output.
+    """
+
+    def __init__(self, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], most: int) -> None: ...
+
+    def __call__(self, t: float, y: object) -> bool: ...
 
 class Native:
     """Machine code of the user, and what keeps it alive."""
@@ -328,20 +359,28 @@ class Run:
     Results of `integrate`. Arrays are handed over: each `take_…` works once.
     """
 
-    def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]:
-        """(t, y) of the points, y of shape (n, n_t), and of the end."""
+    def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]:
+        """(t, y) of the points, y of shape (n, n_t)."""
+
+    @property
+    def end(self) -> numpy.ndarray:
+        """y at the end."""
 
     def take_start(self) -> numpy.ndarray: ...
 
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
-    def take_steps(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
+    def record(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """The accepted steps, in rows that belong to the run."""
 
-    def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
+    @property
+    def drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
 
-    def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
+    @property
+    def jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
 
-    def take_value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+    @property
+    def value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -424,6 +463,9 @@ class Run:
     def steps(self) -> int: ...
 
     @property
+    def t_end(self) -> float: ...
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -470,6 +512,12 @@ class Run:
 
     @property
     def remarkable(self) -> bool: ...
+
+    @property
+    def ordinary(self) -> bool:
+        """
+        Whether its state says how it ended, and nothing besides is to be said.
+        """
 
     @property
     def sticks_since(self) -> float | None: ...
@@ -533,7 +581,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.
     """
 
-LANES: list = [('avx2', 16, 256), ('baseline', 8, 128)]
+LANES: list = ...
 
 class StopRequest:
     """A wish to end a run."""
@@ -547,6 +595,16 @@ class Solver:
     """A problem with a method: all that is known before the initial value."""
 
     def __init__(self, method: str, problem: Problem, tolerances: Tolerances, settings: Settings) -> None: ...
+
+    def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
+        """
+        Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
+        """
+
+    def integrate_other(self, fun: object, args: tuple, y0: object, course: tuple[float, float, float, object, int, int], breakpoints: object | None = None, limit: StepLimit | None = None, remember: bool = True) -> Run:
+        """
+        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be resumed.
+        """
 
     @property
     def native(self) -> bool:
@@ -579,16 +637,6 @@ class Solver:
     def resume(self, memory: bytes, anew: bool, progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
         """
         Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.
-        """
-
-    def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
-        """
-        Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
-        """
-
-    def integrate_other(self, fun: object, args: tuple, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], course: tuple[float, float, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, int, int]) -> Run:
-        """
-        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, and other settings (t0, tf, max_step, times, max_points, max_bytes). It keeps none of them.
         """
 
 class Stepper:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._core import all_finite, order
+from .._core import all_finite, plain_times
 from .suggestions import meant
 
 Array = NDArray[Any]
@@ -329,16 +329,19 @@ def tolerances(
 
 def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     """t_eval as an array, inside the interval and in the order of integration."""
-    times = real_numbers("t_eval", t_eval)
-    if times.ndim != 1:
-        raise ValueError(f"`t_eval` must be 1-dimensional, got shape {times.shape}")
-    low, high = min(t0, tf), max(t0, tf)
-    in_order = times.size < 2 or order(times) == (1 if tf >= t0 else -1)
-    if in_order and (not times.size or (low <= times[0] <= high and low <= times[-1] <= high)):
+    times = plain_times(t_eval, t0, tf)
+    if times is not None:  # the common case
         return times
-    outside = ~((times >= low) & (times <= high))
+    given = real_numbers("t_eval", t_eval)
+    if given.ndim != 1:
+        raise ValueError(f"`t_eval` must be 1-dimensional, got shape {given.shape}")
+    times = plain_times(given, t0, tf)
+    if times is not None:
+        return times
+    low, high = min(t0, tf), max(t0, tf)
+    outside = ~((given >= low) & (given <= high))
     if outside.any():
-        raise ValueError(f"Values in `t_eval` are not within `t_span`, ({t0}, {tf}): {times[outside][0]}")
+        raise ValueError(f"Values in `t_eval` are not within `t_span`, ({t0}, {tf}): {given[outside][0]}")
     raise ValueError("Values in `t_eval` are not properly sorted: strictly, in the direction of integration")
 
 

@@ -270,9 +270,10 @@ def _solve_one(task: Task, i: int) -> _Outcome:
 
 def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     bound = plan.bound
-    if jumps := run.take_jumps():
+    if jumps := run.jumps:
         bound = bound.jumped(jumps)
-    t, y, t_end, y_end = run.take_points()
+    t, y = run.take_points()
+    t_end, y_end = run.t_end, run.end
     n, k = len(plan.y0), 0
     S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
     if plan.varied is not None:
@@ -281,7 +282,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     counts = np.array(run.counts)
     counts[_NG] += bound.evaluations  # before the run, as in a single run
     counts[_NGDIFF] += bound.evaluations - len(bound.specs)
-    before, _, correction = run.take_drift()
+    before, _, correction = run.drift
     after = np.zeros(len(bound))
     if len(bound):
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))

@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
 from .._base.arguments import (
+    LAMBDIFIED,
     Array,
     call_name,
     distinct_labels,
@@ -22,6 +24,7 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
+from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
 from .._functions.compiled import is_native, is_plain_function
 from .._functions.graph.function import TracedFunction
@@ -44,33 +47,26 @@ class Posed:
     """y' = f(t, y, *args), y(t0) = y0, checked: all that many problems are, and what each of them has. It becomes a
     problem when somebody asks for one."""
 
-    __slots__ = ("_kind", "_problem", "_title", "args", "fun", "is_plain", "t_span", "y0")
+    __slots__ = ("_kind", "_problem", "args", "fun", "is_plain", "t_span", "y0")
 
+    _title: None = None
     _labels: None = None
 
     def __init__(
-        self,
-        kind: type[Description],
-        fun: Any,
-        t_span: Span,
-        y0: ArrayLike,
-        args: Iterable[Any] | None,
-        title: str | None = None,
+        self, kind: type[Description], fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None
     ) -> None:
-        self.fun, self.t_span, self.y0 = _posed(fun, t_span, y0)
-        self.args = extra_arguments(args)
+        self.fun, self.t_span, self.y0, self.args = _posed(fun, t_span, y0, args)
         self.is_plain = is_plain_function(self.fun)
         self._kind = kind
-        self._title = title
         self._problem: Description | None = None
 
     @property
     def name(self) -> str:
-        return call_name(self.fun, "problem") if self._title is None else self._title
+        return call_name(self.fun, "problem")
 
     def _described(self) -> Description:
         if self._problem is None:
-            self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args, name=self._title)
+            self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args)
         return self._problem
 
 
@@ -117,7 +113,7 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called, span, start = _posed(fun, t_span, y0)
+        called, span, start, extra = _posed(fun, t_span, y0, args)
         is_complex = start.dtype.kind == "c"
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         named = None if labels is None else distinct_labels(labels, len(start))
@@ -135,7 +131,7 @@ class Description:
             fun=called,
             t_span=span,
             y0=start,
-            args=extra_arguments(args),
+            args=extra,
             invariants=to_invariants(invariants),
             events=_checked_events(events),
             matrices=matrices,
@@ -246,16 +242,24 @@ class Description:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
 
-def _posed(fun: Any, t_span: Span, y0: ArrayLike) -> tuple[Any, tuple[float, float], Array]:
-    """f as the solvers call it, the interval, and the initial state, which nobody changes."""
+def _posed(
+    fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None
+) -> tuple[Any, tuple[float, float], Array, tuple[Any, ...]]:
+    """f as the solvers call it, the interval, the initial state, which nobody changes, and the extra arguments."""
+    plain = plainly_posed(t_span, y0, args)
+    if plain is not None:
+        return _as_called(fun, plain[1]), *plain
     span, start = interval(t_span), state(y0)
     called = _as_called(fun, start)
     start.setflags(write=False)
-    return called, span, start
+    return called, span, start, extra_arguments(args)
 
 
 def _as_called(fun: Any, y0: Array) -> Any:
     """f as the solvers call it."""
+    kind = type(fun)
+    if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
+        return fun
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
         called = compile(called)

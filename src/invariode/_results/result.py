@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers
-from .._core import Dense
+from .._core import Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
 
@@ -45,6 +45,16 @@ class Record(Mapping[str, Any]):
 
 def _none() -> None:
     return None
+
+
+def _made(record: Any, attributes: Callable[[Any], Mapping[str, Any]]) -> bool:
+    """Whether there was something to make, and the record has it now as attributes, but for those that it had."""
+    make = record.__dict__.get("_make")
+    if make is None:
+        return False
+    record.__dict__.update({**attributes(make()), **record.__dict__})
+    record.__dict__.pop("_make", None)
+    return True
 
 
 @dataclasses.dataclass(eq=False)
@@ -150,10 +160,8 @@ class Stats(Record):
 
         def __getattr__(self, name: str) -> Any:
             """Called for what is not there: perhaps not yet."""
-            make = self.__dict__.pop("_make", None)
-            if make is None:
+            if not _made(self, vars) and name not in self.__dict__:  # another thread may have made it
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            self.__dict__.update({**vars(make()), **self.__dict__})
             return getattr(self, name)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -188,9 +196,17 @@ class Steps(Record):
         The method that made the step: with ``method="auto"`` one of two. '' in files of former versions.
     """
 
-    def __init__(self, rows: Array, methods: Sequence[str]) -> None:
-        self._rows = rows  # (n_steps, 6)
+    def __init__(self, rows: Array | Run, methods: Sequence[str]) -> None:
+        self._given = rows  # or the run that has them
         self._methods = methods  # of which the last column has the numbers
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_given": self._rows, "_methods": self._methods}
+
+    @cached_property
+    def _rows(self) -> Array:
+        """(n_steps, 6)"""
+        return self._given.record() if isinstance(self._given, Run) else self._given
 
     @cached_property
     def t(self) -> Array:
@@ -428,13 +444,24 @@ class Result(dict[str, Any]):
     _sensitivities: SensitivityData | None
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
-    def __init__(self, private: Mapping[str, Any], /, **fields: Any) -> None:
+    def __init__(self, private: Mapping[str, Any] | Callable[[], Mapping[str, Any]], /, **fields: Any) -> None:
+        """`private`, what is not an item, may be made when the first of it is asked for."""
         super().__init__(fields)
-        self.__dict__.update(private)  # past __setattr__
+        if callable(private):
+            self.__dict__["_make"] = private
+        else:
+            self.__dict__.update(private)  # past __setattr__
+
+    def __getstate__(self) -> dict[str, Any]:
+        _made(self, dict)
+        return self.__dict__
 
     def changed(self, **changes: Any) -> Self:
         """A copy with other values of some fields, and with what the user has added."""
-        private = {**self.__dict__, **{name: changes.pop(name) for name in [*changes] if name.startswith("_")}}
+        private = {
+            **self.__getstate__(),
+            **{name: changes.pop(name) for name in [*changes] if name.startswith("_")},
+        }
         return type(self)(private, **{**self, **changes})
 
     if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
@@ -442,9 +469,11 @@ class Result(dict[str, Any]):
         def __getattr__(self, name: str) -> Any:
             """Called for names that are not attributes of the class or the object: items."""
             value = self.get(name, _ABSENT)
-            if value is _ABSENT:
+            if value is not _ABSENT:
+                return value
+            if not _made(self, dict) and name not in self.__dict__:  # another thread may have made it
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            return value
+            return getattr(self, name)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):

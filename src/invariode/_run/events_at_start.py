@@ -36,8 +36,7 @@ def _after_one_step(plan: Plan) -> tuple[float, Array]:
     settings = plan.settings._replace(times=None, dense=False, save_all=False, record=False, refine=1)
     functions = plan.functions._replace(events=[], callback=lambda t, y: True)
     run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.start)
-    _, _, t_end, y_end = run.take_points()
-    return t_end, y_end[: len(plan.y0)]
+    return run.t_end, run.end[: len(plan.y0)]
 
 
 def ended_at_start(plan: Plan, found: list[int]) -> bool:

@@ -449,10 +449,14 @@ def course_of(choice: Choice, problem: Posed | Description, t_eval: Any) -> Cour
     t0, tf = problem.t_span
     span, options = abs(tf - t0), choice.options
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    if choice.settings.first_step > span:
-        first = shown(choice.settings.first_step)
-        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {first}")
-    most = _most_kept(options["limits"] or _UNLIMITED, 0 if times is None else len(times), reals(problem.y0))
+    first = choice.settings.first_step
+    if first > span:
+        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {shown(first)}")
+    limits = options["limits"]
+    if limits is None and times is None:  # the common case
+        most = _MOST_POINTS, _MOST_BYTES
+    else:
+        most = _most_kept(limits or _UNLIMITED, 0 if times is None else len(times), reals(problem.y0))
     return Course(t0, tf, longest_step(options["max_step"], span), times, *most)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
 from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
-from .._laws.bound import Jump, as_columns
+from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description, Posed
 from .._problem.invariants import AccuracyWarning
@@ -205,8 +205,9 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
         source = Solved(problem._described, method, given)
         if not isinstance(found, Template):
             return _solved(found, source)
-        run, plan = found.run(problem, options.get("t_eval"))
-        return concluded(presented(run, plan, source, found.members), plan.on_failure)
+        run, course = found.run(problem, options)
+        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
+        return concluded(presented(finished), found.plan.on_failure)
     except (TypeError, ValueError) as error:
         explain(error, problem._described())
         raise
@@ -219,11 +220,14 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
         if not isinstance(found, Template):
             sol = _solved(found, Solved(problem._described, method, options))
             return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
-        run, plan = found.run(problem, options.get("t_eval"))
-        if run.state not in MESSAGES:
-            _require_start(run, plan, problem._described())
-        _warn(run, plan, problem._described)
-        return Points(*run.take_points()[1:3], *plan.verdict(run))
+        run, course = found.run(problem, options, remember=False)
+        if run.ordinary:
+            return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
+        source = Solved(problem._described, method, options)
+        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
+        _require_start(finished)
+        _warn(finished)
+        return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
     except (TypeError, ValueError) as error:
         explain(error, problem._described())
         raise
@@ -285,7 +289,7 @@ def _carried_out(
         if checkpoint is not None:
             around.callback(checkpoint.release)
         run = _integrated(core, plan, source.problem.name, resumed, keep)
-    sol = presented(run, plan, source, core.members, checkpoint)
+    sol = presented(Finished(run, plan, source, core.members, checkpoint=checkpoint))
     sol.stats.mechanics = _work(core, source.problem.fun)
     if find_method(source.method)[0].equations == "second-order":
         require_no_velocities(source.problem, sol)
@@ -304,32 +308,97 @@ def _examined(sol: Solution, problem: Description) -> Solution:
     return sol.changed(status=-2, message=f"{objection[0].upper()}{objection[1:]}.", success=False)
 
 
-def presented(
-    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None = None
-) -> Solution:
-    """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
-    took turns."""
-    if run.state not in MESSAGES:
-        _require_start(run, plan, source.problem)
-    sol = _solution(run, plan, source, members, checkpoint)
-    if plan.names:
-        _warn_of_projection(run, plan, sol)
-    _warn(run, plan, source._described)
+class Finished:
+    """A run of the core that has ended, and what is to be told of it, which is put together when somebody asks."""
+
+    def __init__(
+        self,
+        run: _core.Run,
+        plan: Plan,
+        source: Solved,
+        members: tuple[str, ...],
+        plan_of_run: Callable[[], Plan] | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        self.run = run
+        self.general = plan  # what it shares with all runs of its kind, if it is not its own plan
+        self.source = source
+        self.members = members  # the methods that took turns
+        self.checkpoint = checkpoint
+        self._plan_of_run = plan_of_run
+        self.sensitivities: SensitivityData | None = None
+        self.y_end: Array | None = None  # None: the end of the run is that of y
+        self.sectioned: tuple[Sectioned, ...] = ()
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Its own."""
+        return self.general if self._plan_of_run is None else self._plan_of_run()
+
+    @cached_property
+    def bound(self) -> BoundInvariants:
+        """The invariants, with the values that actions gave them."""
+        bound, functions = self.plan.bound, self.plan.functions
+        if (functions.events or functions.breakpoints) and (jumps := self.run.jumps):
+            return bound.jumped(jumps)
+        return bound
+
+    def private(self) -> dict[str, Any]:
+        """What a solution has besides its items."""
+        run, plan = self.run, self.plan
+        y_end = run.end if self.y_end is None else self.y_end
+        next_h = run.next_h if plan.method.fixed_order and run.steps else None
+        return {
+            "_invariants": self.bound,
+            "_rtol": plan.rtol,
+            "_atol": plan.atol,
+            "_drift": BeforeProjection(*run.drift) if plan.names else _NO_DRIFT,
+            "_names": plan.called,
+            "_sensitivities": self.sensitivities,
+            "_origin": RunOrigin(
+                self.source,
+                run.t_end,
+                y_end,
+                next_h,
+                run.memory,
+                checkpoint=self.checkpoint,
+                sectioned=self.sectioned,
+            ),
+        }
+
+    def stats(self) -> Stats:
+        return _stats(self.run, self.plan)
+
+
+def presented(finished: Finished) -> Solution:
+    """The solution that a run came to, or the exception, with its warnings."""
+    if finished.run.ordinary and not finished.general.names:
+        return _solution(finished)
+    _require_start(finished)
+    sol = _solution(finished)
+    if finished.general.names:
+        _warn_of_projection(finished.run, finished.plan, sol)
+    _warn(finished)
     return sol
 
 
-def _require_start(run: _core.Run, plan: Plan, problem: Description) -> None:
+def _require_start(finished: Finished) -> None:
     """Raises where the run could not start."""
-    if exception := plan.exception(run):
+    run = finished.run
+    if run.state in MESSAGES:
+        return
+    if exception := finished.plan.exception(run):
         raise exception
+    problem = finished.source.problem
     if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
         raise error
 
 
-def _warn(run: _core.Run, plan: Plan, described: Callable[[], Description]) -> None:
+def _warn(finished: Finished) -> None:
     """The warnings of a run, but for those of invariants."""
+    run, plan = finished.run, finished.plan
     if plan.functions.linear is not None:
-        if not math.isnan(run.left_complex_steps) and described().matrices.jac is not None:
+        if not math.isnan(run.left_complex_steps) and finished.source.problem.matrices.jac is not None:
             warn(complex_steps_left(run.left_complex_steps))
         if run.misfit is not None:
             warn(misfit(run.misfit, plan.functions.complex))
@@ -357,7 +426,7 @@ def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Solved
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return
-    sol = _solution(part, plan, source, core.members, checkpoint)
+    sol = _solution(Finished(part, plan, source, core.members, checkpoint=checkpoint))
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
     checkpoint.keep(sol, part.state == "running")
 
@@ -387,49 +456,34 @@ def _integrated(
         return core.integrate(plan.start, told, request, keep, every)
 
 
-def _solution(
-    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
-) -> Solution:
-    dtype, functions = plan.y0.dtype, plan.functions
-    ordinary = None if plan.varied is not None or run.remarkable else MESSAGES.get(run.state)
-    status, message = ordinary or plan.verdict(run)
-    bound = plan.bound
-    if (functions.events or functions.breakpoints) and (jumps := run.take_jumps()):
-        bound = bound.jumped(jumps)
+def _solution(finished: Finished) -> Solution:
+    run, plan = finished.run, finished.general
+    ordinary = run.ordinary and plan.varied is None
+    status, message = MESSAGES[run.state] if ordinary else finished.plan.verdict(run)
     dense = run.take_dense() if plan.settings.dense else None
-    t, y, t_end, y_end = run.take_points()
+    t, y = run.take_points()
     happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
-    sensitivities = None
     if plan.varied is not None:
-        y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
+        y, finished.y_end, happened, finished.sensitivities = _parted(plan, plan.varied, y, run.end, happened or [])
         plan.varied.tell_of_steps(t, y)
-    stats = _stats(run, plan) if plan.names else Stats.when_needed(partial(_stats, run, plan))
-    sectioned = (Sectioned.of(plan, run),) if plan.settings.sections else ()
-    next_h = run.next_h if plan.method.fixed_order and run.steps else None
+    if plan.settings.sections:
+        finished.sectioned = (Sectioned.of(finished.plan, run),)
     return Solution(
-        {
-            "_invariants": bound,
-            "_rtol": plan.rtol,
-            "_atol": plan.atol,
-            "_drift": BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
-            "_names": plan.called,
-            "_sensitivities": sensitivities,
-            "_origin": RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint, sectioned=sectioned),
-        },
+        finished.private,
         t=t,
         y=y,
-        sol=None if dense is None else DenseSolution(dense, dtype, bound),
+        sol=None if dense is None else DenseSolution(dense, y.dtype, finished.bound),
         t_events=None if happened is None else [times for times, _ in happened],
-        y_events=None if happened is None else [points.view(dtype) for _, points in happened],
+        y_events=None if happened is None else [points.view(y.dtype) for _, points in happened],
         nfev=run.nfev,
         njev=run.njev,
         nlu=run.nlu,
         status=status,
         message=message,
         success=status >= 0,
-        stats=stats,
-        steps=Steps(run.take_steps(), members) if plan.settings.record else None,
-        t_end=t_end,
+        stats=Stats.when_needed(finished.stats),
+        steps=Steps(run, finished.members) if plan.settings.record else None,
+        t_end=run.t_end,
     )
 
 

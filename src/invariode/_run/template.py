@@ -1,4 +1,5 @@
-"""Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval and its output times.
+"""Templates: plans for all problems of a kind, which differ in a Python f, y0, args, the interval, its output times and
+breakpoints, and the state of a limit of steps.
 
 What does not depend on these is checked once, when the first problem of the kind is solved, and the core's solver is
 made once. Everything else is checked in each solve, by the same code.
@@ -10,7 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 from .. import _core
 from .._base.arguments import warnings_given
@@ -18,12 +19,7 @@ from .._base.types import MethodName
 from .._laws.bound import bind
 from .._problem.description import Description, Posed
 from .._problem.options import Options
-from .._results.result import Names
-from .plan import Choice, Plan, choose, course_of, names_of, planned, solver
-
-#: Values of options that cannot change: a copy of them says what was given. (1, 1.0 and True are equal: their types are
-#: looked at too.)
-_PLAIN = frozenset({bool, int, float, str, type(None)})
+from .plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 
 #: From this n on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a step.
 _LARGE = 200
@@ -42,44 +38,39 @@ class Template:
         core = _solver_for_all(plan)
         self.members = core.members
         self._choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
-        nothing_held = bind([], 0.0, plan.y0, (), 0.0)
-        #: Of runs forwards and backwards.
-        self._bound = {True: replace(nothing_held, forward=1.0), False: replace(nothing_held, forward=-1.0)}
-        functions = plan.functions._replace(fun=None, args=())
-        self._plan = plan._replace(
-            settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=nothing_held
+        self._nothing_held = bind([], 0.0, plan.y0, (), 0.0)
+        functions = plan.functions._replace(fun=None, args=(), callback=None)
+        #: What the plans of all have in common.
+        self.plan = plan._replace(
+            settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=self._nothing_held
         )
-        self._called = plan.called
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
 
-    def run(self, problem: Posed | Description, t_eval: Any) -> tuple[_core.Run, Plan]:
-        """A run of a problem of this kind, and its plan, without what is the user's."""
-        course = course_of(self._choice, problem, t_eval)
+    def run(self, problem: Posed | Description, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course]:
+        """A run of a problem of this kind, and its course. `options`: those that the template was found for.
+        `remember`: the run can be extended."""
+        course = course_of(self._choice, problem, options.get("t_eval"))
+        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
+        if breaks is not None:
+            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
         try:
             core = self._idle.pop()
         except IndexError:
             core = _solver_for_all(planned(problem._described(), self._choice))
-        start = problem.y0.view(float) if self._plan.functions.complex else problem.y0
-        run = core.integrate_other(problem.fun, problem.args, start, course)
+        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, limit, remember)
         self._idle.append(core)  # but not after an exception
-        bound = self._bound[course.tf >= course.t0]
-        if problem.args:
-            bound = replace(bound, args=problem.args)
-        return run, self._plan.on(course, bound, self._names_of(problem))
+        return run, course
 
-    def _names_of(self, problem: Posed | Description) -> Names:
-        """Those of the last problem, if they are the same."""
-        called = self._called
-        named = called.problem == problem.name and called.title == problem._title
-        if not named or called.labels != problem._labels:
-            called = self._called = names_of(problem, [])
-        return called
+    def plan_of(self, problem: Posed | Description, course: Course) -> Plan:
+        """What a run has done, without what is the user's."""
+        bound = replace(self._nothing_held, args=problem.args, forward=1.0 if course.tf >= course.t0 else -1.0)
+        return self.plan.on(course, bound, names_of(problem, []))
 
 
 def _solver_for_all(plan: Plan) -> _core.Solver:
     """A solver that is lent f and its arguments in each run."""
-    return solver(plan._replace(functions=plan.functions._replace(args=())))
+    return solver(plan._replace(functions=plan.functions._replace(args=(), callback=None)))
 
 
 def plan_or_template(problem: Posed | Description, method: MethodName, options: Options) -> Plan | Template:
@@ -106,9 +97,8 @@ def _kind(problem: Posed | Description, method: MethodName, options: Options) ->
     n = len(problem.y0)
     if not problem.is_plain or n >= _LARGE or type(method) is not str:
         return None
-    given = {**options, "t_eval": options.get("t_eval") is not None}
-    types = tuple(map(type, given.values()))
-    return (method, n, problem.y0.dtype.kind, types, *given.items()) if _PLAIN.issuperset(types) else None
+    given = _core.plain_options(options)
+    return None if given is None else (method, n, problem.y0.dtype.kind, given)
 
 
 def _holds_for_all(plan: Plan, problem: Description) -> bool:

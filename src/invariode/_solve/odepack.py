@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from .._base.arguments import (
     Array,
     as_array,
-    call_name,
     flag,
     function,
     number,
@@ -25,7 +24,7 @@ from .._base.arguments import (
 )
 from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
-from .._core import StateFirst, order
+from .._core import StateFirst, StepLimit, plain_breakpoints, plain_course
 from .._functions.compiled import is_native
 from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
@@ -202,22 +201,23 @@ def odeint(
     for text in call.warnings:
         warn(text)
     asked = _times(t)
-    span = float(asked.times[0]), float(asked.times[-1])
-    counter = _Counter(asked.times, call.most, call.full)
+    span = asked.span
+    limit = StepLimit(asked.times, call.most) if call.most else None
+    counter = _Counter(limit) if call.full else None
     given: Options = {
         **call.options,
         "t_eval": asked.times,
-        "callback": counter.step if call.most or call.full else None,
-        "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
+        "callback": limit if counter is None else counter.step,
+        "breakpoints": None if tcrit is None else _critical_points(tcrit, *span),
         "first_step": min(call.first_step, abs(span[1] - span[0])) or None,
     }
     problem = _problem(call, counter, func, span, y0, args, Dfun, invariants)
-    if not call.full:
+    if counter is None:
         found = points(problem, call.method, given)
-        _tell(found, counter, call.prints)
+        _tell(found, call)
         return _rows(found.y, asked)
     sol = solve(problem, call.method, given)
-    message = _tell(Points(sol.y, sol.t_end, sol.status, sol.message), counter, call.prints)
+    message = _tell(Points(sol.y, sol.t_end, sol.status, sol.message), call)
     return _rows(sol.y, asked), _information(sol, asked, counter, message)
 
 
@@ -282,7 +282,7 @@ def _call(
 
 def _problem(
     call: _Call,
-    counter: _Counter,
+    counter: _Counter | None,
     func: Any,
     span: tuple[float, float],
     y0: ArrayLike,
@@ -290,15 +290,15 @@ def _problem(
     dfun: Any,
     invariants: InvariantsLike | None,
 ) -> Posed | Problem:
-    fun = _in_order(func, "func", call.tfirst, counter.calls if call.full else None)
-    start, name = as_array("y0", y0), call_name(func, "func")
-    if not start.ndim:
+    fun = _in_order(func, "func", call.tfirst, None if counter is None else counter.calls)
+    start = y0 if isinstance(y0, (list, tuple)) else as_array("y0", y0)
+    if isinstance(start, np.ndarray) and not start.ndim:
         start = start[np.newaxis]
     if dfun is None and invariants is None and call.bands is None:
-        return Posed(Problem, fun, span, start, args, name)
+        return Posed(Problem, fun, span, start, args)
     jac = None if dfun is None else _jacobian(dfun, call.tfirst, call.transposed, counter)
     lower, upper = call.bands or (None, None)
-    return Problem(fun, span, start, args=args, invariants=invariants, jac=jac, lband=lower, uband=upper, name=name)
+    return Problem(fun, span, start, args=args, invariants=invariants, jac=jac, lband=lower, uband=upper)
 
 
 #: Of equal values of equal types; like templates, so many are kept.
@@ -333,49 +333,45 @@ def _highest_order(method: MethodName, limits: dict[OwnName, int], warnings: lis
 
 
 class _Times(NamedTuple):
-    """The requested times: without repetitions, and where each is in that list."""
+    """The requested times: without repetitions, the first and the last, and where each is in that list."""
 
     times: Array
-    place: Array | None  # None: none is repeated
+    span: tuple[float, float]
+    place: Array | None = None  # None: none is repeated
 
 
 def _times(t: ArrayLike) -> _Times:
+    plain = plain_course(t)
+    if plain is not None:  # the common case
+        return _Times(*plain)
     given = real_numbers("t", t)
     if not given.ndim:
         given = given[np.newaxis]
+    plain = plain_course(given)
+    if plain is not None:
+        return _Times(*plain)
     if not given.size:  # nothing to integrate, and no output: SciPy's shape, (0, n)
-        return _Times(np.zeros(1), np.zeros(0, dtype=np.intp))
-    if given.ndim == 1 and order(given):
-        return _Times(given, None)
+        return _Times(np.zeros(1), (0.0, 0.0), np.zeros(0, dtype=np.intp))
     steps = given[1:] - given[:-1]
     if given.ndim != 1 or not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
     new = np.concatenate([[True], steps != 0])
-    return _Times(given[new], np.cumsum(new) - 1)
+    return _Times(given[new], (float(given[0]), float(given[-1])), np.cumsum(new) - 1)
 
 
 class _Counter:
-    """Counts during a run, and the step limit between two times of the output."""
+    """Counts during a run, with its step limit between two times of the output."""
 
-    def __init__(self, times: Array, most: int, counting: bool) -> None:
-        self.times = times
-        self.most = most  # steps between them; 0: any number
-        self.counting = counting
+    def __init__(self, limit: StepLimit | None) -> None:
+        self.limit = limit
         self.calls = [0]  # of f, so far
         self.jacobians = 0
         self.after: list[tuple[int, int]] = []  # both, after each step
-        self.place = 0  # in which interval the last step ended
-        self.steps = 0  # in this interval
 
     def step(self, t: float, y: Array) -> bool:
         """An accepted step; whether it was one too many."""
-        if self.counting:
-            self.after.append((self.calls[0], self.jacobians))
-        forward = 1.0 if self.times[-1] >= self.times[0] else -1.0
-        place = int(np.searchsorted(forward * self.times, forward * t))
-        self.steps = self.steps + 1 if place == self.place else 1
-        self.place = place
-        return bool(self.most) and self.steps >= self.most and place < len(self.times) and t != self.times[place]
+        self.after.append((self.calls[0], self.jacobians))
+        return self.limit is not None and self.limit(t, y)
 
 
 def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None) -> Any:
@@ -398,27 +394,30 @@ def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None)
     return functools.wraps(fun)(counted)
 
 
-def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> Any:
+def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter | None) -> Any:
     ordered = _in_order(dfun, "Dfun", tfirst)
-    if is_native(ordered):
-        if transposed:
-            raise TypeError("Dfun is machine code: give the Jacobian by rows, without col_deriv")
+    if is_native(ordered) and transposed:
+        raise TypeError("Dfun is machine code: give the Jacobian by rows, without col_deriv")
+    if is_native(ordered) or (counter is None and not transposed):
         return ordered
 
     @functools.wraps(dfun)
     def jacobian(t: float, y: Array, *args: Any) -> Any:
-        counter.jacobians += 1
+        if counter is not None:
+            counter.jacobians += 1
         value = ordered(t, y, *args)
         return np.transpose(value) if transposed else value
 
     return jacobian
 
 
-def _critical_points(tcrit: ArrayLike, times: Array) -> list[float]:
+def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
     """Where the run starts again: not at its ends, where there is nothing to do."""
+    plain = plain_breakpoints(tcrit, t0, tf, ends=False)
+    if plain is not None:  # the common case
+        return plain
     points = np.atleast_1d(real_numbers("tcrit", tcrit))
-    low, high = sorted((times[0], times[-1]))
-    inside: list[float] = points[(points > low) & (points < high)].tolist()
+    inside: Array = points[(points > min(t0, tf)) & (points < max(t0, tf))]
     return inside
 
 
@@ -430,17 +429,17 @@ def _rows(y: Array, asked: _Times) -> Array:
     return rows if asked.place is None else rows[asked.place]
 
 
-def _tell(found: Points, counter: _Counter, printed: bool) -> str:
+def _tell(found: Points, call: _Call) -> str:
     """How the run ended; with a warning if that was not at the last time."""
     status = found.status
     message = "Integration successful." if status == 0 else found.message
     if status == 2:
-        message = f"More than mxstep = {counter.most} steps between two times, at t = {found.t_end:.6g}: raise mxstep."
+        message = f"More than mxstep = {call.most} steps between two times, at t = {found.t_end:.6g}: raise mxstep."
     if status != 0:
         from scipy.integrate import ODEintWarning
 
         warn(message, ODEintWarning)
-    if printed:
+    if call.prints:
         print(message)
     return message
 

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -22,7 +23,7 @@ from .._problem.options import Options, ProblemArguments, keep_arrays
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
 from .._run.plan import Plan, longest_step, make_plan, solver
-from .._run.run import Solved, concluded, presented, solve
+from .._run.run import Finished, Solved, concluded, presented, solve
 from .._run.second_order import fits_any_args
 
 Cover: TypeAlias = tuple[float, float, float]
@@ -108,7 +109,8 @@ class PreparedSolver:
                     self.method,
                     self._options,
                 )
-                sol = presented(run, self._as_run(run, args, cover), source, self._members)
+                plan_of_run = partial(self._as_run, run, args, cover)
+                sol = presented(Finished(run, self._plan, source, self._members, plan_of_run))
                 return concluded(sol, self._plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
@@ -134,7 +136,7 @@ class PreparedSolver:
             t0, tf, max_step = cover
             plan = plan._replace(settings=plan.settings._replace(t0=t0, tf=tf, max_step=max_step))
         if plan.bound.specs:
-            bound = replace(plan.bound, value=run.take_value())
+            bound = replace(plan.bound, value=run.value)
             if args is not None:
                 used = [f for one in self.problem.invariants for f in (one.fun, one.jac, one.metric)]
                 bound = replace(bound, args=args, parameters=native_parameters(args, used))
