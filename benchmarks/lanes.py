@@ -243,7 +243,7 @@ def measured(case: Case, repetitions: int) -> list[str]:
         return solve()
 
     contestants: dict[str, Callable[[], object]] = {"alone": partial(solve, lanes=1)}
-    for name, width, _ in _core.LANES:
+    for name, width, _ in _core.instruction_sets():
         found = in_lanes(name)
         if not found.stats.lanes.startswith(f"{width} lanes"):
             raise SystemExit(f"not timed: {case.name} was solved {found.stats.lanes}")
@@ -257,11 +257,11 @@ def measured(case: Case, repetitions: int) -> list[str]:
         contestants[name] = partial(in_lanes, name)
     times = interleaved(contestants, repetitions, process_time)
     rate = f"{case.size / median(times['alone']):,.0f}"
-    return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name, _, _ in _core.LANES)]
+    return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name, _, _ in _core.instruction_sets())]
 
 
 def report(repetitions: int) -> str:
-    header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name, _, _ in _core.LANES)]
+    header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name, _, _ in _core.instruction_sets())]
     rows = [measured(case, repetitions) for case in CASES]
     return f"{machine('invariode', 'numpy', 'numba')}. Medians of {repetitions}.\n\n{table(header, rows)}"
 

@@ -726,10 +726,15 @@ void define_ensemble(nb::module_& module) {
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
       "set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, "
       "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.");
-  std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
-  for (const lanes::Instructions* one : lanes::instructions())
-    sets.emplace_back(std::string(one->name), one->lanes, one->bits);
-  module.attr("LANES") = nb::cast(sets);
+  module.def(
+      "instruction_sets",
+      [] {
+        std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
+        for (const lanes::Instructions* one : lanes::instructions())
+          sets.emplace_back(std::string(one->name), one->lanes, one->bits);
+        return sets;
+      },
+      "(name, lanes, bits of a register) of each that this processor has, the best first.");
 }
 
 void define_other_runs(nb::class_<BoundSolver>& solver) {
