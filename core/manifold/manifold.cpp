@@ -191,10 +191,8 @@ Finding Manifold::judge(const StepEnds& ends, const Step& step, std::int64_t num
   return guard_->corrected(correction_, ends.t1, ends.y1, ends.h, number);
 }
 
-Status Manifold::commit(double t, const double* Y) {
-  if (!one_sided_) return Status::ok;
-  one_sided_->commit();
-  return tangent_ ? tangent_->lower(*projector_, t, Y) : Status::ok;
+void Manifold::commit() {
+  if (one_sided_) one_sided_->commit();
 }
 
 void Manifold::state(Archive& archive) {

@@ -89,8 +89,8 @@ class Manifold {
   /// Does f keep the invariants in accepted step number `number`? `at_break`, `after_break`: it ends, or starts, at a
   /// breakpoint, where there is no room for differences.
   Finding judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break);
-  /// The step to (t, Y) stands: there is no way back behind it.
-  Status commit(double t, const double* Y);
+  /// The step stands: there is no way back behind it.
+  void commit();
 
   void state(Archive& archive);
   void archive_drift(Archive& archive) { archive(clipped, drift.residual, drift.distance, drift.correction); }

@@ -46,14 +46,6 @@ Status TangentProjector::hold(double t, const double* Y) {
   return Status::ok;
 }
 
-Status TangentProjector::lower(const Projector& state, double t, const double* Y) {
-  if (evaluate(t, Y, value_.data()) == Status::stop) return Status::stop;
-  for (std::size_t j = 0; j < extent_.k; ++j)
-    for (std::size_t i = 0; i < m_; ++i)
-      if (state.idle(i)) rate_[j * m_ + i] = value_[j * m_ + i];
-  return Status::ok;
-}
-
 Outcome TangentProjector::onto(Projector& state, double t, const double* target, double* Y) {
   for (int correction = 0; correction < tangent_iterations; ++correction) {
     if (evaluate(t, Y, value_.data()) == Status::stop) return Outcome::stop;
@@ -79,8 +71,8 @@ bool TangentProjector::off_tangent(const Projector& state, const double* S, cons
   bool off = false;
   for (std::size_t i = 0; i < m_; ++i) {
     const double value = residual[i];
-    residual[i] -= target[i];
-    if (state.left_out(i) || state.idle(i)) continue;
+    residual[i] = invariants_.sense(i) == 0 ? value - target[i] : 0;
+    if (state.left_out(i) || residual[i] == 0) continue;
     const double terms = size_of_terms(std::abs(value) + std::abs(target[i]), invariants_.row(i, J), S);
     off = off || std::abs(residual[i]) > eps * terms;
   }

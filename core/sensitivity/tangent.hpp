@@ -22,6 +22,9 @@ namespace invariode {
 /// W the weights of the state: linear in S_j, with the factors and the rank with which the state was projected. Those
 /// are of the point before its last correction, so that for an invariant that is not linear the correction is repeated
 /// until what is left is roundoff.
+///
+/// Functions that only rise or fall move no exact solution, whose S is not bound by them: what they correct in y is
+/// error. S keeps its G S_j + g_pj of them.
 class TangentProjector {
  public:
   /// All blocks of the invariants have a tangent. `bounds` may be null; all belong to the caller.
@@ -29,9 +32,6 @@ class TangentProjector {
 
   /// dc/dp of what is held becomes G S_j + g_pj at (t, Y); of what is demanded it is 0.
   Status hold(double t, const double* Y);
-  /// The step to (t, Y) stands, to which `state` has projected: what may only rise or fall and did not take part is
-  /// held there from now on.
-  Status lower(const Projector& state, double t, const double* Y);
   /// After `state`, a projector of the same invariants, has moved the state at t: moves S to dc/dp.
   Outcome follow(Projector& state, double t, double* Y) { return onto(state, t, rate_.data(), Y); }
   /// The same to other values of G S_j + g_pj, (k, m).

@@ -13,7 +13,8 @@ Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and B
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
 such a jump where it arrives, and its equation has no part in the others.
 
-Where a solution is held on invariants, costs go through the projection of its sensitivities (`adjoint_laws`).
+Where a solution is held on invariants, costs go through the projection of its sensitivities (`adjoint_laws`). Functions
+that only fall move no exact solution, nor its sensitivities: what they correct is error, and λ does without them.
 """
 
 from __future__ import annotations
@@ -124,10 +125,6 @@ def gradient(
         )
     names = problem.parameters()
     require_possible(problem)
-    if any(law.sense for law in problem.invariants):
-        raise ValueError(
-            "gradient: which steps Dissipated has moved is not known afterwards: use sensitivities=, or leave it out"
-        )
     objective = _objective(run, dG_dy, dG_dp, t, integrand, len(names))
     if problem.y0.dtype.kind == "c":
         return _of_complex(run, problem, objective)

@@ -58,7 +58,7 @@ class _Law:
 
 
 class Laws:
-    """The invariants of a problem.
+    """The invariants of a problem, without functions that only fall or rise.
 
     Parameters
     ----------
@@ -78,6 +78,8 @@ class Laws:
         self._laws, self._args, self._weights = [], problem.args, weights
         self._k = k
         for one in problem.invariants:
+            if one.sense:  # not an equation
+                continue
             jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
             law = derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
             self._laws.append(_Law(one, law))
