@@ -414,8 +414,9 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("options", "error", "message"), WRONG)
-def test_wrong_breakpoints_are_refused(method, options, error, message):
+@dealt(method=METHODS, wrong=WRONG)
+def test_wrong_breakpoints_are_refused(method, wrong):
+    options, error, message = wrong
     with pytest.raises(error, match=message):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], method, **options)
 

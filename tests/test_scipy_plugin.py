@@ -269,7 +269,7 @@ def test_a_function_may_not_step_its_own_solver(method):
         solver.step()
 
 
-@pytest.mark.parametrize("name", ["rtoll", "invariant", "events", "t_eval", "refine", "dense_output", "keep"])
+@dealt(method=METHODS, name=["rtoll", "invariant", "events", "t_eval", "refine", "dense_output", "keep"])
 def test_unknown_options_are_refused(method, name):
     hint = {"rtoll": "did you mean 'rtol'", "invariant": "did you mean 'invariants'"}.get(name, "option of solve_ivp")
     with pytest.raises(TypeError, match=f"{name}.*{hint}"):
