@@ -87,7 +87,7 @@ MISFITS: dict[str, Callable[[], object]] = {
     "f of examine": lambda: _core.examine(0, np.ones(n), problem(fun=None), tolerances()),
     "start without a mass": lambda: _core.consistent_start(0, np.ones(n), problem(), tolerances()),
     "no solvers": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None),
-    "no solvers for lanes": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None, (_core.instruction_sets()[0][0], [])),
+    "no solvers for lanes": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None, ("baseline", [])),
     "functions of Python on threads": lambda: _core.integrate_all([solver()], y, np.zeros((3, 0)), None),
     "Jacobian of another size": lambda: solver(method="ode15s", linear=linear(n=n + 1)),
     "constant Jacobian": lambda: solver(method="ode15s", linear=linear(kind="constant", jacobian=np.ones((n, n + 1)))),
