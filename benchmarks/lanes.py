@@ -176,6 +176,9 @@ def currents(size: int) -> tuple[Array, Array]:
 
 
 BODIES = [1.0, 0.0, -0.5, 0.9, -0.5, -0.9, 0.0, 0.7, -0.6, -0.35, 0.6, -0.35]
+#: How many lanes each instruction set has.
+SETS = {name: width for name, width, _ in _core.instruction_sets()}
+
 CASES = [
     Case("Lotka–Volterra", lotka_volterra, 10.0, populations, 10000),
     Case(f"the same, costs unequal by {LONGEST:.0f}", slowed, 10.0, unequal, 1000),
@@ -243,7 +246,7 @@ def measured(case: Case, repetitions: int) -> list[str]:
         return solve()
 
     contestants: dict[str, Callable[[], object]] = {"alone": partial(solve, lanes=1)}
-    for name, width, _ in _core.instruction_sets():
+    for name, width in SETS.items():
         found = in_lanes(name)
         if not found.stats.lanes.startswith(f"{width} lanes"):
             raise SystemExit(f"not timed: {case.name} was solved {found.stats.lanes}")
@@ -257,11 +260,11 @@ def measured(case: Case, repetitions: int) -> list[str]:
         contestants[name] = partial(in_lanes, name)
     times = interleaved(contestants, repetitions, process_time)
     rate = f"{case.size / median(times['alone']):,.0f}"
-    return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name, _, _ in _core.instruction_sets())]
+    return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name in SETS)]
 
 
 def report(repetitions: int) -> str:
-    header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name, _, _ in _core.instruction_sets())]
+    header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name in SETS)]
     rows = [measured(case, repetitions) for case in CASES]
     return f"{machine('invariode', 'numpy', 'numba')}. Medians of {repetitions}.\n\n{table(header, rows)}"
 
