@@ -55,10 +55,12 @@ def test_jacobians_are_those_of_differences(problem):
 
 
 def test_invariants_take_columns(problem):
+    """To a few ulp: NumPy may have other loops for columns than for numbers."""
     (held,) = problem.invariants
     columns = np.array(states(problem, 4)).T
     each = [np.atleast_1d(held.fun(0.0, y)) for y in columns.T]
-    np.testing.assert_array_equal(np.atleast_2d(np.array(held.fun(np.zeros(4), columns))), np.transpose(each))
+    of_all = np.atleast_2d(np.array(held.fun(np.zeros(4), columns)))
+    np.testing.assert_array_almost_equal_nulp(of_all, np.transpose(each), 4)
 
 
 def test_they_can_be_sent_to_processes(problem):
