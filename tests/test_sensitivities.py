@@ -180,7 +180,7 @@ MATRIX_FREE = [
 ]
 
 
-@dealt(method=["auto", "ode15s", "ode23t", "ode23tb"], way=MATRIX_FREE)
+@dealt(12, method=["auto", "ode15s", "ode23t", "ode23tb", "radau"], way=MATRIX_FREE)
 def test_columns_are_solved_without_matrices(method, way):
     """To the errors of the runs, also in parameters of other sizes."""
     (given, mass), y0 = way, np.sin(np.linspace(0.2, 3, 12))

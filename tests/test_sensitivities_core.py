@@ -327,10 +327,6 @@ def test_what_sensitivities_do_not_go_with_is_named():
         solver(described(events=[event], variations=variations(jumps=[None, None])))
     with pytest.raises(ValueError, match="an event has an action and no jump"):
         solver(described(events=[event], variations=variations(jumps=[None])))
-    products = _core.Linear(structure="dense", n=2, lower=0, upper=0, kind="products", jacobian=None, mass=None,
-                            null_basis=problem.null_basis, lapack=None, dimension=2)  # fmt: skip
-    with pytest.raises(ValueError, match="radau solves for its stages together"):
-        solver(described(linear=products, variations=variations()), "radau").integrate(np.ones(4))
     with pytest.raises(ValueError, match="y0 has 2 reals, the problem has 10"):
         solver(description()).integrate(np.ones(2))
     wrong = solver(described(variations=_core.Variations(2, lambda t, Y: np.zeros(2), np.ones((2, 2)))))

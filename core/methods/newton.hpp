@@ -168,6 +168,10 @@ class AgingJacobian {
   /// Shorter steps will not help: see MatrixFree.
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
+ protected:
+  /// The right-hand sides of the sensitivities in `solve_whole`, where b starts with the solution for the state.
+  Status couple(double c, double t, const double* Y, const double* f, double* b);
+
  private:
   bool fit_due(const double* y);
   Status make_fit(double t, const double* y, const double* slope);
@@ -180,7 +184,6 @@ class AgingJacobian {
   void fields(Archive& archive);
   Outcome finite_or_noted(const double* out, std::size_t count);
   Status solve_below(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
-  Status couple(double c, double t, const double* Y, const double* f, double* b);
 
   Callback& f_;        // of all that the method integrates,
   Callback& state_f_;  // and of the state: the same without sensitivities

@@ -186,7 +186,7 @@ Newton::Result Radau::iterate(Convergence& convergence) {
 }
 
 Newton::Result Radau::solve_part(double tolerance, bool& negligible) {
-  return solver_.solve(mass(), weight_.data(), tolerance, {part_.first, part_.end}, residuals_.data(), scratch_.data(),
+  return solver_.solve(mass(), part_.w, tolerance, {part_.first, part_.end}, residuals_.data(), scratch_.data(),
                        negligible);
 }
 
@@ -285,8 +285,8 @@ Newton::Result Radau::solve_for_error(const double* f) {
   const double c = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
   const double tolerance = linear_part * weights_.rtol();
-  const Newton::Result result =
-      solver_.solve_real(mass(), weight_.data(), tolerance, t_, y(), f_.data(), error_vector_.data());
+  const Newton::Result result = solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), tolerance, t_,
+                                                   y(), f_.data(), error_vector_.data());
   error_ = norm(error_vector_.data());
   return result;
 }

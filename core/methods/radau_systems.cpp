@@ -91,10 +91,7 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
-    if (lu == nullptr) {
-      count_solve();
-      return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
-    }
+    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, blocks, b, may_skip, negligible);
     solve_blocks(*lu, b, blocks.first, blocks.end);
     negligible = false;
     return Newton::Result::converged;
@@ -112,27 +109,41 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   return result;
 }
 
-Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
-                                        const double* f, double* b) {
+Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, const double* w_columns, double tolerance,
+                                        double t, const double* Y, const double* f, double* b) {
+  const double c = h_ / formula_->mu;
   if (has_matrices()) {
     assert(has_factors());
-    const Status status = solve_whole(*real_lu_, h_ / formula_->mu, t, Y, f, b);
+    const Status status = solve_whole(*real_lu_, c, t, Y, f, b);
     return status == Status::stop ? Newton::Result::stop : Newton::Result::converged;
   }
-  count_solve();
+  const std::size_t n = extent().n;
   bool negligible = false;
-  return solve_by_gmres(h_ / formula_->mu, M, w, tolerance, b, false, negligible);
+  const Newton::Result result = solve_by_gmres(c, M, w, tolerance, {0, n}, b, false, negligible);
+  if (result != Newton::Result::converged || n_ == n) return result;
+  if (couple(c, t, Y, f, b) == Status::stop) return Newton::Result::stop;
+  return solve_by_gmres(c, M, w_columns, tolerance, {n, n_}, b, false, negligible);
 }
 
-/// b becomes the solution of (M − c J) x = b, or 0 where it may be skipped and is negligible.
+/// b becomes the solution of (M − c J) x = b in each of these blocks, or 0 where it may be skipped and is negligible.
 template <class Scalar>
-Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b,
-                                            bool may_skip, bool& negligible) {
+Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Blocks blocks,
+                                            Scalar* b, bool may_skip, bool& negligible) {
+  Newton::Result result = Newton::Result::converged;
+  for (std::size_t i = blocks.first; i < blocks.end && result == Newton::Result::converged; i += extent().n)
+    result = solve_block(c, M, w + i, tolerance, b + i, may_skip, negligible);
+  return result;
+}
+
+template <class Scalar>
+Newton::Result RadauSystems::solve_block(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b,
+                                         bool may_skip, bool& negligible) {
   MatrixFree& free = *matrix_free();
+  count_solve();
   const Newton::Result ready = newton_result(free.precondition(b));
   if (ready != Newton::Result::converged) return ready;
   if (may_skip && free.negligible(w, tolerance, b)) {
-    std::fill_n(b, n_, 0);
+    std::fill_n(b, extent().n, 0);
     return Newton::Result::converged;
   }
   negligible = false;

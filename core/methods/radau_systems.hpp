@@ -39,9 +39,9 @@ class RadauSystems : public AgingJacobian {
   Newton::Result solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
                        double* scratch, bool& negligible);
   /// b becomes (M − (h/μ) J)⁻¹ b, μ real; with sensitivities the matrix is that of the whole system at (t, Y), where it
-  /// has the value `f`.
-  Newton::Result solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
-                            const double* f, double* b);
+  /// has the value `f`. By GMRES to that tolerance, in units of the weights w of the state and w_columns of the others.
+  Newton::Result solve_real(const Matrix* M, const double* w, const double* w_columns, double tolerance, double t,
+                            const double* Y, const double* f, double* b);
 
   /// Matrix-free, J is never an old one.
   [[nodiscard]] bool has_matrices() const { return static_cast<bool>(real_lu_); }
@@ -50,8 +50,11 @@ class RadauSystems : public AgingJacobian {
  private:
   bool factorize();
   template <class Scalar>
-  Newton::Result solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b, bool may_skip,
-                                bool& negligible);
+  Newton::Result solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Blocks blocks, Scalar* b,
+                                bool may_skip, bool& negligible);
+  template <class Scalar>
+  Newton::Result solve_block(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b, bool may_skip,
+                             bool& negligible);
 
   std::size_t n_;
   const Lapack* lapack_;

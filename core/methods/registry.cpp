@@ -45,10 +45,6 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
                                  const LinearAlgebra& linear, SystemSeries*) {
-  if (linear.krylov && linear.state)
-    throw std::invalid_argument(
-        "sensitivities by GMRES: radau solves for its stages together, to the tolerance of y; use ode15s, ode23t or "
-        "ode23tb, or linear_solver='direct'");
   const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
   return std::make_unique<Radau>(f, weights, linear, given.max_order > 0 ? given.max_order : own);
 }
