@@ -115,6 +115,19 @@ def test_roundoff_in_a_coefficient_does_not_hold_the_solution(method):
     assert sol.y[0, -1] == pytest.approx(np.exp(-3), abs=2e-3)
 
 
+@families
+def test_roundoff_in_a_multiple_of_another_law_does_not_hold_the_solution(method):
+    """At y[3] = 0 the second law is 1e-12 times the first, but for roundoff, which is 1e-3 of that."""
+
+    def law(t, y):
+        return [y[0] + y[1] + y[2], y[3] + 1e-12 * (y[0] + 1.001 * y[1] + y[2])]
+
+    sol = iv.solve_ivp(decay, (0, 3), [1.0, 0, 0, 0], method, invariants=law, nonnegative=True, rtol=1e-6, atol=1e-9)
+    assert sol.success, sol.message
+    plain = iv.solve_ivp(decay, (0, 3), [1.0, 0, 0, 0], method, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(sol.y[:, -1], plain.y[:, -1], atol=1e-5)
+
+
 def network(seed):
     """Mass action between 5 to 30 species, half of which are absent at the start."""
     random = np.random.default_rng(seed)

@@ -436,7 +436,8 @@ void Projector::correct_one(double r, double* delta) {
 
 /// W Q z with Rᵀ z = r, where Q R is the basis of (J W)ᵀ; rows that are not in it are left out. What is one-sided
 /// depends on the others where it is at its minimum on their manifold, and its residual then falls with its pivot: it
-/// stays as long as it can.
+/// stays as long as it can. Where components are fixed, a row also depends on the others if what they leave of it is
+/// roundoff of its coefficients: its free part may be a combination of theirs, of the size of that roundoff.
 std::size_t Projector::solve_several(double t) {
   order_.clear();
   for (std::size_t i = 0; i < r_.size(); ++i)
@@ -446,6 +447,7 @@ std::size_t Projector::solve_several(double t) {
   const double threshold = pivot_threshold();
   const std::size_t rank = basis_.add(order_, [&](std::size_t i, double size) {
     if (basis_.members().empty()) first = size;
+    if (!movable_.empty() && size * movable_[i] <= roundoff_of_coefficients * preference(i)) return true;
     return (directions_ && size < least_share) || size <= (invariants_.sense(i) == 0 ? threshold : least_pivot) * first;
   });
   for (std::size_t k = rank; k < order_.size(); ++k)
