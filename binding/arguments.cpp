@@ -113,7 +113,7 @@ nb::object plain_course(nb::handle given) {
   const nb::object times = plain_vector(given);
   if (!times) return nb::none();
   const std::span<const double> t = numbers_of(times);
-  if (t.empty() || order_of(t) == 0) return nb::none();
+  if (t.empty() || order_of(t) == 0 || !all_finite(times)) return nb::none();
   return nb::make_tuple(times, nb::make_tuple(t.front(), t.back()));
 }
 
@@ -140,8 +140,8 @@ bool plain_and_finite(nb::handle given) {
 }
 
 /// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval, of
-/// breakpoints without actions, and of a StepLimit, only whether they were given. None: a value is of another kind, and
-/// could change.
+/// breakpoints without actions, and of a StepLimit, only that they were given, by an ellipsis, which nobody gives.
+/// None: a value is of another kind, and could change.
 nb::object plain_options(const nb::dict& options) {
   const std::array<const PyObject*, 5> kinds = {
       reinterpret_cast<PyObject*>(&PyBool_Type), reinterpret_cast<PyObject*>(&PyLong_Type),
@@ -157,9 +157,9 @@ nb::object plain_options(const nb::dict& options) {
     };
     const bool exchanged = !given.is_none() && (is("t_eval") || (is("breakpoints") && plain_and_finite(given)) ||
                                                 nb::isinstance<StepLimit>(given));
-    const nb::handle value = exchanged ? nb::handle(Py_True) : given;
+    const nb::handle value = exchanged ? nb::handle(Py_Ellipsis) : given;
     const auto* type = reinterpret_cast<PyObject*>(Py_TYPE(value.ptr()));
-    if (std::ranges::find(kinds, type) == kinds.end()) return nb::none();
+    if (!exchanged && std::ranges::find(kinds, type) == kinds.end()) return nb::none();
     put(name);
     put(value);
     put(value.type());

@@ -91,7 +91,7 @@ bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape)
   return a != nullptr && is_unique(reinterpret_cast<PyObject*>(a)) &&
          PyArray_NDIM(a) == static_cast<int>(shape.size()) && std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
          (PyArray_FLAGS(a) & ~NPY_ARRAY_F_CONTIGUOUS) == flags &&
-         PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
+         PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE) && PyArray_ISNOTSWAPPED(a);
 }
 
 PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {

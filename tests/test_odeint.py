@@ -125,6 +125,12 @@ def test_no_times_give_no_rows(odeint):
     assert odeint(lambda y, t: -y, [1.0, 2.0], []).shape == (0, 2)
 
 
+@pytest.mark.parametrize("t", [[np.nan], [0, np.nan, 1], [-np.inf, 0], [0, np.inf]])
+def test_times_that_are_not_finite_are_refused(t):
+    with pytest.raises(ValueError, match=r"t must be a list of finite times, got (nan|-?inf)"):
+        iv.odeint(lambda y, t: -y, [1.0], t)
+
+
 @pytest.mark.parametrize("t", [[0, 1, 0.5], [0, 1, 1, 0], [1, 0, 2]])
 def test_times_out_of_order_are_refused(t):
     with pytest.raises(ValueError, match="t must be a list of times in rising or falling order"):

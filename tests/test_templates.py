@@ -134,7 +134,7 @@ def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
 
 
 @dealt(
-    24,
+    26,
     method=["ode45", "auto", "ode15s"],
     wrong=[
         {"y0": [1.0, np.nan, 0.0, 1.0]},
@@ -159,6 +159,8 @@ def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
         {"t_eval": "ab"},
         {"breakpoints": [0.5, np.nan]},
         {"breakpoints": ["0.5"]},
+        {"breakpoints": True},
+        {"callback": True},
         {"vectorized": 1},
         {"events": 3},
     ],
@@ -168,6 +170,8 @@ def test_errors_are_the_same(method: str, wrong: dict[str, Any]) -> None:
     right = case(method=method, **own)
     outcome(**right)
     outcome(**{**right, "t_eval": [0.5]})
+    outcome(**{**right, "breakpoints": [0.5]})
+    iv.odeint(lambda y, t: y, START, [0.0, 1.0], mxstep=100)
     call = {**right, **wrong}
     np.testing.assert_equal(outcome(**call), alone(**call))
     np.testing.assert_equal(outcome(**right), alone(**right))  # nothing of it is left
@@ -266,9 +270,30 @@ def test_a_copy_has_what_nobody_has_asked_for(copied: Callable[[Any], Any]) -> N
 
 def test_what_is_not_there_is_not_found_at_once_or_later() -> None:
     sol = iv.solve_ivp(**case())
+    assert "steps" in dir(sol.stats)
     for _ in range(2):
         assert not hasattr(sol, "_nothing")
         assert not hasattr(sol.stats, "nothing")
+
+
+@pytest.mark.parametrize("imaginary", [0, 1j])
+def test_a_pattern_that_was_found_is_that_of_its_function(imaginary: complex) -> None:
+    """It is looked for from 200 reals on."""
+    start = np.linspace(1, 2, 100) * (1 + imaginary)
+    call = {"fun": lambda t, y: -y - y.sum() / 100, "t_span": (0, 1), "y0": start, "method": "ode15s"}
+    iv.solve_ivp(**{**call, "fun": lambda t, y: -y})
+    np.testing.assert_equal(outcome(**call), alone(**call))
+
+
+def test_an_array_that_a_function_has_changed_is_not_given_to_another() -> None:
+    def swaps(t, y):
+        slope = -y
+        y.dtype = ">f8"
+        return slope
+
+    expected = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).y
+    iv.solve_ivp(swaps, (0, 1), [1.0], max_steps=3)
+    np.testing.assert_array_equal(iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).y, expected)
 
 
 def test_a_template_keeps_nothing_of_the_users() -> None:

@@ -130,7 +130,7 @@ def _damaged_json(random: Random, value: Any) -> Any:
         if kind < 0.1:
             return {key: one for key, one in value.items() if key != name}
         if kind < 0.15:
-            return {**value, _number(random, 0) if random.random() < 0.1 else "more": 1}
+            return {**value, str(_number(random, 0)) if random.random() < 0.1 else "more": 1}
         return {**value, name: _damaged_json(random, value[name])}
     if isinstance(value, list) and value and random.random() < 0.8:
         i = random.randrange(len(value))

@@ -164,6 +164,9 @@ class Stats(Record):
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
             return getattr(self, name)
 
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self})
+
     def __getstate__(self) -> dict[str, Any]:
         return dict(self)
 

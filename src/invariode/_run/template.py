@@ -14,14 +14,15 @@ from dataclasses import replace
 from typing import cast
 
 from .. import _core
-from .._base.arguments import warnings_given
+from .._base.arguments import reals, warnings_given
 from .._base.types import MethodName
 from .._laws.bound import bind
 from .._problem.description import Description, Posed
 from .._problem.options import Options
 from .plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 
-#: From this n on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a step.
+#: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
+#: step.
 _LARGE = 200
 
 #: So many templates are kept, which is more than a script has calls of different kinds; the oldest goes first.
@@ -54,9 +55,13 @@ class Template:
         breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
         if breaks is not None:
             breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
+            if breaks is None:
+                raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
         try:
             core = self._idle.pop()
         except IndexError:
+            core = None
+        if core is None:
             core = _solver_for_all(planned(problem._described(), self._choice))
         run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, limit, remember)
         self._idle.append(core)  # but not after an exception
@@ -94,7 +99,7 @@ def plan_or_template(problem: Posed | Description, method: MethodName, options: 
 
 def _kind(problem: Posed | Description, method: MethodName, options: Options) -> Hashable | None:
     """What problems have in common that have a plan in common. None: this problem is the only one of its kind."""
-    n = len(problem.y0)
+    n = reals(problem.y0)
     if not problem.is_plain or n >= _LARGE or type(method) is not str:
         return None
     given = _core.plain_options(options)

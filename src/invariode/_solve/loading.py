@@ -296,6 +296,8 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
 def _dense(parts: list[dict[str, Any]], n: int) -> Dense | None:
     """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
     wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
+    if 0 < len(wholes) < len(parts):
+        raise ValueError("not all of its parts have a continuous solution")
     if any(first.knots()[-1] != then.knots()[0] for first, then in itertools.pairwise(wholes)):
         raise ValueError("the parts of the continuous solution do not follow one another")
     while len(wholes) > 1:

@@ -347,6 +347,8 @@ def _times(t: ArrayLike) -> _Times:
     given = real_numbers("t", t)
     if not given.ndim:
         given = given[np.newaxis]
+    if not np.isfinite(given).all():
+        raise ValueError(f"t must be a list of finite times, got {given[~np.isfinite(given)][0]}")
     plain = plain_course(given)
     if plain is not None:
         return _Times(*plain)
