@@ -420,8 +420,9 @@ void Integration::discard_step(const double* y) {
 /// return, put back onto constraints of velocities.
 bool Integration::jump() {
   discard_step(event_y_.data());
+  left_ = y0_;
   bool rehold = true;
-  return take_actions(rehold) && go_on_from_jump(rehold);
+  return take_actions(rehold) ? go_on_from_jump(rehold) : take_back();
 }
 
 /// `rehold`: every event that acts asks for it.
@@ -448,12 +449,21 @@ bool Integration::take(Callback& action, Callback& jump) {
   return all_finite(y0_.data(), n_) || end(State::action_undefined);
 }
 
+/// There is no way on from what the actions return: the run ends before them. False.
+bool Integration::take_back() {
+  std::copy(left_.begin(), left_.end(), y0_.begin());
+  return false;
+}
+
 /// Holds the invariants at the start of the next step, where the solution has jumped to, and starts again.
 bool Integration::go_on_from_jump(bool rehold) {
   const double t = reached_.t;
   double* y = y0_.data();
-  if (!initial_checks_.move_within_bounds(y)) return end(State::action_out_of_bounds);
-  if (!refuse(manifold_.restart(t, y, rehold))) return false;
+  if (!initial_checks_.move_within_bounds(y)) {
+    end(State::action_out_of_bounds);
+    return take_back();
+  }
+  if (!refuse(manifold_.restart(t, y, rehold))) return take_back();
   emitter_.begin({t, y});
   const Invariants* invariants = manifold_.invariants();
   emitter_.jump(t, invariants != nullptr ? invariants->value() : std::vector<double>{});
@@ -470,6 +480,7 @@ void Integration::begin_piece() {
 /// Starts again at the point reached, in the next piece, from what the actions return.
 bool Integration::pass_breakpoint() {
   discard_step(reached_.y);
+  left_ = y0_;
   begin_piece();
   bool acts = false, moved = false;
   for (; breaks_.at(reached_.t); breaks_.pass()) {
@@ -477,9 +488,9 @@ bool Integration::pass_breakpoint() {
     if (!point.action) continue;
     acts = true;
     report_.event = events_.count() + breaks_.index();
-    if (!take(point.action, point.jump)) return false;
+    if (!take(point.action, point.jump)) return take_back();
   }
-  if (!make_consistent(moved)) return false;
+  if (!make_consistent(moved)) return take_back();
   if (acts || moved) return go_on_from_jump(acts);
   if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
   return unless_stopped(emitter_.emit_times(reached_, false));

@@ -139,6 +139,7 @@ class Integration {
   bool jump();
   bool take_actions(bool& rehold);
   bool take(Callback& action, Callback& jump);
+  bool take_back();
   void begin_piece();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
@@ -180,6 +181,7 @@ class Integration {
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
   std::vector<double> before_;           // an action: Y, and behind it the state after it
+  std::vector<double> left_;             // Y where it jumps, before all actions
   bool keeps_last_ = false;              // see `keep_last_step`
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached

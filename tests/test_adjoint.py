@@ -382,6 +382,60 @@ def test_where_f_jumps_so_does_the_multiplier(method, span):
     both_ways(sol, rtol=1e-6)
 
 
+def switched(t, y, p):
+    return [y[1], -y[0] + (p if y[0] > 0.3 else -p) - 0.1 * y[1]]
+
+
+# The jumps are the test.
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+@pytest.mark.parametrize("adjoint", [True, "checkpoints"])
+def test_limits_of_the_run_do_not_end_the_one_with_its_conditions(adjoint):
+    """Which has more steps, and calls the callback no more."""
+    calls = []
+    given = {"args": (0.2,), "rtol": 1e-6, "atol": 1e-8, "adjoint": adjoint}
+    run = iv.Problem(switched, (0, 20), [2.0, 0.0], args=(0.2,))
+    expected = run.solve(**{name: one for name, one in given.items() if name != "args"}).gradient([1.0, 0.0])
+    sol = iv.solve_ivp(switched, (0, 10), [2.0, 0.0], **given).extend(20.0, max_steps=150)
+    np.testing.assert_allclose(sol.gradient([1.0, 0.0]), expected, rtol=1e-3)
+    sol = iv.solve_ivp(switched, (0, 20), [2.0, 0.0], **given, callback=lambda t, y: bool(calls.append(t)))
+    before = len(calls)
+    sol.gradient([1.0, 0.0])
+    assert len(calls) == before
+    sol = iv.solve_ivp(switched, (0, 20), [2.0, 0.0], **given, max_steps=before // 2)
+    assert sol.status == -3
+    whole = iv.solve_ivp(switched, (0, sol.t_end), [2.0, 0.0], **given)
+    np.testing.assert_allclose(sol.gradient([1.0, 0.0], t=sol.t_end), whole.gradient([1.0, 0.0]), rtol=1e-3)
+
+
+REFUSED = {
+    "breakpoint": {"breakpoints": [(1.2, lambda t, y, a: [-5.0])], "bounds": ([0], [2])},
+    "event": {
+        "events": iv.Event(lambda t, y, a: y[0] - 0.34, action=lambda t, y, a: [-5.0]),
+        "bounds": ([0], [2]),
+    },
+    "law": {
+        "breakpoints": [(1.2, lambda t, y, a: [3.0])],
+        "invariants": iv.Invariants(lambda t, y, a: y[0] * np.exp(a * t), value=1.0),
+    },
+}
+
+
+@pytest.mark.parametrize("adjoint", [True, "checkpoints"])
+@pytest.mark.parametrize("t_eval", [None, [0.0, 1.0, 3.0]])
+@pytest.mark.parametrize("refused", REFUSED)
+def test_an_action_with_which_the_run_ends_is_not_taken(refused, t_eval, adjoint):
+    sol = iv.solve_ivp(
+        lambda t, y, a: [-a * y[0]], (0, 3), [1.0], "dop853", args=(0.9,), rtol=1e-9, atol=1e-11,
+        t_eval=t_eval, adjoint=adjoint, **REFUSED[refused],
+    )  # fmt: skip
+    t = sol.t_end
+    assert sol.status in (-1, -2)
+    assert t < 1.3
+    np.testing.assert_allclose(sol._origin.y, np.exp(-0.9 * t), rtol=1e-7)
+    for at in (0.3, t):
+        np.testing.assert_allclose(sol.gradient([1.0], t=at), -at * np.exp(-0.9 * at), rtol=1e-6)
+
+
 def robertson(t, y, k1, k2, k3):
     a, b, c = y
     return [-k1 * a + k2 * b * c, k1 * a - k2 * b * c - k3 * b * b, a + b + c - 1]
@@ -586,6 +640,24 @@ def test_wrong_input_is_said_by_name():
         ({"dG_dy": [1.0, 1.0], "t": 2.0}, "t of gradient must be between 0.0 and 1.0"),
         ({"dG_dy": [1.0, 1.0], "dG_dp": [1.0]}, "dG_dp must have one number for each of 4"),
         ({"dG_dy": [1.0, 1.0], "wrt": "e"}, "no parameter 'e'"),
+        ({"dG_dy": [1.0, np.nan]}, r"dG_dy and dG_dp must be finite, got \[1.0, nan\]"),
+        ({"dG_dy": [1.0, 1.0], "t": [[0.5]]}, r"and times of shape \(1, 1\)"),
+        ({"integrand": lambda t, y, *args: y}, "integrand must return one number, got array"),
+        ({"integrand": lambda t, y, *args: y[0] + 1j}, "integrand must be real, got"),
+        ({"integrand": 3}, r"integrand must be a function g\(t, y, \*args\), got 3"),
+        ({"integrand": lambda t, y: y[0]}, r"integrand is called with t, y and args = \(.*define it with \(t, y, \*args"),
     ):
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises((TypeError, ValueError), match=message):
             sol.gradient(**given)
+
+
+def test_costs_at_times_that_are_as_far_from_the_end_add_up():
+    """10 - 0.3 is 10 - (0.1 + 0.2)."""
+    sol = iv.solve_ivp(lambda t, y, a: [-a * y[0]], (0, 10), [1.0], args=(0.5,), rtol=1e-9, atol=1e-12, adjoint=True)
+    np.testing.assert_allclose(sol.gradient([[1.0, 1.0]], t=[0.3, 0.1 + 0.2]), 2 * -0.3 * np.exp(-0.15), rtol=1e-7)
+
+
+def test_a_solution_from_a_file_has_no_gradient(tmp_path):
+    solved(t_span=(0, 1)).save(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match=r"without the functions of its problem: it has no gradient\. Solve it again"):
+        iv.load(tmp_path / "a.npz").gradient([1.0, 0.0])

@@ -100,9 +100,10 @@ def to_members(name: str, value: Any) -> tuple[str, str]:
 def _flag_or(name: str, value: object, *, word: str) -> bool | str:
     if isinstance(value, str) and value == word:
         return word
-    if isinstance(value, str):
-        raise TypeError(f'{name} must be True, False or "{word}", got {shown(value)}')
-    return flag(name, value)
+    try:
+        return flag(name, value)
+    except TypeError:
+        raise TypeError(f'{name} must be True, False or "{word}", got {shown(value)}') from None
 
 
 def _largest_step(name: str, value: object) -> LargestStep:

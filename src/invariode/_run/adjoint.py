@@ -29,9 +29,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import LEAST_RTOL, Array, numbers, quietly, real_numbers, shown, warn
+from .._base.arguments import LEAST_RTOL, Array, function, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
+from .._functions.compiled import is_native
 from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
@@ -45,6 +46,7 @@ from .actions import Rate
 from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import dense_mass
+from .call_errors import takes
 from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
 from .plan import Plan, make_plan, ordered_breakpoints
@@ -56,7 +58,8 @@ from .walk import Walk
 _GAUSS = np.polynomial.legendre.leggauss(5)
 #: The method of λ, where that of y takes some f only.
 _OF_ANY: MethodName = "dop853"
-#: Of the largest tolerance of λ, so that components on which nothing depends have one.
+#: Of the largest tolerance of λ, so that components on which nothing depends have one; and of a complex number, so that
+#: it is not taken as real.
 _LEAST_PART = 1e-8
 
 
@@ -134,6 +137,9 @@ def gradient(
 def _of_complex(run: Forward, problem: Description, objective: Objective) -> Array:
     """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
     initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
+    for one, value in zip(problem.parameters(), objective.direct, strict=True):
+        if one.kind == "args" and np.imag(value):
+            raise ValueError(f"dG_dp of {one.name} must be real, as G and args are, got {shown(value)}")
     form = real_form(problem, [], both_parts=True)
     costs = np.empty((2 * len(objective.costs), len(objective.times)))
     costs[0::2], costs[1::2] = objective.costs.real, -objective.costs.imag
@@ -178,9 +184,10 @@ class _Adjoint:
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol, self._y)
-        self._jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold).of(
-            self._sol, self._y, self._breakpoints, self._rests
-        )
+        jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold)
+        self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
+        if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
+            self._jumps.pop()
         self._tell_of_jumps(bool(conditions))
 
     def _follow(self, sol: Result) -> None:
@@ -193,6 +200,10 @@ class _Adjoint:
             )
         if self._is_complex:
             self._sol, self._y = with_pairs(sol), AsPairs(self._y)
+
+    def _end_of_run(self) -> Array:
+        end = np.asarray(self._run.solution._origin.y)
+        return end.view(float) if self._is_complex else end
 
     def _conditions(self) -> list[Switching]:
         """Conditions at which f jumps; the solution is made again with them as events."""
@@ -215,9 +226,20 @@ class _Adjoint:
             "keep": "end" if sectioned else None,
             "t_eval": None,
             "checkpoint": None,
+            # These have let its steps pass.
+            "callback": None,
+            "max_steps": None,
+            "limits": None,
+            "on_failure": "return",
         }
         with quietly():  # the run has warned
-            self._follow(run.solve(located.replace(t_span=(located.t_span[0], run.t)), run.method, options))
+            again = run.solve(located.replace(t_span=(located.t_span[0], run.t)), run.method, options)
+        if again.t_end != run.t and again.status != 1:  # a terminal event may come a little earlier
+            raise SolveError(
+                f"gradient: with the conditions of fun as events, the run ended at t = {again.t_end}, not at {run.t}: "
+                f"{again.message}"
+            )
+        self._follow(again)
         return found
 
     def _tell_of_jumps(self, followed: bool) -> None:
@@ -446,7 +468,7 @@ class _Adjoint:
             "rtol": rtol,
             "atol": np.maximum(atol, np.finfo(float).tiny),
             "keep": "end",
-            "breakpoints": {piece.end - t: (lambda s, mu, cost=cost: mu + cost) for t, cost in costs.items()},
+            "breakpoints": {s: (lambda s, mu, cost=cost: mu + cost) for s, cost in _summed(piece, costs).items()},
             "max_step": np.inf,
         }
         return self._walked(piece, make_plan(adjoint, method, options))
@@ -499,6 +521,36 @@ class _Piece:
         return min(max(self.end - s, self._low), self._high)
 
 
+def _summed(piece: _Piece, costs: dict[float, Array]) -> dict[float, Array]:
+    """The costs by s = end − t, which different t can have in common."""
+    found: dict[float, Array] = {}
+    for t, cost in costs.items():
+        s = piece.end - t
+        found[s] = found.get(s, 0) + cost
+    return found
+
+
+def _require_integrand(g: Any, run: Forward) -> None:
+    """It can be called, and returns a real number at both ends of the run."""
+    problem = run.problem
+    function("integrand", g, "g(t, y, *args)")
+    if is_native(g):
+        return
+    if not takes(g, problem.args):
+        raise TypeError(
+            f"integrand is called with t, y and args = {shown(problem.args)}, and does not take them: define it with "
+            "(t, y, *args)"
+        )
+    for t, y in ((problem.t_span[0], problem.y0), (run.t, run.solution._origin.y)):
+        value = np.asarray(g(t, y.copy(), *problem.args))
+        if value.size != 1:
+            raise ValueError(f"integrand must return one number, got {shown(value)}")
+        if value.dtype.kind == "c" and abs(value.imag.item()) > _LEAST_PART * abs(value.item()):
+            raise ValueError(
+                f"integrand must be real, got {shown(value)} at t = {t}: return the real part or the size of it"
+            )
+
+
 def _objective(
     run: Forward,
     dG_dy: ArrayLike | None,
@@ -511,6 +563,8 @@ def _objective(
     sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
         raise ValueError("gradient needs dG_dy, the derivative of a scalar with respect to y, or an integrand g(t, y)")
+    if integrand is not None:
+        _require_integrand(integrand, run)
     given = numbers if run.problem.y0.dtype.kind == "c" else real_numbers
     direct = np.zeros(k) if dG_dp is None else given("dG_dp", dG_dp)
     if direct.shape != (k,):
@@ -525,8 +579,10 @@ def _objective(
     if times.ndim != 1 or costs.shape != (n, len(times)):
         raise ValueError(
             f"dG_dy must have shape ({n},), at the end, or ({n}, m) with m times t, which are those of the solution if "
-            f"t is left out; got {shown(dG_dy)} and {len(times)} times"
+            f"t is left out; got {shown(dG_dy)} and times of shape {times.shape}"
         )
+    if not np.isfinite(costs).all() or not np.isfinite(direct).all():
+        raise ValueError(f"dG_dy and dG_dp must be finite, got {shown(dG_dy)} and {shown(dG_dp)}")
     low, high = sorted((run.problem.t_span[0], run.t))
     if not ((times >= low) & (times <= high)).all():
         raise ValueError(f"t of gradient must be between {low} and {high}, where the solution is, got {shown(t)}")

@@ -209,6 +209,15 @@ class Jumps:
         found.sort(key=self._order)
         return found
 
+    @staticmethod
+    def last_was_taken(found: list[Occurrence], t_end: float, end: Array) -> bool:
+        """Whether a run that failed at t_end in the state `end` has gone on from the last jump, if it was there: its
+        actions may be what failed."""
+        if not found or found[-1].t != t_end:
+            return True
+        jump = found[-1].found()
+        return bool(np.abs(end - jump.after).max() < np.abs(end - jump.before).max()) or not jump.moves
+
     def _order(self, one: Action | Occurrence) -> float:
         return float(self._forward * one.t)
 

@@ -62,7 +62,7 @@ def _not_taking(problem: Description) -> list[str]:
     return [
         name
         for name, fun in _functions(problem)
-        if not _takes(fun, [*(problem.inputs if name in fed else ()), *problem.args])
+        if not takes(fun, [*(problem.inputs if name in fed else ()), *problem.args])
     ]
 
 
@@ -76,7 +76,8 @@ def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
     yield from ((f"the action of event {event.__name__}", event.action) for event in problem.events)
 
 
-def _takes(fun: Any, args: Iterable[Any]) -> bool:
+def takes(fun: Any, args: Iterable[Any]) -> bool:
+    """Whether a function can be called with t, y and these."""
     if not callable(fun) or is_native(fun):
         return True
     try:

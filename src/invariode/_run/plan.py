@@ -33,8 +33,9 @@ from .._base.failures import InvariantError
 from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
+from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
-from .._functions.layout import Parameters
+from .._functions.layout import Parameters, count_of
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
@@ -617,6 +618,11 @@ def _linear_algebra(
     compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
     inside = y0 if bounds is None else bounds.nearest(y0)
     traced = fed(traced, problem.inputs)
+    if problem.matrices.jac is None and not isinstance(problem.fun, OnGraph):
+        try:
+            derived(traced, len(y0), len(y0), count_of(parameters))
+        except TypeError:  # it was traced for sensitivities, and cannot be
+            traced = fed(problem.fun, problem.inputs)
     start = Start(problem.slope.fun, t0, inside, problem.args, parameters, bounds, compiled, traced)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], start))
     if not linear.algebraic:

@@ -195,6 +195,11 @@ class _OriginInFile(NamedTuple):
             "load(path, problem) can"
         )
 
+    def gradient(self, sol: Solution, *given: Any) -> NoReturn:
+        raise ValueError(
+            "this solution comes from a file, without the functions of its problem: it has no gradient. Solve it again"
+        )
+
     def slopes(self, t: Array, y: Array) -> None:
         return None
 
