@@ -645,7 +645,10 @@ def test_wrong_input_is_said_by_name():
         ({"integrand": lambda t, y, *args: y}, "integrand must return one number, got array"),
         ({"integrand": lambda t, y, *args: y[0] + 1j}, "integrand must be real, got"),
         ({"integrand": 3}, r"integrand must be a function g\(t, y, \*args\), got 3"),
-        ({"integrand": lambda t, y: y[0]}, r"integrand is called with t, y and args = \(.*define it with \(t, y, \*args"),
+        (
+            {"integrand": lambda t, y: y[0]},
+            r"integrand is called with t, y and args = \(.*define it with \(t, y, \*args",
+        ),
     ):
         with pytest.raises((TypeError, ValueError), match=message):
             sol.gradient(**given)
