@@ -108,10 +108,10 @@ void solve_semidefinite(const MatrixView& M, const MatrixView& A, const VectorVi
   const Matrix Z = columns.complement();
   Vector a = columns.least_norm(gamma);
   if (Z.cols() > 0) {
-    Eigen::LLT<Matrix> llt;
-    const Matrix inside = Z.transpose() * (mass * Z);
-    if (!factor(inside, Vector::Constant(Z.cols(), M.diagonal().cwiseAbs().maxCoeff()), llt)) return;
-    a += Z * llt.solve(Z.transpose() * (Q - mass * a));
+    const Eigen::LDLT<Matrix> inside(Z.transpose() * (mass * Z));  // pivoted: a small pivot would magnify roundoff
+    const double roundoff = singular_pivots * eps * M.diagonal().cwiseAbs().maxCoeff();
+    if (!(inside.vectorD().array() > roundoff).all()) return;
+    a += Z * inside.solve(Z.transpose() * (Q - mass * a));
   }
   found.unique = true;
   found.a = a;
