@@ -24,7 +24,7 @@ def absent(module: str, name: str, public: Iterable[str], modules: Iterable[str]
     if name in integrate.__all__ and isinstance(getattr(integrate, name), type):
         return f"{text}: it is scipy.integrate.{name}; SciPy's classes with our methods are in {module}.scipy"
     if name in integrate.__all__:
-        theirs = [one for one in public if one in integrate.__all__]
+        theirs = [one for one in public if one in integrate.__all__ and not one.endswith("Warning")]
         return f"{text}: it is scipy.integrate.{name}. Of SciPy's functions {module} has {', '.join(theirs)}"
     return f"{text}{meant(name, public)}"
 
