@@ -78,7 +78,7 @@ class Table:
             if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
                 hint = node.annotation
                 if isinstance(hint, ast.Subscript) and ast.unparse(hint.value) == "Annotated":
-                    hint = hint.slice.elts[0]  # type: ignore[attr-defined]  # a tuple
+                    hint = hint.slice.elts[0]  # type: ignore[attr-defined]  # the slice of Annotated[...] is a tuple
                 found[node.target.id] = ast.unparse(hint)
         return {name: found[name] for name in (*options.TABLE, *found) if name in found}
 

@@ -108,7 +108,8 @@ nb::object plain_times(nb::handle given, double t0, double tf) {
   return in_order && (t.empty() || (inside(t.front()) && inside(t.back()))) ? times : nb::none();
 }
 
-/// Such times with the first and the last of them. None: as above, or they repeat, or there are none.
+/// Times of output as a new array, with the first and the last. None: they were given in another form, are not finite,
+/// repeat, or are no times at all.
 nb::object plain_course(nb::handle given) {
   const nb::object times = plain_vector(given);
   if (!times) return nb::none();

@@ -10,7 +10,7 @@ namespace nb = nanobind;
 
 namespace invariode::binding {
 
-/// The numbers of a contiguous array of float64 or complex128. Throws a TypeError where it is none.
+/// The numbers of a contiguous array of float64 or complex128. Throws a TypeError for anything else.
 std::span<const double> numbers_of(nb::handle array);
 
 void define_arguments(nb::module_& module);

@@ -216,3 +216,16 @@ def test_complex_steps_that_fail_later_are_a_warning():
 def test_what_has_no_sensitivities_is_refused_by_name():
     with pytest.raises(ValueError, match="has an argument 'y0'"):
         iv.solve_ivp(lambda t, y, y0: [y0 - y[0]], (0, 1), [2.0], args=(0.5,), sensitivities="y0")
+
+
+@pytest.mark.parametrize("mass", [np.diag([1.0, 0.0]), np.diag([1.0, 2.0])])
+def test_beside_a_mass_matrix_fun_need_not_be_traceable(mass):
+    """Its derivatives are complex steps then, as without one."""
+
+    def fun(t, y, rate):
+        if type(y) is not np.ndarray:
+            raise TypeError("not an array")
+        return [-rate * y[0], y[0] - y[1]]
+
+    sol = iv.solve_ivp(fun, (0, 1), [1.0, 1.0], "radau", args=(0.5,), rtol=1e-8, mass=mass, sensitivities=True)
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(-np.exp(-0.5), abs=1e-6)

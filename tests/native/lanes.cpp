@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cmath>
 #include <deque>
+#include <initializer_list>
 #include <limits>
 #include <memory>
 #include <numeric>
@@ -316,37 +317,54 @@ std::vector<Case> random_cases(std::mt19937_64& random) {
   return cases;
 }
 
+/// How many trajectories were solved beside others, and how many failed.
+struct Compared {
+  std::size_t beside_others = 0, refused = 0;
+
+  void operator+=(const Compared& more) {
+    beside_others += more.beside_others;
+    refused += more.refused;
+  }
+};
+
+/// In lanes of every instruction set, on each of these numbers of threads, the results are those of single runs.
+Compared compare_with_single_runs(const Method& method, const Case& one, const Rows& rows,
+                                  std::initializer_list<std::size_t> threads) {
+  Solvers solvers(method, 1, one.weights, one.settings, one.beside);
+  CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
+  const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
+  Compared compared{.refused = alone->failures.size()};
+  for (const lanes::Instructions* instructions : lanes::instructions())
+    for (const std::size_t workers : threads) {
+      const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows, ", workers, " workers");
+      Solvers crew(method, workers, one.weights, one.settings, one.beside);
+      InLanes form{instructions->kernel(method.name)->lanes};
+      const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
+      check_same(*found, *alone);
+      CHECK(form.finite);
+      compared.beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
+    }
+  return compared;
+}
+
 }  // namespace
 
 TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
   std::mt19937_64 random(17);
-  std::size_t beside_others = 0;
+  Compared compared;
   for (const Method& method : general_methods()) {
     if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (const Case& one : random_cases(random)) {
       const Rows rows(one.size, random);
-      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
-      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
-      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
-      for (const lanes::Instructions* instructions : lanes::instructions())
-        for (const std::size_t workers : {1, 3}) {
-          const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows, ", workers,
-                                  " workers");
-          Solvers crew(method, workers, one.weights, one.settings, one.beside);
-          InLanes form{instructions->lanes};
-          const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
-          check_same(*found, *alone);
-          CHECK(form.finite);
-          beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
-        }
+      compared += compare_with_single_runs(method, one, rows, {1, 3});
     }
   }
-  CHECK(beside_others > 1000);
+  CHECK(compared.beside_others > 1000);
 }
 
 TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
   std::mt19937_64 random(3);
-  std::size_t beside_others = 0, refused = 0;
+  Compared compared;
   for (const Method& method : general_methods()) {
     if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (Case& one : random_cases(random)) {
@@ -356,28 +374,16 @@ TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
       one.beside.invariant = true;
       one.settings.iterations = method.iterations;
       one.settings.check = one.size != 17;
-      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
-      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
-      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
-      refused += alone->failures.size();
-      for (const lanes::Instructions* instructions : lanes::instructions()) {
-        const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows");
-        Solvers crew(method, 2, one.weights, one.settings, one.beside);
-        InLanes form{instructions->lanes};
-        const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
-        check_same(*found, *alone);
-        CHECK(form.finite);
-        beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
-      }
+      compared += compare_with_single_runs(method, one, rows, {2});
     }
   }
-  CHECK(beside_others > 500);
-  CHECK(refused > 100);
+  CHECK(compared.beside_others > 500);
+  CHECK(compared.refused > 100);
 }
 
 TEST(sensitivities_in_lanes_are_those_of_single_runs) {
   std::mt19937_64 random(29);
-  std::size_t beside_others = 0;
+  Compared compared;
   for (const Method& method : general_methods()) {
     if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (Case& one : random_cases(random)) {
@@ -385,46 +391,23 @@ TEST(sensitivities_in_lanes_are_those_of_single_runs) {
       rows.vary(random);
       one.beside = {.invariant = random() % 2 == 0, .sensitivities = true, .counts = random() % 4 != 0};
       one.settings.iterations = method.iterations;
-      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
-      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
-      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
-      for (const lanes::Instructions* instructions : lanes::instructions()) {
-        const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows");
-        Solvers crew(method, 2, one.weights, one.settings, one.beside);
-        InLanes form{instructions->lanes};
-        const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
-        check_same(*found, *alone);
-        CHECK(form.finite);
-        beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
-      }
+      compared += compare_with_single_runs(method, one, rows, {2});
     }
   }
-  CHECK(beside_others > 500);
+  CHECK(compared.beside_others > 500);
 }
 
 TEST(series_in_lanes_are_those_of_single_runs) {
   std::mt19937_64 random(23);
   const Method& method = *find_method("taylor");
-  std::size_t beside_others = 0;
+  Compared compared;
   for (const bool invariant : {false, true})
     for (Case& one : random_cases(random)) {
       const Rows rows(one.size, random, 500);
       one.beside = {.invariant = invariant, .series = true};
-      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
-      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
-      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
-      for (const lanes::Instructions* instructions : lanes::instructions())
-        for (const std::size_t workers : {1, 3}) {
-          const check::Case label(instructions->name, ", ", one.size, " rows, ", workers, " workers");
-          Solvers crew(method, workers, one.weights, one.settings, one.beside);
-          InLanes form{instructions->kernel("taylor")->lanes};
-          const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
-          check_same(*found, *alone);
-          CHECK(form.finite);
-          beside_others += one.size - std::accumulate(found->alone.begin(), found->alone.end(), std::size_t{0});
-        }
+      compared += compare_with_single_runs(method, one, rows, {1, 3});
     }
-  CHECK(beside_others > 500);
+  CHECK(compared.beside_others > 500);
 }
 
 TEST(a_cancelled_ensemble_in_lanes_has_no_result) {

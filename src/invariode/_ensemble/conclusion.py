@@ -108,7 +108,7 @@ class Remarks:
             warn(f"{plan.method.name}: {text} ({where}); {what}", DiscontinuityWarning)
 
     def conclude(self, result: EnsembleSolution | EnsembleStore, on_failure: OnFailure) -> None:
-        """Says that trajectories failed, as is asked for."""
+        """Warns of failed trajectories, or raises an error, according to `on_failure`."""
         if self._first is None or on_failure == "return":
             return
         i, message = self._first

@@ -398,7 +398,7 @@ class EnsembleStore:
 
 
 def _about(path: Any, group: Any) -> dict[str, Any]:
-    """What a store says of itself. A ValueError, if there is none, or something else."""
+    """The attributes of a store. Raises ValueError if there is no store at the path."""
     about = {} if group is None else dict(group.attrs)
     kind_of(path, about, "store")
     with damage_of(path):

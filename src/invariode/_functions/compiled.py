@@ -56,7 +56,7 @@ class CoreFunction:
         return None
 
     def on_graph(self) -> CompiledFunction | None:
-        """The same function for those who trace it, for its derivatives; None: there is none."""
+        """The same function in a form that can be traced for its derivatives, or None."""
         return None
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:

@@ -28,7 +28,7 @@ from .sparsity import find_pattern, is_large, is_sparse_enough
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed
-_NEARLY_WHOLE = 1e-6  # relative distance from a whole number that is looked at
+_NEARLY_WHOLE = 1e-6  # relative distance from whole numbers, within which they are tried
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
 

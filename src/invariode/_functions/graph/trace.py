@@ -147,7 +147,7 @@ class _Run:
         self._ends = math.inf
 
     def traced(self, alone: bool = False) -> Traced | None:
-        """The graph. None: more than one path is asked for, and `alone` says not to follow them."""
+        """The graph, or None if it has several paths and `alone` is true."""
         self._ends = time.monotonic() + self._limits.seconds
         known: list[tuple[list[tuple[Node, bool]], list[Node] | None]] = []
         shape: tuple[int, ...] = ()
