@@ -12,8 +12,6 @@ STUBS := _core.pyi _base/method_names.pyi _problem/accepted.pyi _solve/ode_funct
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
 CTEST := $(BIN)/ctest --output-on-failure -j 2 --timeout 600
 WHEEL := build/wheel
-# Lint and the other compilers do without, so that each file still has to include what it uses.
-PRECOMPILE := -DINVARIODE_PRECOMPILE=ON
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
@@ -62,7 +60,7 @@ test-kernels: $(VENV)/.installed-test  ## the stiff tests with the linear algebr
 
 # With the core of the wheel, which pip has just built.
 native: $(VENV)/.installed-test
-	$(CMAKE) -S . -B $(NATIVE) $(PRECOMPILE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
+	$(CMAKE) -S . -B $(NATIVE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
 	$(BIN)/cmake --build $(NATIVE)
 	$(CTEST) --test-dir $(NATIVE)
 
@@ -91,14 +89,14 @@ native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for
 endif
 
 # Line tables are what the reports need of -g; -O1 keeps them, and runs the tests several times as fast.
-SANITIZED_FLAGS := -DCMAKE_BUILD_TYPE=Debug "-DCMAKE_CXX_FLAGS_DEBUG=-g1 -O1" $(PRECOMPILE)
+SANITIZED_FLAGS := -DCMAKE_BUILD_TYPE=Debug "-DCMAKE_CXX_FLAGS_DEBUG=-g1 -O1"
 
 sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
 	$(CMAKE) -S . -B $(NATIVE)-sanitize $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(CTEST) --test-dir $(NATIVE)-sanitize
 	$(CMAKE) -S . -B $(NATIVE)-threads $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=thread
-	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble native_lanes
+	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads
 	$(CTEST) --test-dir $(NATIVE)-threads -R '^native_(threads|run|ensemble|lanes)$$'
 
 # So many random cases of each kind; `make fuzz N=100000 SEED=7`.
@@ -123,7 +121,7 @@ lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, dri
 	$(BIN)/mypy
 	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
-	$(CMAKE) -S . -B $(NATIVE)-lint
+	$(CMAKE) -S . -B $(NATIVE)-lint -DINVARIODE_UNITY=OFF
 	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint
 	mkdir -p build/_base build/_problem build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
 	$(BIN)/python .ci/stubs.py build
@@ -192,15 +190,14 @@ $(VENV)/bin/python:
 # The package as it is now, built once. Warnings are errors where nobody but us is bothered by them.
 $(WHEEL)/.built: $(VENV)/bin/python $(SOURCES)
 	rm -rf $(WHEEL)
-	$(PIP) wheel --no-deps -w $(WHEEL) --config-settings=cmake.define.INVARIODE_PRECOMPILE=ON \
-	  $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
+	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
 	$(PIP) install --force-reinstall --no-deps $(WHEEL)/invariode-*.whl
 	@touch $@
 
-# .installed-a-b: that package, with the extras a and b.
+# .installed-a-b: that package, with the extras a and b; of these, what is imported is compiled then.
 comma := ,
 $(VENV)/.installed-%: $(WHEEL)/.built
-	$(PIP) install "$$(echo $(WHEEL)/invariode-*.whl)[$(subst -,$(comma),$*)]"
+	$(PIP) install --no-compile "$$(echo $(WHEEL)/invariode-*.whl)[$(subst -,$(comma),$*)]"
 	@touch $@
 
 # Built against the lowest build requirements, installed with the lowest requirements; then the tests run from the sources.

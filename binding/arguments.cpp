@@ -44,9 +44,9 @@ nb::object new_vector(std::size_t size) {
   return nb::steal(array);
 }
 
-bool all_finite(nb::handle array) {
+bool all_numbers_finite(nb::handle array) {
   const std::span<const double> all = numbers_of(array);
-  return invariode::all_finite(all.data(), all.size());
+  return all_finite(all.data(), all.size());
 }
 
 double* data_of(const nb::object& vector) {
@@ -91,7 +91,7 @@ nb::object plainly_posed(nb::handle t_span, nb::handle y0, nb::handle args) {
   const std::optional<double> tf = plain_number(PyTuple_GET_ITEM(ends.ptr(), 1));
   if (!t0 || !tf || !std::isfinite(*t0) || std::isnan(*tf)) return nb::none();
   const nb::object y = plain_vector(y0);
-  if (!y || !all_finite(y)) return nb::none();
+  if (!y || !all_numbers_finite(y)) return nb::none();
   PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject*>(y.ptr()), NPY_ARRAY_WRITEABLE);
   const nb::object extra = args.is_none() ? nb::object(nb::tuple()) : plain_items(args);
   if (!extra) return nb::none();
@@ -114,7 +114,7 @@ nb::object plain_course(nb::handle given) {
   const nb::object times = plain_vector(given);
   if (!times) return nb::none();
   const std::span<const double> t = numbers_of(times);
-  if (t.empty() || order_of(t) == 0 || !all_finite(times)) return nb::none();
+  if (t.empty() || order_of(t) == 0 || !all_numbers_finite(times)) return nb::none();
   return nb::make_tuple(times, nb::make_tuple(t.front(), t.back()));
 }
 
@@ -122,7 +122,7 @@ nb::object plain_course(nb::handle given) {
 /// between them. None: they were given in another form.
 nb::object plain_breakpoints(nb::handle given, double t0, double tf, bool ends) {
   const nb::object times = plain_vector(given);
-  if (!times || !all_finite(times)) return nb::none();
+  if (!times || !all_numbers_finite(times)) return nb::none();
   std::vector<double> kept;
   for (const double t : numbers_of(times))
     if (std::min(t0, tf) <= t && t <= std::max(t0, tf) && (ends || (t != t0 && t != tf))) kept.push_back(t);
@@ -137,7 +137,7 @@ nb::object plain_breakpoints(nb::handle given, double t0, double tf, bool ends) 
 
 bool plain_and_finite(nb::handle given) {
   const nb::object vector = plain_vector(given);
-  return vector && all_finite(vector);
+  return vector && all_numbers_finite(vector);
 }
 
 /// Names and values of options, with the types of the values, since 1, 1.0 and True are equal; of t_eval, of
@@ -182,7 +182,7 @@ std::span<const double> numbers_of(nb::handle given) {
 void define_arguments(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   module.def(
-      "all_finite", [](nb::handle values) { return all_finite(values); }, nb::arg("values"),
+      "all_finite", [](nb::handle values) { return all_numbers_finite(values); }, nb::arg("values"),
       "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
   module.def(
       "plainly_posed", &plainly_posed, nb::arg("t_span").none(), nb::arg("y0").none(), nb::arg("args").none(),

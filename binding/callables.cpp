@@ -458,10 +458,6 @@ class NativeSeries final : public Callable {
   const double* p_;
 };
 
-void require(bool right, const char* what) {
-  if (!right) throw std::invalid_argument(what);
-}
-
 /// Compressed columns of an n × n matrix, as whoever reads them takes for granted.
 void require_columns(const ConstIndices& starts, const ConstIndices& rows, const ConstVector& values, std::size_t n) {
   require(starts.size() == n + 1 && rows.size() == values.size(), "the lengths of a sparse matrix do not match");

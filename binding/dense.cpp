@@ -18,10 +18,6 @@
 namespace invariode::binding {
 namespace {
 
-void require(bool right, const char* what) {
-  if (!right) throw std::invalid_argument(what);
-}
-
 Vector copied(const std::vector<double>& values) {
   return to_array<Vector>(std::vector<double>(values), values.size());
 }

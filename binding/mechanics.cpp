@@ -140,7 +140,7 @@ MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python sees
 
-void require(Status status) {
+void rethrow(Status status) {
   if (status == Status::stop) throw nb::python_error();
 }
 
@@ -167,7 +167,7 @@ class BoundDifferentiable {
   [[nodiscard]] Vector complex_value(const ConstVector& z) {
     if (!complex_ || z.size() != 2 * (1 + function_.n())) throw std::invalid_argument("no complex form, or no such z");
     std::vector<double> out(2 * function_.m());
-    require(complex_(z.data()[0], z.data(), out.data()));
+    rethrow(complex_(z.data()[0], z.data(), out.data()));
     return to_array<Vector>(std::move(out), 2 * function_.m());
   }
   [[nodiscard]] Vector slope(double t, const ConstVector& x, double dt, const ConstVector& dx) {
@@ -180,7 +180,7 @@ class BoundDifferentiable {
     SparseColumns columns(to_sparse(pattern, function_.m(), function_.n()), 0);
     std::vector<double> size(function_.n());
     fill_sizes(point(x), size.size(), size.data());
-    require(function_.jacobian(t, x.data(), size.data(), columns));
+    rethrow(function_.jacobian(t, x.data(), size.data(), columns));
     return to_columns(columns.matrix);
   }
 
@@ -194,7 +194,7 @@ class BoundDifferentiable {
   template <class Fill>
   Vector filled(Fill fill) {
     std::vector<double> out(function_.m());
-    require(fill(out.data()));
+    rethrow(fill(out.data()));
     return to_array<Vector>(std::move(out), function_.m());
   }
 
@@ -216,16 +216,16 @@ class BoundMotion {
 
   [[nodiscard]] Vector evaluate(const std::string& part, double t, const ConstVector& y);
   [[nodiscard]] nb::tuple rows(double t, const ConstVector& y) {
-    require(motion_.rows(t, state(y)));
+    rethrow(motion_.rows(t, state(y)));
     return nb::make_tuple(to_columns(motion_.A()), to_numpy(motion_.right_hand_side()));
   }
   [[nodiscard]] nb::tuple mass(double t, const ConstVector& y) {
-    require(motion_.mass(t, state(y)));
+    rethrow(motion_.mass(t, state(y)));
     return to_columns(motion_.M());
   }
   [[nodiscard]] std::tuple<Vector, Vector, bool> accelerations(double t, const ConstVector& y) {
     ConstrainedSolution found;
-    require(motion_.accelerations(t, state(y), found));
+    rethrow(motion_.accelerations(t, state(y), found));
     return {to_numpy(found.a), to_numpy(found.lambda), found.unique};
   }
 
@@ -266,7 +266,7 @@ Vector BoundMotion::evaluate(const std::string& part, double t, const ConstVecto
   if (part == "positions_jacobian" || part == "rates_jacobian") size *= motion_.m_phi();
   if (part == "velocities_jacobian") size *= motion_.m_psi();
   std::vector<double> out(size);
-  require(motion_.callback(part_named(part))(t, state(y), out.data()));
+  rethrow(motion_.callback(part_named(part))(t, state(y), out.data()));
   return to_array<Vector>(std::move(out), size);
 }
 
@@ -285,7 +285,7 @@ MassTerm::Writes writes_named(const std::string& name) {
   throw std::invalid_argument("a mass matrix is not written as '" + name + "'");
 }
 
-void define_description(nb::module_& module) {
+void define_system(nb::module_& module) {
   nb::class_<MechanicsSpec>(module, "Mechanics", nb::type_slots(slots<MechanicsSpec>),
                             "A mechanical system, for the core.")
       .def(
@@ -345,7 +345,7 @@ nb::dict to_dict(const MotionWork& work) {
 }
 
 void define_mechanics(nb::module_& module) {
-  define_description(module);
+  define_system(module);
   nb::class_<BoundDifferentiable>(module, "Differentiable", nb::type_slots(slots<BoundDifferentiable>),
                                   "A function of t and x with its arguments, and its derivatives.")
       .def(nb::init<const nb::object&, const std::string&, std::size_t, std::size_t, std::size_t, nb::tuple,

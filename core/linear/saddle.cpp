@@ -11,14 +11,14 @@
 namespace invariode {
 namespace {
 
-using Matrix = Eigen::MatrixXd;
+using Dense = Eigen::MatrixXd;
 using Vector = Eigen::VectorXd;
 using Eigen::Index;
 
 constexpr double singular_pivots = 1000;  // in units of roundoff: smaller pivots of Cholesky are what it leaves of 0
 
 /// Cholesky's factors where all pivots stand out from the roundoff of `size`, the diagonal that they come from.
-bool factor(const Matrix& symmetric, const Vector& size, Eigen::LLT<Matrix>& llt) {
+bool factor(const Dense& symmetric, const Vector& size, Eigen::LLT<Dense>& llt) {
   llt.compute(symmetric);
   if (llt.info() != Eigen::Success) return false;
   const Vector pivots = Vector(llt.matrixLLT().diagonal()).cwiseAbs2();
@@ -28,7 +28,7 @@ bool factor(const Matrix& symmetric, const Vector& size, Eigen::LLT<Matrix>& llt
 /// A pivoted QR of columns that are scaled to norm 1 (zero ones stay): B S⁻¹ Π = Q R.
 class Columns {
  public:
-  Columns(const Matrix& B, double threshold) : scale_(B.colwise().norm()), qr_(B.rows(), B.cols()) {
+  Columns(const Dense& B, double threshold) : scale_(B.colwise().norm()), qr_(B.rows(), B.cols()) {
     scale_ = (scale_.array() > 0).select(scale_, 1);
     qr_.setThreshold(threshold);
     qr_.compute(B * scale_.cwiseInverse().asDiagonal());
@@ -55,36 +55,36 @@ class Columns {
     return (qr_.colsPermutation() * all).cwiseQuotient(scale_);
   }
   /// An orthonormal basis of what is orthogonal to all columns.
-  [[nodiscard]] Matrix complement() const {
-    const Matrix all = qr_.householderQ() * Matrix::Identity(qr_.rows(), qr_.rows());
+  [[nodiscard]] Dense complement() const {
+    const Dense all = qr_.householderQ() * Dense::Identity(qr_.rows(), qr_.rows());
     return all.rightCols(qr_.rows() - rank());
   }
 
  private:
-  [[nodiscard]] Matrix R() const { return qr_.matrixR().topLeftCorner(rank(), rank()); }
+  [[nodiscard]] Dense R() const { return qr_.matrixR().topLeftCorner(rank(), rank()); }
 
   Vector scale_;
-  Eigen::ColPivHouseholderQR<Matrix> qr_;
+  Eigen::ColPivHouseholderQR<Dense> qr_;
 };
 
 /// The λ of least norm among those with B λ = u.
-Vector multipliers(const Matrix& B, const Columns& columns, const Vector& u, double threshold) {
+Vector multipliers(const Dense& B, const Columns& columns, const Vector& u, double threshold) {
   if (columns.rank() == B.cols()) return columns.coefficients(u);
-  Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition(B.rows(), B.cols());
+  Eigen::CompleteOrthogonalDecomposition<Dense> decomposition(B.rows(), B.cols());
   decomposition.setThreshold(threshold);
   decomposition.compute(B);
   return decomposition.solve(u);
 }
 
 /// M = L Lᵀ: with B = L⁻¹Aᵀ and Lᵀ a = L⁻¹ Q + B λ, the second equation is Bᵀ (Lᵀ a) = γ.
-void solve_definite(const Eigen::LLT<Matrix>& mass, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
+void solve_definite(const Eigen::LLT<Dense>& mass, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
                     double threshold, ConstrainedSolution& found) {
   const Vector free = mass.matrixL().solve(Q);
   if (A.rows() == 0) {
     found.a = mass.matrixU().solve(free);
     return;
   }
-  const Matrix B = mass.matrixL().solve(A.transpose());
+  const Dense B = mass.matrixL().solve(A.transpose());
   const Columns columns(B, threshold);
   const Vector u = columns.least_norm(gamma - B.transpose() * free);
   found.rank = columns.rank();
@@ -101,14 +101,14 @@ void solve_semidefinite(const MatrixView& M, const MatrixView& A, const VectorVi
   found.lambda.setConstant(std::numeric_limits<double>::quiet_NaN());
   if (A.rows() == 0) return;  // M itself would have to be definite
   const auto mass = M.selfadjointView<Eigen::Lower>();
-  const Matrix At = A.transpose();
+  const Dense At = A.transpose();
   const Columns columns(At, threshold);
   found.rank = columns.rank();
   found.pivot = columns.pivot();
-  const Matrix Z = columns.complement();
+  const Dense Z = columns.complement();
   Vector a = columns.least_norm(gamma);
   if (Z.cols() > 0) {
-    const Eigen::LDLT<Matrix> inside(Z.transpose() * (mass * Z));  // pivoted: a small pivot would magnify roundoff
+    const Eigen::LDLT<Dense> inside(Z.transpose() * (mass * Z));  // pivoted: a small pivot would magnify roundoff
     const double roundoff = singular_pivots * eps * M.diagonal().cwiseAbs().maxCoeff();
     if (!(inside.vectorD().array() > roundoff).all()) return;
     a += Z * inside.solve(Z.transpose() * (Q - mass * a));
@@ -126,7 +126,7 @@ ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const
   if (M.cols() != n || A.cols() != n || Q.size() != n || gamma.size() != k)
     throw std::invalid_argument("the sizes of M, A, Q and gamma do not match");
   ConstrainedSolution found{.a = Vector(n), .lambda = Vector::Zero(k)};
-  Eigen::LLT<Matrix> llt;
+  Eigen::LLT<Dense> llt;
   if (factor(M, M.diagonal().cwiseAbs(), llt))
     solve_definite(llt, A, Q, gamma, threshold, found);
   else

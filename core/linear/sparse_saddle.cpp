@@ -18,7 +18,7 @@ constexpr double accurate = 1e-13;     // residuals, as a part of their terms
 constexpr double roundoff = 10 * eps;  // of the largest unknown, which the factors leave in all that are coupled to it
 
 /// The residual is at most `accurate` of its terms, row by row, or what roundoff leaves of them.
-bool small(const Vector& residual, const Vector& terms, const Vector& floor) {
+bool is_roundoff(const Vector& residual, const Vector& terms, const Vector& floor) {
   return (residual.array().abs() <= accurate * terms.array() + floor.array()).all();
 }
 
@@ -57,7 +57,7 @@ bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, 
         Q.cwiseAbs() + size.transpose() * found.lambda.cwiseAbs() + mass_size * found.a.cwiseAbs();
     const Vector terms = gamma.cwiseAbs() + size * found.a.cwiseAbs();
     const Vector force_floor = massless.select(roundoff * largest(found.lambda) * column_sum, 0);
-    if (small(p, force_terms, force_floor) && small(q, terms, roundoff * largest(found.a) * row_sum)) break;
+    if (is_roundoff(p, force_terms, force_floor) && is_roundoff(q, terms, roundoff * largest(found.a) * row_sum)) break;
     if (pass == 1) return false;
   }
   found.rank = A.rows();

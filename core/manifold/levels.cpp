@@ -9,7 +9,7 @@ namespace invariode {
 namespace {
 
 // A row of which less than this is left in the components that may move does not depend on them: roundoff.
-constexpr double least_share = 1e-13;
+constexpr double roundoff_share = 1e-13;
 // Rows of which less is left than this nearly depend on others: roundoff of their residuals makes corrections of ε / σ
 // in q, and of ε / σ² in v.
 constexpr double nearly_dependent = 0.01;
@@ -166,7 +166,7 @@ void Levels::take_rows(const double* J, const double* w, Level& level) {
       if (level.moves[j] == 0) row[j] = 0;
     });
     norm_[i] = basis_.vector(i).stableNorm();
-    if (norm_[i] <= least_share * all) norm_[i] = 0;
+    if (norm_[i] <= roundoff_share * all) norm_[i] = 0;
     if (norm_[i] > 0 && level.by_metric()) apply_metric(J, i, level);
     if (norm_[i] > 0) basis_.vector(i) /= norm_[i];
   }

@@ -6,7 +6,7 @@
 namespace invariode {
 namespace {
 
-constexpr int most_rounds = 10;  // Newton's iteration is at roundoff after three or four
+constexpr int newton_rounds = 10;  // Newton's iteration is at roundoff after three or four
 // What ten iterations leave at a double root, as where G is at its minimum: less than 4⁻¹⁰. More has not converged.
 constexpr double converged = 1e-3;
 
@@ -37,7 +37,7 @@ Projected OneSided::project(double t, const double* from, double* y) {
   if (did.outcome != Outcome::ok) return did;
   note(did);
   bool remains = true;
-  for (int round = 0; round <= most_rounds && remains; ++round) {
+  for (int round = 0; round <= newton_rounds && remains; ++round) {
     bool joined = false;
     if (did.skipped)
       std::copy(did.residual.begin(), did.residual.end(), g_.begin());
@@ -47,7 +47,7 @@ Projected OneSided::project(double t, const double* from, double* y) {
       did.outcome = Outcome::not_finite;
     if (did.outcome != Outcome::ok) return did;
     remains = find_violations(y, joined);
-    if (!remains || round == most_rounds) break;
+    if (!remains || round == newton_rounds) break;
     if (joined) std::copy(candidate_.begin(), candidate_.end(), y);
     did = project_once(t, from, y);
     if (did.outcome != Outcome::ok) return did;

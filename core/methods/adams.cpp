@@ -18,7 +18,7 @@ constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0
                                  0.0114, 0.00936, 0.00789, 0.00679, 0.00592, 0.00524, 0.00468};
 
 /// Where the formulas of order k become unstable on the negative real axis, at equal steps (tests/test_stiffness.py).
-constexpr double real_limits[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
+constexpr double stable_up_to[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
 constexpr double indistinct = 1000 * eps;  // y₁ − p, in the weights: below, f tells nothing about λ but roundoff
 
 constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
@@ -319,7 +319,7 @@ double Adams::stability() const {
   return arguments.value() > indistinct ? std::abs(previous_h_) * slopes.value() / arguments.value() / real_limit() : 0;
 }
 
-double Adams::real_limit() const { return real_limits[previous_order_]; }
+double Adams::real_limit() const { return stable_up_to[previous_order_]; }
 
 int Adams::undefined_component() const {
   for (std::size_t i = 0; i < n(); ++i)

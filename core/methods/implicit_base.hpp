@@ -38,6 +38,8 @@ class ImplicitBase : public Step, public ImplicitInterface {
   static constexpr double starting_safety = 1.25;
   static constexpr double smallest_retry = 0.1;  // of h
   static constexpr double third = 3;             // order of the estimate of a code of order 2
+  static constexpr double newton_cut = 0.3;      // of h, where a current Jacobian does not help
+  static constexpr int old_jacobian = 20;        // steps
 
   /// The mass matrix, if there is one, belongs to the caller and outlives this. `more`: of the solver.
   template <class... More>

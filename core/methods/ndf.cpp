@@ -22,9 +22,6 @@ constexpr std::array<double, most> gamma = [] {
 /// The parameters of Klopfenstein and Shampine that make an NDF of a BDF.
 constexpr double kappa[most] = {0, -37.0 / 200, -1.0 / 9, -0.0823, -0.0415, 0, 0, 0};
 
-constexpr double newton_cut = 0.3;  // of h, where a current Jacobian does not help
-constexpr int old_jacobian = 20;    // steps
-
 constexpr double safety_same = 1.2, safety_lower = 1.3, safety_higher = 1.4;  // 1/c after a success
 constexpr double retry_same = 0.833, retry_lower = 0.769;
 constexpr double largest_growth = 10;

@@ -9,10 +9,7 @@
 namespace invariode {
 namespace {
 
-// The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
-constexpr double slowest_rate = 0.9;
-constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
-constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
+constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one (the suite's constant)
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr int look_period = 10;           // steps with one J between two looks at it,
 constexpr double look_growth = 2;         // fewer where a residual has grown so much since the last one
@@ -492,7 +489,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
   const auto norm = [&](const double* v) { return max_norm(n, [v, w = w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
-  const double roundoff = roundoff_units * eps * norm(p);
+  const double roundoff = Convergence::roundoff_units * eps * norm(p);
   convergence_.begin(weights_.rtol(), roundoff);
   if (jacobian_age() == 0) looked_at_ = 0;
   double before = 0;
@@ -534,7 +531,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   };
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
-  sensitivity_convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(p));
+  sensitivity_convergence_.begin(weights_.rtol(), Convergence::roundoff_units * eps * norm(p));
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
   for (;;) {
     const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));

@@ -29,6 +29,9 @@ class Convergence {
     [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal}; }
   };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
+  // The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
+  static constexpr double slowest_rate = 0.9;
+  static constexpr double roundoff_units = 100;  ///< of ε: an update of this size relative to y is roundoff
 
   explicit Convergence(const Rules& rules) : rules_(rules) {}
 

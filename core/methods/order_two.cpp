@@ -10,12 +10,10 @@ namespace {
 // Newton's iteration has to be more exact than in ode15s: its errors enter z, divided by d, and the stages of the next
 // step (at ode15s' goal of 0.5 rtol van der Pol's equation has errors ten times larger).
 constexpr Convergence::Rules rules{.most_iterations = 5, .goal = 0.03, .first_goal = 0.003};
-constexpr double newton_cut = 0.3;
-/// Steps. An older J may be so much larger than the present one that Newton's updates are too small to show how wrong
-/// they are: the iteration converges, to what does not solve the equations (van der Pol's equation with ε = 1e-12 loses
-/// its limit cycle at 1e-3, the Oregonator its second pulse). CVODE looks at its matrix as often.
-constexpr int old_jacobian = 20;
-constexpr double kept_up_to = 1.2;  // a change of h up to this is not worth a factorisation
+// J older than `old_jacobian` may be so much larger than the present one that Newton's updates are too small to show
+// how wrong they are: the iteration converges, to what does not solve the equations (van der Pol's equation with ε =
+// 1e-12 loses its limit cycle at 1e-3, the Oregonator its second pulse). CVODE looks at its matrix as often.
+constexpr double least_worthwhile = 1.2;  // a change of h up to this is not worth a factorisation
 
 }  // namespace
 
@@ -71,7 +69,7 @@ Outcome OrderTwo::accept(const double* y1) {
   last_h_ = signed_h_;
   if (!failed_) {
     const double divisor = divisor_of_order_two();
-    if (divisor > 1 || divisor * kept_up_to < 1) h_ /= divisor;
+    if (divisor > 1 || divisor * least_worthwhile < 1) h_ /= divisor;
   }
   failed_ = false;
   return Outcome::ok;

@@ -16,15 +16,13 @@ double estimate_order(const RadauFormula& formula) { return static_cast<double>(
 constexpr double safety = 0.9;
 constexpr double smallest_factor = 0.2, largest_factor = 8;
 constexpr double kept_from = 0.9, kept_up_to = 1.2;  // such a change of h is not worth new factorisations
-constexpr double fast = 1e-2;  // rate of convergence with which J is kept (measured in benchmarks/multistep.py)
+constexpr double fast_rate = 1e-2;  // rate of convergence with which J is kept (measured in benchmarks/multistep.py)
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
-constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does not help
-constexpr double roundoff_units = 100;   // of ε: an update of this size relative to y is roundoff
+constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
 // An update of so many sizes of a component, in the norm of the error test, leads out of where J is known to hold, and
 // f may not be defined there: a part of it is tried first. Converging iterations on the stiff set have 0.5 at most.
 constexpr double large_update = 1, tried_part = 0.1;
-constexpr double slowest_rate = 0.9;  // of convergence, that the part shows
 constexpr double linear_half = 0.5;   // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
 constexpr double least_growth = 1.6;  // of h, where the estimate is nothing but errors of Newton's iteration
 
@@ -160,7 +158,7 @@ Newton::Result Radau::solve_stages() {
 }
 
 Newton::Result Radau::iterate(Convergence& convergence) {
-  const double roundoff = roundoff_units * eps * norm_of_part(y());
+  const double roundoff = Convergence::roundoff_units * eps * norm_of_part(y());
   convergence.begin(weights_.rtol(), roundoff);
   const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
   for (;;) {
@@ -243,7 +241,7 @@ Newton::Result Radau::try_part(double size) {
   const Newton::Result solved = solve_part(0, negligible);
   if (solved != Newton::Result::converged) return solved;
   for (std::size_t i = 0; i < all; ++i) residuals_[i] -= (1 - part) * update_[i];
-  const bool holds = size_of_residuals() <= slowest_rate * tried_part;
+  const bool holds = size_of_residuals() <= Convergence::slowest_rate * tried_part;
   std::copy(update_.begin(), update_.end(), residuals_.begin());
   return holds ? Newton::Result::converged : Newton::Result::failed;
 }
@@ -308,14 +306,14 @@ bool Radau::reject(Cause cause, double hmin) {
   failed_ = true;
   const double before = h_;
   if (cause == Cause::newton) {
-    if (!retry_newton(hmin, newton_cut)) return false;
+    if (!retry_newton(hmin, halved)) return false;
     const bool grown = h_ > most_growth * std::abs(memory_h_);  // even after the cut: the step was too long
     if (h_ < before && formula_ != lowest_ && !grown) lower_order();
     return true;
   }
   if (cause == Cause::error && solver_.has_matrices()) solver_.renew_if_old();
   if (h_ <= hmin) return false;
-  h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
+  h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : halved));
   return true;
 }
 
@@ -359,7 +357,7 @@ Outcome Radau::accept(const double* y1) {
   }
   last_y_.swap(y_);
   commit(y1);
-  if (too_old || (solver_.has_matrices() && convergence_.rate() > fast)) solver_.renew();
+  if (too_old || (solver_.has_matrices() && convergence_.rate() > fast_rate)) solver_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());

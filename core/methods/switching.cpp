@@ -13,7 +13,7 @@ namespace {
 
 // All measured with benchmarks/auto.py.
 constexpr double trial_cost = 20;            // evaluations of f that a trial takes beyond its Jacobian
-constexpr double fast = 0.2;                 // what a step limited by stability changes at most, in the weights
+constexpr double largest_change = 0.2;       // what a step limited by stability changes at most, in the weights
 constexpr double strongest = 20;             // so much more than one that just hardly changes y may a step count
 constexpr double low_order = 0.7;            // interval of stability below which a lower order would do instead
 constexpr int end_of_streak = 2;             // steps that stability does not limit
@@ -210,7 +210,7 @@ void Switching::watch_explicit(double calls) {
   const bool looks = turn_.steps <= first_steps || turn_.spent > 0 || turn_.steps % look_every == 0;
   if (!looks) return;
   const StepLook step = look_at(*explicit_, weights_, start_y_.data());
-  const bool limited = step.at_limit && step.moved <= fast && explicit_->real_limit() >= low_order;
+  const bool limited = step.at_limit && step.moved <= largest_change && explicit_->real_limit() >= low_order;
   if (!limited) {
     if (++turn_.free >= end_of_streak) turn_.spent = 0;
     return;

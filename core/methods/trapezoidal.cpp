@@ -8,8 +8,6 @@
 namespace invariode {
 namespace {
 
-constexpr double d = 0.5;  // y₁ = y + d (z₀ + z₁), where z = h y'
-
 /// The cubic through the last y serves as a prediction up to this many last steps ahead, the parabola beyond.
 constexpr double longest_reach = 2;
 

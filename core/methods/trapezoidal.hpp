@@ -34,6 +34,8 @@ class Trapezoidal final : public OrderTwo {
   [[nodiscard]] bool rings();
   Status smooth();
 
+  static constexpr double d = 0.5;  // y₁ = y + d (z₀ + z₁), where z = h y'
+
   // All in units of the step: tiny steps divide by nothing.
   std::vector<double> z0_, z1_;               // h y' at both ends of the step
   std::vector<double> bent_;                  // h² y'' of the last accepted step

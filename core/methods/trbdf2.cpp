@@ -1,17 +1,9 @@
 #include "methods/trbdf2.hpp"
 
 #include <algorithm>
-#include <numbers>
 
 namespace invariode {
 namespace {
-
-// y_γ = y + d (z₀ + z₁) and y₁ = y + w (z₀ + z₁) + d z₂, where z = h y'. γ makes the factors of both stages the same.
-constexpr double gamma = 2 - std::numbers::sqrt2;
-constexpr double d = gamma / 2;
-constexpr double w = std::numbers::sqrt2 / 4;
-/// The difference from the formula of order 3 on the same stages.
-constexpr double e[] = {(1 - 4 * w) / 3, 1.0 / 3, -2 * d / 3};
 
 /// The derivative at u of the cubic that rises by `rise` from u = 0 to 1, with derivatives da and db there.
 double hermite_slope(double rise, double da, double db, double u) {
@@ -21,6 +13,7 @@ double hermite_slope(double rise, double da, double db, double u) {
 }  // namespace
 
 void two_hermite_cubics(const double* data, std::size_t, std::size_t n, double theta, double* out) {
+  constexpr double gamma = TrBdf2::gamma;
   const bool first = theta < gamma;
   const double* a = first ? data : data + 2 * n;
   const double width = first ? gamma : 1 - gamma;

@@ -2,6 +2,7 @@
 // The trapezoidal rule followed by the backward differentiation formula of order 2, in one step (docs/algorithms.md,
 // 'TR-BDF2'; Hosea & Shampine, Analysis and implementation of TR-BDF2, Appl. Numer. Math. 20 (1996) 21-37).
 
+#include <numbers>
 #include <vector>
 
 #include "methods/order_two.hpp"
@@ -14,6 +15,8 @@ void two_hermite_cubics(const double* data, std::size_t size, std::size_t n, dou
 /// The code ode23tb, for M y' = f(t, y): L-stable.
 class TrBdf2 final : public OrderTwo {
  public:
+  static constexpr double gamma = 2 - std::numbers::sqrt2;  ///< where the first part of a step ends
+
   TrBdf2(Callback& f, const Weights& weights, const LinearAlgebra& linear);
 
   std::size_t directions(const double** vectors) const override;
@@ -31,6 +34,12 @@ class TrBdf2 final : public OrderTwo {
   Status end_slope(double* slope) override;
   void predict_first();
   void predict_second();
+
+  // y_γ = y + d (z₀ + z₁) and y₁ = y + w (z₀ + z₁) + d z₂, where z = h y'. γ makes the factors of both stages the same.
+  static constexpr double d = gamma / 2;
+  static constexpr double w = std::numbers::sqrt2 / 4;
+  /// The difference from the formula of order 3 on the same stages.
+  static constexpr double e[] = {(1 - 4 * w) / 3, 1.0 / 3, -2 * d / 3};
 
   std::vector<double> z0_, z1_, z2_;  // h y' at the start, at θ = γ and at the end of the step
   std::vector<double> middle_;

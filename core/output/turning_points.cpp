@@ -9,11 +9,11 @@
 namespace invariode {
 namespace {
 
-constexpr std::size_t deepest = 6;     // halvings of a step: beside a singularity the rest is left to signs there
-constexpr double narrowest = 0x1p-26;  // √ε, of the step: roots of the slope that are closer are not told apart
-constexpr double converged = 0x1p-30;  // the last coefficients in these units: turning points are known to √ε then
-constexpr double located = 0x1p-34;    // width of a turning point, of the part
-constexpr double level = 0x1p-30;      // the slope at the end of the step, in units of its largest coefficient
+constexpr std::size_t most_halvings = 6;   // halvings of a step: beside a singularity the rest is left to signs there
+constexpr double closest_roots = 0x1p-26;  // √ε, of the step: roots of the slope that are closer are not told apart
+constexpr double converged = 0x1p-30;      // the last coefficients in these units: turning points are known to √ε then
+constexpr double width_of_root = 0x1p-34;  // width of a turning point, of the part
+constexpr double level = 0x1p-30;          // the slope at the end of the step, in units of its largest coefficient
 
 /// The coefficients of a part's first half.
 void shrink(const double* c, std::size_t rows, std::size_t n, double* half) {
@@ -48,7 +48,7 @@ Status TurningPoints::find(Series& series, double t0, double length, const doubl
   size_ = 0;
   g_.resize(order_ + 1);
   bernstein_.resize(order_ + 1);
-  if (c_.empty()) c_.resize(deepest + 1);
+  if (c_.empty()) c_.resize(most_halvings + 1);
   c_[0].assign(c, c + (order_ + 1) * n);
   const Status status = examine({.depth = 0, .start = 0, .width = 1});
   std::ranges::sort(points);
@@ -70,14 +70,14 @@ Status TurningPoints::examine(const Part& part) {
   if (part.start + part.width == 1)
     turns_at_end_ = std::abs(bernstein_[p - 1]) <= level * largest(bernstein_.data(), p);
   if (bernstein::on_one_side(bernstein_.data(), p, tail)) return Status::ok;
-  if (tail > converged * size && part.depth < deepest) return halve(part);
+  if (tail > converged * size && part.depth < most_halvings) return halve(part);
   take_apart(part);
   return Status::ok;
 }
 
 /// The middle counts as a turning point: one that is just there would be seen on neither side.
 Status TurningPoints::halve(const Part& part) {
-  if (part.depth == deepest) return Status::ok;
+  if (part.depth == most_halvings) return Status::ok;
   const Part first{.depth = part.depth + 1, .start = part.start, .width = part.width / 2};
   const Part second{.depth = first.depth, .start = part.start + first.width, .width = first.width};
   std::vector<double>& c = c_[first.depth];
@@ -93,7 +93,7 @@ Status TurningPoints::halve(const Part& part) {
 void TurningPoints::take_apart(const Part& part) {
   const std::size_t count = order_;
   const double flat = bernstein::roundoff * largest(bernstein_.data(), count);
-  bernstein::isolate(bernstein_.data(), count, narrowest / part.width, flat, boxes_,
+  bernstein::isolate(bernstein_.data(), count, closest_roots / part.width, flat, boxes_,
                      [&](const bernstein::Isolated& found) {
                        if (found.unresolved || found.low == found.high)
                          points_->push_back(part.start + part.width * 0.5 * (found.low + found.high));
@@ -111,7 +111,7 @@ void TurningPoints::take_root(const Part& part, double low, double high) {
     value = slope(theta);
     return true;
   };
-  if (at_low * at_high < 0) (void)find_root(e, low, at_low, high, at_high, located, root);
+  if (at_low * at_high < 0) (void)find_root(e, low, at_low, high, at_high, width_of_root, root);
   const double theta = part.start + part.width * root;
   if (theta > 0 && theta < 1) points_->push_back(theta);
 }

@@ -104,7 +104,7 @@ def build(root: Path, folder: Path, count: int, seed: int) -> list[str]:
         nanobind = subprocess.check_output([sys.executable, "-m", "nanobind", "--cmake_dir"], text=True).strip()
         subprocess.check_call(
             ["cmake", "-G", "Ninja", "-S", folder, "-B", place, f"-Dnanobind_DIR={nanobind}",
-             f"-DPython_EXECUTABLE={sys.executable}", "-DINVARIODE_PRECOMPILE=ON"]
+             f"-DPython_EXECUTABLE={sys.executable}", "-DINVARIODE_UNITY=OFF"]
         )  # fmt: skip
     while True:
         done = subprocess.run(["ninja", "-C", place, "-k", "0"], capture_output=True, text=True)

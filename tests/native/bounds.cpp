@@ -15,8 +15,7 @@
 #include "manifold/active_set.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::bounds_laws {
 
 namespace {
 
@@ -154,3 +153,5 @@ TEST(wrong_bounds_are_refused) {
   CHECK(refused({std::numeric_limits<double>::quiet_NaN()}, {1}));
   CHECK(!refused({1}, {1}));
 }
+
+}  // namespace invariode::test::bounds_laws

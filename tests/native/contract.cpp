@@ -7,8 +7,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::contract_laws {
 
 namespace {
 
@@ -328,3 +327,5 @@ TEST(a_user_function_that_stops_ends_the_run_at_once_whichever_call_it_is) {
         }
       }
 }
+
+}  // namespace invariode::test::contract_laws

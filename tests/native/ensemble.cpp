@@ -15,8 +15,7 @@
 #include "methods.hpp"
 #include "run_problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test_run;
+namespace invariode::test_run::ensemble_laws {
 
 namespace {
 
@@ -194,3 +193,5 @@ TEST(solvers_that_do_not_fit_the_rows_or_each_other_are_refused) {
   ensemble.parameters = 0;
   CHECK(refused(solvers.all(), ensemble));
 }
+
+}  // namespace invariode::test_run::ensemble_laws

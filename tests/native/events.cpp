@@ -7,8 +7,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::events_laws {
 
 namespace {
 
@@ -299,3 +298,5 @@ TEST(an_action_restarts_the_solution_with_both_values_at_one_time) {
     }
   }
 }
+
+}  // namespace invariode::test::events_laws

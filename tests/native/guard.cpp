@@ -5,8 +5,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::guard_laws {
 
 namespace {
 
@@ -179,3 +178,5 @@ TEST(a_redundant_invariant_is_flagged_and_costs_nothing) {
     CHECK_CLOSE(distance(redundant.last(), plain.last(), 3), 0, 1e-10);
   }
 }
+
+}  // namespace invariode::test::guard_laws

@@ -9,8 +9,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::integration_laws {
 
 TEST(the_end_is_reached_exactly) {
   for (const Method& method : general_methods())
@@ -380,3 +379,5 @@ TEST(the_papers_residuals_on_lotka_volterra_are_reproduced) {
   CHECK_CLOSE(residual(plain), 9.12, 0.005);
   CHECK_CLOSE(residual(projected), 8.80e-5, 0.005e-5);
 }
+
+}  // namespace invariode::test::integration_laws

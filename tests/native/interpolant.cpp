@@ -6,8 +6,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::interpolant_laws {
 
 namespace {
 
@@ -153,3 +152,5 @@ TEST(a_run_with_a_terminal_event_has_the_same_continuous_solution_up_to_it) {
     for (double t = 0.05; t < 3.1; t += 0.1) CHECK(same_bits(a(t), b(t)));
   }
 }
+
+}  // namespace invariode::test::interpolant_laws

@@ -22,7 +22,7 @@
 #define INVARIODE_LANES tested
 #include "run/lanes/power.hpp"
 
-using namespace invariode;
+namespace invariode::test::lanes_laws {
 
 namespace {
 
@@ -486,3 +486,5 @@ TEST(roots_are_those_of_pow_and_hardly_ever_need_it) {
   check_roots<8>(random);
   check_roots<9>(random);
 }
+
+}  // namespace invariode::test::lanes_laws

@@ -12,8 +12,7 @@
 #include "manifold/projection.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::levels_laws {
 
 namespace {
 
@@ -289,3 +288,5 @@ TEST(sparse_rows_order_their_factors_anew_where_the_pattern_changes_but_not_the_
     if (solved) CHECK(x == expected);
   }
 }
+
+}  // namespace invariode::test::levels_laws

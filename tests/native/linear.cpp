@@ -13,8 +13,8 @@
 #include "linear/index.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::linear_laws {
+
 using Kind = Structure::Kind;
 
 namespace {
@@ -545,3 +545,5 @@ TEST(a_singular_iteration_matrix_ends_the_run_and_is_told) {
   CHECK(integration.report().linear.singular);
   CHECK(integration.report().cause == Cause::newton);
 }
+
+}  // namespace invariode::test::linear_laws

@@ -12,7 +12,7 @@
 #include "mechanics/differentiable.hpp"
 #include "mechanics/motion.hpp"
 
-using namespace invariode;
+namespace invariode::test::mechanics_laws {
 
 namespace {
 
@@ -271,3 +271,5 @@ TEST(rows_that_depend_on_others_are_not_for_sparse_factors) {
   ConstrainedSolution found;
   CHECK(!saddle.solve(M, A, Eigen::VectorXd::Ones(n), Eigen::VectorXd::Ones(2), found));
 }
+
+}  // namespace invariode::test::mechanics_laws

@@ -8,26 +8,6 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
-
-namespace {
-
-/// ∇^j of the samples v(t), v(t − h), … of n components, v taken at each time by `sample`.
-template <class Sample>
-std::vector<double> backward_difference(int j, double t, double h, std::size_t n, Sample sample) {
-  std::vector<double> sum(n), value(n);
-  double binomial = 1;
-  for (int i = 0; i <= j; ++i) {
-    sample(t - i * h, value.data());
-    for (std::size_t c = 0; c < n; ++c) sum[c] += (i % 2 == 0 ? binomial : -binomial) * value[c];
-    binomial *= static_cast<double>(j - i) / (i + 1);
-  }
-  return sum;
-}
-
-}  // namespace
-
 namespace invariode {
 
 /// Access to methods that choose their order themselves.
@@ -53,7 +33,22 @@ struct FixedOrder {
 
 }  // namespace invariode
 
+namespace invariode::test::multistep_laws {
+
 namespace {
+
+/// ∇^j of the samples v(t), v(t − h), … of n components, v taken at each time by `sample`.
+template <class Sample>
+std::vector<double> backward_difference(int j, double t, double h, std::size_t n, Sample sample) {
+  std::vector<double> sum(n), value(n);
+  double binomial = 1;
+  for (int i = 0; i <= j; ++i) {
+    sample(t - i * h, value.data());
+    for (std::size_t c = 0; c < n; ++c) sum[c] += (i % 2 == 0 ? binomial : -binomial) * value[c];
+    binomial *= static_cast<double>(j - i) / (i + 1);
+  }
+  return sum;
+}
 
 /// A method with formulas of one order.
 template <class Method>
@@ -408,3 +403,5 @@ TEST(newton_that_fails_with_an_old_jacobian_renews_it_and_keeps_h) {
   (void)step->attempt(1, 1.01);
   CHECK(linear_work(*step).jacobians == 2);
 }
+
+}  // namespace invariode::test::multistep_laws

@@ -14,8 +14,7 @@
 #include "methods.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::nystrom_laws {
 
 namespace {
 
@@ -155,3 +154,5 @@ TEST(a_sum_keeps_what_rounding_drops) {
   remainder.clear();
   CHECK(remainder[0] == 0);
 }
+
+}  // namespace invariode::test::nystrom_laws

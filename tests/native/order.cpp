@@ -8,8 +8,7 @@
 #include "decompositions.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::order_laws {
 
 namespace {
 
@@ -172,3 +171,5 @@ TEST(projection_removes_the_part_of_the_local_error_that_is_normal_to_the_manifo
     CHECK(after.norm() < before.norm());
   }
 }
+
+}  // namespace invariode::test::order_laws

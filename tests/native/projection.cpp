@@ -10,8 +10,7 @@
 #include "decompositions.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::projection_laws {
 
 namespace {
 
@@ -340,3 +339,5 @@ TEST(a_candidate_that_is_close_enough_is_left_alone) {
   CHECK(did.outcome == Outcome::ok && !did.skipped);
   CHECK_CLOSE(y[0], 1, 1e-8);
 }
+
+}  // namespace invariode::test::projection_laws

@@ -14,8 +14,7 @@
 #include "run/points.hpp"
 #include "run_problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test_run;
+namespace invariode::test_run::run_laws {
 
 namespace {
 
@@ -229,3 +228,5 @@ TEST(every_name_is_found_and_no_other) {
   for (const Method& method : methods()) CHECK(find_method(method.name) == &method);
   CHECK(find_method("ode999") == nullptr);
 }
+
+}  // namespace invariode::test_run::run_laws

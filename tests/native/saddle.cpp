@@ -8,7 +8,7 @@
 #include "check.hpp"
 #include "decompositions.hpp"
 
-using namespace invariode;
+namespace invariode::test::saddle_laws {
 
 namespace {
 
@@ -124,3 +124,5 @@ TEST(a_system_without_any_freedom_follows_its_constraints) {
   tied.M.setZero();
   tied.check(tied.solve());
 }
+
+}  // namespace invariode::test::saddle_laws

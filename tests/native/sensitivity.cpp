@@ -11,8 +11,7 @@
 #include "sensitivity/tangent.hpp"
 #include "sensitivity/variations.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::sensitivity_laws {
 
 namespace {
 
@@ -115,3 +114,5 @@ TEST(sensitivities_have_tolerances_of_their_own) {
   CHECK(all.at(5, 2) == 8);  // the scale of the second component
   CHECK(none.at(1, 0) == 3 && none.at(3, 1e300) == std::numeric_limits<double>::infinity());
 }
+
+}  // namespace invariode::test::sensitivity_laws

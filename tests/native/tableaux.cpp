@@ -9,7 +9,7 @@
 
 #include "check.hpp"
 
-using namespace invariode;
+namespace invariode::test::tableaux_laws {
 
 namespace {
 
@@ -139,3 +139,5 @@ TEST(every_rooted_tree_is_visited_once_with_its_density) {
     CHECK(most == factorial);
   }
 }
+
+}  // namespace invariode::test::tableaux_laws

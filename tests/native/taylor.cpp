@@ -15,10 +15,10 @@
 #include "problems.hpp"
 #include "run/run.hpp"
 
-using namespace invariode;
-using test::as_callback;
-using test::distance;
-using test::same_bits;
+namespace invariode::test::taylor_laws {
+
+using invariode::Problem;
+using invariode::Run;
 
 namespace {
 
@@ -518,3 +518,5 @@ TEST(events_of_projected_steps_are_found_on_the_values_returned) {
     CHECK_CLOSE(g[0], -0.5, 10 * eps);
   }
 }
+
+}  // namespace invariode::test::taylor_laws

@@ -8,7 +8,7 @@
 
 #include "check.hpp"
 
-using namespace invariode;
+namespace invariode::test::threads_laws {
 
 namespace {
 
@@ -115,3 +115,5 @@ TEST(what_watch_throws_is_thrown_again_when_the_threads_have_ended) {
   }
   CHECK(thrown == "watch" && at_work == 0);
 }
+
+}  // namespace invariode::test::threads_laws

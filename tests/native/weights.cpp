@@ -8,8 +8,7 @@
 #include "check.hpp"
 #include "problems.hpp"
 
-using namespace invariode;
-using namespace invariode::test;
+namespace invariode::test::weights_laws {
 
 TEST(the_norm_is_the_largest_size_and_lets_nan_through_in_any_position) {
   const std::vector<double> values = {1, -5, 3, 0, 4};
@@ -88,3 +87,5 @@ TEST(ulp_is_the_distance_to_the_next_double_away_from_zero) {
   CHECK(ulp(0) == std::numeric_limits<double>::denorm_min());
   CHECK(ulp(1e300) > 0);
 }
+
+}  // namespace invariode::test::weights_laws
