@@ -187,6 +187,17 @@ def test_where_f_jumps_all_the_time_the_search_ends():
     assert f"and at {len(found) - 4} or more other times (stats.discontinuities)" in sol.message
 
 
+@dealt(method=IMPLICIT, rtol=[1e-3, 1e-6, 1e-9], unit=[1e-6, 1.0])
+@untold
+def test_a_run_may_start_where_f_jumps_with_y(method, rtol, unit):
+    """f at the start is that of one side, and at the first iterates that of the other: y₁ = 1 - exp(-5 t), y₀ = t."""
+    sol = iv.solve_ivp(
+        lambda t, y: [unit, 5 * (unit * (y[0] > 0) - y[1])], (0, 2), [0.0, 0.0], method, rtol=rtol, atol=rtol * unit
+    )
+    assert sol.success
+    assert sol.y[1, -1] == pytest.approx(unit * (1 - np.exp(-10)), rel=100 * rtol)
+
+
 @explicit_and_implicit
 @untold
 def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
