@@ -312,6 +312,26 @@ def test_impacts_are_named_in_a_run_that_goes_on_too(method, tmp_path):
         sol.extend(2 * end, max_steps=None)
 
 
+@pytest.mark.parametrize("how", ["threads", "processes", "store"])
+def test_ensembles_tell_whose_impacts_accumulate(how, tmp_path: Path):
+    """The ball that is thrown far up does not come down again; one warning for the others, with the last times."""
+    kind = iv.compile if how == "threads" else lambda fun: fun
+    bounce = iv.Event(kind(floor), direction=-1, action=kind(lambda t, y: [0.0, -0.8 * y[1]]))
+    problem = iv.Problem(kind(lambda t, y: [y[1], -1.0]), (0, 30), [1.0, 0.0], events=bounce)
+    given = {"store": tmp_path / "out.zarr"} if how == "store" else {}
+    if how == "store":
+        pytest.importorskip("zarr")
+    y0 = [[1.0, 0.0], [1.0, 90.0], [2.0, 0.0]]
+    with pytest.warns(iv.DiscontinuityWarning, match="ode45: in 2 trajectories the actions of an event came closer"):
+        m = problem.solve_ensemble(y0=y0, workers=1, **given)
+    m = m.load() if how == "store" else m
+    m.save(tmp_path / "m.npz")
+    for found in (m, iv.EnsembleSolution.load(tmp_path / "m.npz")):
+        for i in (0, 2):
+            assert found.stats.accumulation[i] == m[i].t_events[0][-1]
+        assert np.isnan(found.stats.accumulation[1])
+
+
 @explicit_and_implicit
 def test_actions_that_do_not_accumulate_are_not_named(method):
     """Impacts that are few, that end at rest, that keep their distance, or that switch and let the solution pass."""
