@@ -73,6 +73,7 @@ class PythonFunction final : public Callable {
   bool read_array(PyArrayObject* array, double* out);
   bool holds_numbers(PyObject* items) const;
   bool read_objects(PyArrayObject* array, double* out) const;
+  bool has_values(PyObject* array) const;
   [[nodiscard]] bool fits(PyArrayObject* array) const;
   void complain(PyObject* returned) const;
 
@@ -252,6 +253,8 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
     complain(reinterpret_cast<PyObject*>(array));
     return false;
   }
+  if (!PyArray_CheckExact(reinterpret_cast<PyObject*>(array)) && !has_values(reinterpret_cast<PyObject*>(array)))
+    return false;
   const auto copy = [&](PyArrayObject* from) {
     assert(PyArray_SIZE(from) == returns_.size());
     std::copy_n(static_cast<const double*>(PyArray_DATA(from)), returns_.size() * (returns_.complex ? 2 : 1), out);
@@ -274,6 +277,20 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
   copy(reinterpret_cast<PyArrayObject*>(converted));
   Py_DECREF(converted);
   return true;
+}
+
+/// An error if entries of an array are masked, as in numpy.ma: behind the mask anything may stand.
+bool PythonFunction::has_values(PyObject* array) const {
+  PyObject* mask = PyObject_GetAttrString(array, "mask");
+  PyObject* any = mask == nullptr ? nullptr : PyObject_CallMethod(mask, "any", nullptr);
+  const bool masked = any != nullptr && PyObject_IsTrue(any) == 1;
+  Py_XDECREF(any);
+  Py_XDECREF(mask);
+  PyErr_Clear();  // an array of another kind, which has no mask
+  if (masked)
+    PyErr_Format(PyExc_ValueError, "%s returned masked entries, which have no values: return numbers for all of them",
+                 name_.c_str());
+  return !masked;
 }
 
 /// An error if what is no number at all (None, which NumPy would read as NaN) is among the items.

@@ -699,9 +699,11 @@ void define_ensemble(nb::module_& module) {
           "take_remarks",
           [](Result& r) {
             return std::make_tuple(to_array<Vector>(std::move(r.stiff_since), r.size),
-                                   to_array<Vector>(std::move(r.discontinuity), r.size));
+                                   to_array<Vector>(std::move(r.discontinuity), r.size),
+                                   to_array<Vector>(std::move(r.accumulation), r.size));
           },
-          "From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.")
+          "From when on each is limited by stability, where f jumps for the first time, and after which t actions of "
+          "an event that came closer and closer are missing; NaN: nowhere.")
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",

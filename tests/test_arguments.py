@@ -454,6 +454,16 @@ RAW = {
     "masked t_eval": (lambda: iv.ode45(decay, (0, 1), [1], t_eval=np.ma.masked_equal([0, 1], 1)), "t_eval has masked"),
     "masked mass": (lambda: iv.ode15s(decay, (0, 1), [1], mass=np.ma.masked_equal([[1]], 1)), "mass has masked"),
     "masked bounds": (lambda: iv.ode45(decay, (0, 1), [1], bounds=(np.ma.masked_equal([0], 0), 1)), "has masked"),
+    "masked first_step": (lambda: iv.ode45(decay, (0, 1), [1], first_step=np.ma.masked), "first_step must be a real"),
+    "masked args of compiled functions": (
+        lambda: iv.ode45(iv.compile(lambda t, y, p: -p[0] * y), (0, 1), [1], args=(np.ma.masked_equal([1.0, 2], 1),)),
+        "an array in args has masked entries",
+    ),
+    "complex first_step": (
+        lambda: iv.ode45(decay, (0, 1), [1], first_step=np.complex128(0.1 + 1j)),
+        "first_step must be a real number",
+    ),
+    "t_eval iterator": (lambda: iv.ode45(decay, (0, 1), [1], t_eval=(t for t in (0.5,))), "t_eval must hold real"),
     "breakpoints bytes": (
         lambda: iv.ode45(decay, (0, 1), [1], breakpoints=memoryview(b"ab")),
         "must be a list of times",

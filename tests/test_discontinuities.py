@@ -187,6 +187,17 @@ def test_where_f_jumps_all_the_time_the_search_ends():
     assert f"and at {len(found) - 4} or more other times (stats.discontinuities)" in sol.message
 
 
+@dealt(method=IMPLICIT, rtol=[1e-3, 1e-6, 1e-9], unit=[1e-6, 1.0])
+@untold
+def test_a_run_may_start_where_f_jumps_with_y(method, rtol, unit):
+    """f at the start is that of one side, and at the first iterates that of the other: y₁ = 1 - exp(-5 t), y₀ = t."""
+    sol = iv.solve_ivp(
+        lambda t, y: [unit, 5 * (unit * (y[0] > 0) - y[1])], (0, 2), [0.0, 0.0], method, rtol=rtol, atol=rtol * unit
+    )
+    assert sol.success
+    assert sol.y[1, -1] == pytest.approx(unit * (1 - np.exp(-10)), rel=100 * rtol)
+
+
 @explicit_and_implicit
 @untold
 def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
@@ -299,6 +310,26 @@ def test_impacts_are_named_in_a_run_that_goes_on_too(method, tmp_path):
     sol, end = bouncing(0.8, method, max_steps=60)
     with pytest.warns(iv.DiscontinuityWarning, match="floor: its actions came closer"):
         sol.extend(2 * end, max_steps=None)
+
+
+@pytest.mark.parametrize("how", ["threads", "processes", "store"])
+def test_ensembles_tell_whose_impacts_accumulate(how, tmp_path: Path):
+    """The ball that is thrown far up does not come down again; one warning for the others, with the last times."""
+    kind = iv.compile if how == "threads" else lambda fun: fun
+    bounce = iv.Event(kind(floor), direction=-1, action=kind(lambda t, y: [0.0, -0.8 * y[1]]))
+    problem = iv.Problem(kind(lambda t, y: [y[1], -1.0]), (0, 30), [1.0, 0.0], events=bounce)
+    given = {"store": tmp_path / "out.zarr"} if how == "store" else {}
+    if how == "store":
+        pytest.importorskip("zarr")
+    y0 = [[1.0, 0.0], [1.0, 90.0], [2.0, 0.0]]
+    with pytest.warns(iv.DiscontinuityWarning, match="ode45: in 2 trajectories the actions of an event came closer"):
+        m = problem.solve_ensemble(y0=y0, workers=1, **given)
+    m = m.load() if how == "store" else m
+    m.save(tmp_path / "m.npz")
+    for found in (m, iv.EnsembleSolution.load(tmp_path / "m.npz")):
+        for i in (0, 2):
+            assert found.stats.accumulation[i] == m[i].t_events[0][-1]
+        assert np.isnan(found.stats.accumulation[1])
 
 
 @explicit_and_implicit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -158,3 +159,26 @@ def test_what_f_does_at_y0_is_told():
 
     with pytest.raises(ValueError, match="of my own"):
         iv.find_invariants(mine, (0, 1), [1.0, 0.0])
+
+
+def test_what_f_does_elsewhere_is_told_where_nothing_can_be_searched():
+    """A wrong shape is never a matter of the domain; an exception that every trajectory meets is the user's."""
+
+    def late(t, y):
+        if t > 0.5:
+            raise ValueError("of my own")
+        return [y[1], -y[0]]
+
+    with pytest.raises(ValueError, match="of my own"):
+        iv.find_invariants(late, (0, 1), [1.0, 0.0])
+    for misshapen in (lambda t, y: [y[1], -y[0]][: 1 + (t < 0.5)], lambda t, y: [y[1], -y[0]][: 1 + (y[0] < 1.01)]):
+        with pytest.raises(ValueError, match=r"fun\(t, y\) returned shape \(1,\), expected shape \(2,\)"):
+            iv.find_invariants(misshapen, (0, 1), [1.0, 0.0])
+    with pytest.raises(ValueError, match=r"fun is not finite at the start: .*nan.* at t = 0\.0"):
+        iv.find_invariants(lambda t, y: [np.nan, -y[0]], (0, 1), [1.0, 0.0])
+
+
+def test_points_outside_the_domain_are_left_out():
+    """Half of the starts around y0 are beyond the end of √y."""
+    found = formulas(lambda t, y: [-math.sqrt(y[0]), math.sqrt(y[0])], (0, 1), [1.0, 0.0], 1)
+    assert found == ["y[0] + y[1]"]

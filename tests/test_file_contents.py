@@ -120,6 +120,47 @@ def crossing(level):
     return lambda t, y: y[0] - level
 
 
+class Reactions:
+    """`rates` with a power that shows where y₁ is neither 0 nor 1."""
+
+    order = 2
+
+    def __init__(self, power, calls=0):
+        self.power, self.calls, self.out = power, calls, np.zeros(3)
+
+    def __call__(self, t, y):
+        self.count()
+        self.out[:] = rates(t, [y[0], y[1] ** self.power, y[2]])
+        return self.out
+
+    def count(self):
+        self.calls += 1
+
+    @property
+    def level(self):
+        return 0.1 * self.power
+
+    def event(self, t, y):
+        return y[0] - self.level
+
+    def action(self, t, y):
+        return self.power * y
+
+    def by_class(self, t, y):
+        return y[0] - 0.1 * self.order
+
+
+class Others(Reactions):
+    order = 3
+
+
+def powered(values):
+    """Lists, dicts and objects that hold the power."""
+    if isinstance(values, Reactions):
+        return lambda t, y: rates(t, [y[0], y[1] ** values.power, y[2]])
+    return lambda t, y: rates(t, [y[0], y[1] ** values[0], y[2]])
+
+
 CODES = {
     "fun": (dict(fun=twin), {}, "fun"),
     "jac": (dict(jac=lambda t, y: np.zeros((3, 3))), {}, "jac"),
@@ -128,6 +169,18 @@ CODES = {
     "action": (dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: 2 * y)), {}, "the action of event 0"),
     "invariant": (dict(invariants=lambda t, y: y[0] + y[1] + y[2] + 0 * t), {}, r"invariant 0 \(fun\)"),
     "breakpoint": ({}, {"breakpoints": [(1, lambda t, y: 3 * y)]}, r"the action at t = 1\.0"),
+    "callable object": (dict(fun=Reactions(2)), {}, "fun"),
+    "compiled method": (dict(fun=iv.compile(powered((2,)))), {}, "fun"),
+    "object": (dict(fun=powered(Reactions(2))), {}, "fun"),
+    "list": (dict(fun=powered([2])), {}, "fun"),
+    "dict": (dict(fun=powered({0: 2})), {}, "fun"),
+    "method": (dict(events=Reactions(2).event), {}, "event 0"),
+    "class": (dict(events=Others(1).by_class), {}, "event 0"),
+    "action that is a method": (
+        dict(events=iv.Event(crossing(0.5), action=Reactions(2).action)),
+        {},
+        "the action of event 0",
+    ),
 }
 FIRST = {
     "jac": dict(jac=lambda t, y: np.ones((3, 3))),
@@ -135,6 +188,14 @@ FIRST = {
     "what an event keeps": dict(events=crossing(0.6)),
     "action": dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: y)),
     "invariant": dict(invariants=lambda t, y: y[0] + y[1] + y[2]),
+    "callable object": dict(fun=Reactions(1)),
+    "compiled method": dict(fun=iv.compile(powered((1,)))),
+    "object": dict(fun=powered(Reactions(1))),
+    "list": dict(fun=powered([1])),
+    "dict": dict(fun=powered({0: 1})),
+    "method": dict(events=Reactions(1).event),
+    "class": dict(events=Reactions(1).by_class),
+    "action that is a method": dict(events=iv.Event(crossing(0.5), action=Reactions(1).action)),
 }
 
 
@@ -170,11 +231,42 @@ def filling():
     return f
 
 
-@pytest.mark.parametrize("make", [lambda: counting, filling])
+def logging():
+    log, parts = [], (lambda t, y: rates(t, y), None)
+
+    def f(t, y):
+        log.append(t)
+        return parts[0](t, y)
+
+    return f
+
+
+@pytest.mark.parametrize("make", [lambda: counting, filling, logging, lambda: Reactions(2)])
 def test_what_a_function_changes_itself_is_not_its_code(make, tmp_path):
+    """Nor is where in memory it and the functions that it calls are."""
     sol = problem(make()).solve(max_steps=5)
     sol.save(tmp_path / "a")
     again = iv.load(tmp_path / "a", problem(make()))
+    assert not differences(sol.extend(3, max_steps=None), again.extend(3, max_steps=None))
+
+
+def filled_jacobian():
+    J, kept = np.zeros((3, 3)), {"last": 0.0, "row": [0.0]}
+
+    def jac(t, y):
+        kept["last"] = kept["row"][0] = t
+        J[0] = [-2, y[2], y[1]]
+        J[1] = [2, -y[2] - 10 * y[1], -y[1]]
+        J[2, 1] = 10 * y[1]
+        return J
+
+    return jac
+
+
+def test_arrays_that_a_jacobian_fills_are_not_its_code(tmp_path):
+    sol = problem(jac=filled_jacobian()).solve("ode15s", max_steps=5)
+    sol.save(tmp_path / "a")
+    again = iv.load(tmp_path / "a", problem(jac=filled_jacobian()))
     assert not differences(sol.extend(3, max_steps=None), again.extend(3, max_steps=None))
 
 

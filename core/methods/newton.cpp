@@ -46,8 +46,10 @@ Convergence::Verdict Convergence::judge(double size) {
   if (iteration_ == 1) {
     if (rate_known_ && size * rate_ / (1 - rate_) <= rules_.first_goal * rtol_) return Verdict::converged;
     if (!rate_known_) rate_ = 0;
+  } else if (size > slowest_rate * previous_) {
+    // Where f jumps between the iterates, an update far below the error test is no sign of divergence, but of the jump.
+    if (size > rules_.first_goal * rtol_) return Verdict::diverged;
   } else {
-    if (size > slowest_rate * previous_) return Verdict::diverged;
     rate_ = std::max(rate_memory * rate_, size / previous_);
     rate_known_ = true;
     const double left = size * rate_ / (1 - rate_);

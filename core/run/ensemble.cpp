@@ -125,6 +125,7 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       clipped(size),
       stiff_since(size, undefined),
       discontinuity(size, undefined),
+      accumulation(size, undefined),
       count(size * counts),
       state(size),
       occurrences(solver.problem().events.size()) {}
@@ -147,6 +148,7 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   if (one.stiffness.found) stiff_since[i] = one.stiffness.since;
   if (!one.discontinuities.empty()) discontinuity[i] = one.discontinuities.front();
   if (one.sticks_since && one.discontinuities.empty()) discontinuity[i] = *one.sticks_since;
+  if (one.accumulation) accumulation[i] = one.accumulation->t;
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);

@@ -67,8 +67,9 @@ class EnsembleResult {
   /// Of each invariant the value held, and the largest residual before and after projection; the largest correction.
   std::vector<double> value, before, after, correction;
   std::vector<double> clipped;  ///< what moving steps onto bounds has added to the sum of the components
-  /// From when on stability limits the steps, and where f jumps for the first time that was seen; NaN: nowhere.
-  std::vector<double> stiff_since, discontinuity;
+  /// From when on stability limits the steps, where f jumps for the first time that was seen, and after which t actions
+  /// of an event that came closer and closer are missing; NaN: nowhere.
+  std::vector<double> stiff_since, discontinuity, accumulation;
   std::vector<std::int64_t> count;  ///< (size, counts)
   std::vector<std::int8_t> state;   ///< a State, or why it could not start
   std::vector<Occurrences> occurrences;

@@ -556,9 +556,9 @@ class EnsembleRun:
 
     def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
-    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
         """
-        From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.
+        From when on each is limited by stability, where f jumps for the first time, and after which t actions of an event that came closer and closer are missing; NaN: nowhere.
         """
 
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...

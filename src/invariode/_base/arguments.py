@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,7 +126,9 @@ def number(name: str, value: object) -> float:
     """A real number, and not NaN."""
     if type(value) is float and value == value:  # the common case
         return value
-    if isinstance(value, (str, bytes, bytearray)) or (isinstance(value, np.ndarray) and value.ndim):
+    # NumPy makes real numbers of complex ones, and NaN of `masked`, with a warning.
+    unfit = (str, bytes, bytearray, np.complexfloating, np.ma.MaskedArray)
+    if isinstance(value, unfit) or (isinstance(value, np.ndarray) and (value.ndim or value.dtype.kind == "c")):
         raise TypeError(f"{name} must be a real number, got {shown(value)}")
     try:
         result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
@@ -225,7 +227,14 @@ def kept(value: _Value) -> _Value:
     if isinstance(value, np.ndarray) and type(value) is np.ndarray:  # the common case
         same: _Value = value.copy()
         return same
-    return value if value is None or isinstance(value, float) else copy(value)
+    if value is None or isinstance(value, float):
+        return value
+    if isinstance(value, memoryview):
+        return cast("_Value", np.array(value))
+    try:
+        return copy(value)
+    except TypeError:  # of an iterator: what reads the value says that it is none
+        return value
 
 
 def _too_large(name: str, value: object) -> ValueError:

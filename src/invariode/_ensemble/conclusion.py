@@ -9,7 +9,7 @@ from .._base.arguments import Array, warn
 from .._base.failures import FailureWarning, SolveError
 from .._base.types import OnFailure
 from .._problem.invariants import AccuracyWarning
-from .._results.messages import harmful_projection
+from .._results.messages import accumulating_in, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
 from .._run.plan import Plan
 from .outcomes import Outcomes, counts_by_name
@@ -42,6 +42,7 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
             clipped_amount=found.clipped_amount,
             stiff_since=found.stiff_since,
             discontinuity=found.discontinuity,
+            accumulation=found.accumulation,
             _lanes=found.lanes,
         ),
         value=found.value,
@@ -64,7 +65,7 @@ class Remarks:
     """What is to be said of trajectories: one warning of a kind for all of them."""
 
     def __init__(self) -> None:
-        self._dropped = self._stiff = self._discontinuous = 0
+        self._dropped = self._stiff = self._discontinuous = self._accumulating = 0
         self._harmed: list[Array] = []
         self._size = self._failed = 0
         self._first: tuple[int, str] | None = None  # of those that failed: its number, and why
@@ -85,6 +86,7 @@ class Remarks:
         jumps = ~np.isnan(found.discontinuity)
         if jumps.any():
             self._discontinuous += int(np.count_nonzero(jumps))
+        self._accumulating += int(np.count_nonzero(~np.isnan(found.accumulation)))
         if not found.counts[:, _WARNINGS].any():
             return
         dropped, harmed, stiff = found.counts[:, _WARNINGS].T
@@ -106,6 +108,8 @@ class Remarks:
             what = "give breakpoints, or, if the time of the jump depends on y, an event with an action"
             where = "stats['discontinuity'] tells where at first"
             warn(f"{plan.method.name}: {text} ({where}); {what}", DiscontinuityWarning)
+        if self._accumulating:
+            warn(f"{plan.method.name}: {accumulating_in(self._accumulating)}", DiscontinuityWarning)
 
     def conclude(self, result: EnsembleSolution | EnsembleStore, on_failure: OnFailure) -> None:
         """Warns of failed trajectories, or raises an error, according to `on_failure`."""

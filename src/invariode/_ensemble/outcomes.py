@@ -34,6 +34,7 @@ class Outcomes:
     clipped_amount: Array
     stiff_since: Array  # NaN where it is not
     discontinuity: Array  # the first one
+    accumulation: Array
     value: Array
     residual_before: Array
     residual_after: Array

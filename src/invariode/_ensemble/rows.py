@@ -115,7 +115,7 @@ def _on_threads(
     failures = run.failures() if (_CODES[states] < 0).any() else []
     misshapen = _misshapen(task, failures)
     value, before, after, correction = run.take_drift()
-    stiff_since, discontinuity = run.take_remarks()
+    stiff_since, discontinuity, accumulation = run.take_remarks()
     n, k = y0.shape[1], 0 if plan.varied is None else len(plan.varied.names)
     y, S = _apart(run.take_y().view(dtype), n, k)
     y_end, S_end = _apart(run.take_end().view(dtype), n, k)
@@ -132,6 +132,7 @@ def _on_threads(
         clipped_amount=run.take_clipped(),
         stiff_since=stiff_since,
         discontinuity=discontinuity,
+        accumulation=accumulation,
         messages=_messages(task, plan, failures, misshapen, states),
         events=[
             in_order(trajectory, t, points.view(dtype)[:, :n])
@@ -304,7 +305,8 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
         "correction": correction,
         "clipped_amount": run.clipped,
         "stiff_since": run.stiff_since if run.stiff else np.nan,
-        "discontinuity": next(iter(run.discontinuities), np.nan),
+        "discontinuity": next(iter(run.discontinuities), np.nan if run.sticks_since is None else run.sticks_since),
+        "accumulation": np.nan if run.accumulation is None else run.accumulation[1],
     }
 
 
@@ -325,6 +327,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
         clipped_amount=np.zeros(size),
         stiff_since=np.full(size, np.nan),
         discontinuity=np.full(size, np.nan),
+        accumulation=np.full(size, np.nan),
         messages={},
         events=[],
         value=np.full((size, m), np.nan),

@@ -116,7 +116,9 @@ class EnsembleStats(Record):
     """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
 
     `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0, and `stiff_since` says
-    since when, or NaN. `discontinuity` is the first time at which f looks discontinuous, or NaN.
+    since when, or NaN. `discontinuity` is the first time at which f looks discontinuous, or NaN. `accumulation` is the
+    last time of an event whose actions came closer and closer until the solution passed it without one, or NaN: what
+    comes after that time is wrong.
     """
 
     steps: Array
@@ -139,6 +141,7 @@ class EnsembleStats(Record):
     clipped_amount: Array
     stiff_since: Array
     discontinuity: Array
+    accumulation: Array
     _lanes: str = ""
 
     @property
@@ -350,7 +353,7 @@ class EnsembleSolution:
     def _stats_of(self, i: int) -> Stats:
         """As a single solve has them; of the jumps of f the first."""
         about = {name: values[i].item() for name, values in self.stats.items() if name != "stiff"}
-        since, jump = about.pop("stiff_since"), about.pop("discontinuity")
+        since, jump, _ = (about.pop(name) for name in ("stiff_since", "discontinuity", "accumulation"))
         return Stats(
             **about,
             derivatives=None,
@@ -503,7 +506,8 @@ def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
 
 
 _COUNTED = [name for name in EnsembleStats.__annotations__ if name != "_lanes"]
-_REAL = ("clipped_amount", "stiff_since", "discontinuity")
+#: The statistics that are no counts.
+REAL_STATS = ("clipped_amount", "stiff_since", "discontinuity", "accumulation")
 _ENSEMBLE = Kind(
     "ensemble",
     {
@@ -516,7 +520,7 @@ _ENSEMBLE = Kind(
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,
-        **{f"stats.{name}": Field(float if name in _REAL else np.int64, "trajectory") for name in _COUNTED},
+        **{f"stats.{name}": Field(float if name in REAL_STATS else np.int64, "trajectory") for name in _COUNTED},
         "events": Field(Annotated[int, "event"], GROUP, _events),
         **OCCURRENCES,
         "events.trajectory": Field(np.int64, "occurrence", within=(0, "<trajectory")),

@@ -21,6 +21,7 @@ from .._results.saving import apart, together
 from .outcomes import ROWS, Outcomes, counts_by_name
 from .solution import (
     OF_TRAJECTORIES,
+    REAL_STATS,
     EnsembleEvents,
     EnsembleSensitivities,
     EnsembleSolution,
@@ -50,6 +51,7 @@ _ROWS = {
     "clipped_amount": Field(float, "trajectory"),
     "stiff_since": Field(float, "trajectory"),
     "discontinuity": Field(float, "trajectory"),
+    "accumulation": Field(float, "trajectory"),
     "S": Field(None, "trajectory component sensitivity t"),
     "S_end": Field(None, "trajectory component sensitivity"),
 }
@@ -376,7 +378,7 @@ class EnsembleStore:
             for name in (*ROWS, "attempt")
             if name not in ("S", "S_end")
         }
-        of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
+        of_stats: dict[str, Any] = {name: held.pop(name) for name in REAL_STATS}
         y = held["y"] if times else final_states(held["y_end"], held["status"])
         counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, **of_stats)

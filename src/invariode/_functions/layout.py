@@ -10,7 +10,7 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 
-from .._base.arguments import Array, shown
+from .._base.arguments import Array, as_array, shown
 
 #: What may become a constant of the code, in the order in which it is tried: truths are always constants, then what may
 #: be an index or the count of a loop, then arrays, then single numbers.
@@ -250,7 +250,7 @@ def _entry(value: Any) -> Entry:
     if isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
         return Numbers(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return Numbers(value)
+        return Numbers(as_array("an array in args", value))
     if type(value) in (list, tuple):
         return Listed(type(value), tuple(map(_entry, value)))
     return Constant(value)

@@ -102,10 +102,24 @@ def accumulating(event: str, t: float, interval: float, count: int) -> str:
     """The warning about an event whose actions accumulate."""
     return (
         f"{event}: its actions came closer and closer, {count} of them until t = {t:.12g} with {interval:.2g} between "
-        "the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
-        "comes after that t is wrong; end the run there with a terminal event, or let the action put the system to "
-        "rest, with a fun that keeps it there"
+        f"the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
+        f"comes after that t is wrong; {_INSTEAD_OF_ACCUMULATING}"
     )
+
+
+def accumulating_in(trajectories: int) -> str:
+    """The same of an ensemble."""
+    return (
+        f"in {trajectories} trajectories the actions of an event came closer and closer, and then the solution passed "
+        "it without one: infinitely many would follow (Zeno), and what comes after stats['accumulation'], the time of "
+        f"the last action, is wrong; {_INSTEAD_OF_ACCUMULATING}"
+    )
+
+
+#: What to do about events that accumulate.
+_INSTEAD_OF_ACCUMULATING = (
+    "end the run there with a terminal event, or let the action put the system to rest, with a fun that keeps it there"
+)
 
 
 def _sentence(text: str) -> str:

@@ -3,26 +3,21 @@ difference is named."""
 
 from __future__ import annotations
 
-import dis
-import hashlib
 import math
-from collections.abc import Iterator, Mapping
-from functools import partial
-from types import CodeType, FunctionType
+from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from .._base.arguments import Array, call_name, shown
 from .._base.types import MethodName
-from .._functions.compiled import CompiledFunction, CoreFunction
-from .._functions.first_order import FirstOrderForm
-from .._functions.graph.python import Formula
+from .._functions.compiled import CompiledFunction
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
+from .code import digest, digest_of_code, parts_of_array
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
@@ -55,7 +50,7 @@ def in_words(value: Any, *, code: bool = True) -> Any:
     if isinstance(value, np.ndarray):
         large = value.size > _FEW and value.dtype.kind in "biufc" and value.dtype.char not in "gG"
         if large or value.dtype == object:
-            return f"array {value.shape} {_digest(_parts(value))}"
+            return f"array {value.shape} {digest(parts_of_array(value))}"
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(name): in_words(one, code=code) for name, one in value.items()}
@@ -63,108 +58,14 @@ def in_words(value: Any, *, code: bool = True) -> Any:
         return [in_words(one, code=code) for one in value]
     if callable(value) and not code:
         return "function"
-    digest, own = _digest_of_code(value), getattr(value, "__dict__", None)
-    if digest is not None:
+    number, own = digest_of_code(value), getattr(value, "__dict__", None)
+    if number is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
-        return f"{call_name(value, 'function')} ({digest}{', libm' * libm})"
+        return f"{call_name(value, 'function')} ({number}{', libm' * libm})"
     if type(value).__module__.partition(".")[0] == "invariode" and own is not None:
         about = {name: in_words(one, code=code) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
-
-
-def _function(value: Any) -> FunctionType | None:
-    """The Python function behind a function or a callable object, if there is one."""
-    if isinstance(value, CompiledFunction):
-        value = value.fun
-    value = value.fun if isinstance(value, FirstOrderForm) else value
-    value = getattr(value, "py_func", value)  # numba's
-    value = getattr(value, "__func__", value)  # a method's
-    if not isinstance(value, FunctionType) and not isinstance(value, type):
-        value = vars(type(value)).get("__call__")
-    return value if isinstance(value, FunctionType) else None
-
-
-def _digest_of_code(value: Any) -> str | None:
-    """A number for the code of a function; None: it has no code of Python's."""
-    if isinstance(value, partial):
-        inner = _digest_of_code(value.func)
-        bound = (value.args, sorted(value.keywords.items()))
-        return inner and _digest(iter([inner.encode(), repr(in_words(bound)).encode()]))
-    if isinstance(value, CoreFunction):
-        codes = [_digest_of_code(one) for one in value.functions]
-        return _digest(iter([repr(codes).encode()])) if any(codes) else None
-    formula = value.fun if isinstance(value, CompiledFunction) else value
-    if isinstance(formula, Formula):
-        return _digest(iter([formula.text.encode()]))
-    function = _function(value)
-    if function is None or (function.__module__ or "").startswith("invariode."):
-        return None
-    return _digest(_code(function, set()))
-
-
-def _digest(parts: Iterator[bytes]) -> str:
-    found = hashlib.blake2b(digest_size=6)
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()
-
-
-def _parts(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
-    yield str(value.dtype).encode()
-    yield np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode()
-
-
-def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
-    """The code of a function, and what it uses by name: constants, arrays and functions."""
-    if id(function) in seen:
-        return
-    seen.add(id(function))
-    codes = list(_nested(function.__code__))
-    for code in codes:
-        yield code.co_code
-        yield repr((code.co_names, code.co_varnames)).encode()
-        yield from (repr(_in_order(one)).encode() for one in code.co_consts if not isinstance(one, CodeType))
-    # What it changes itself is its memory, not its code.
-    own = {one.argval for code in codes for one in dis.get_instructions(code) if one.opname in _BINDS}
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
-    kept = [cell.cell_contents for name, cell in cells if name not in own and _is_filled(cell)]
-    names = [name for code in codes for name in code.co_names if name not in own]
-    used = [function.__globals__[name] for name in names if name in function.__globals__]
-    for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values(), *kept, *used):
-        inner = _function(value)
-        if inner is not None and inner.__module__ == function.__module__:
-            yield from _code(inner, seen)
-        elif isinstance(value, (bool, int, float, complex, str, tuple)):
-            yield repr(value).encode()
-        elif isinstance(value, np.ndarray):
-            yield from _parts(value)
-
-
-#: Instructions that bind a name from outside anew.
-_BINDS = ("STORE_GLOBAL", "STORE_DEREF")
-
-
-def _nested(code: CodeType) -> Iterator[CodeType]:
-    """The code of a function, and of those inside it."""
-    yield code
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _nested(one)
-
-
-def _is_filled(cell: Any) -> bool:
-    try:
-        return cell.cell_contents is not cell
-    except ValueError:
-        return False
-
-
-def _in_order(constant: Any) -> Any:
-    """A constant of a function, without the order that a set has in this process only."""
-    if isinstance(constant, frozenset):
-        return sorted(map(repr, constant))
-    return tuple(map(_in_order, constant)) if isinstance(constant, tuple) else constant
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -303,7 +204,7 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
         functions |= {f"event {i}": event.fun, f"the action of event {i}": event.action}
     for point in () if breakpoints is None else to_breakpoints("breakpoints", breakpoints):
         functions[f"the action at t = {point.t!r}"] = point.action
-    found = {name: _digest_of_code(one) for name, one in functions.items() if callable(one)}
+    found = {name: digest_of_code(one) for name, one in functions.items() if callable(one)}
     return {name: code for name, code in found.items() if code is not None}
 
 

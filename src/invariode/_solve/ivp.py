@@ -131,6 +131,6 @@ def one_column(fun: Any) -> Any:
 
     @functools.wraps(fun)
     def alone(t: float, y: Any, *args: Any) -> Any:
-        return np.asarray(fun(t, y[:, None], *args)).ravel()
+        return np.asanyarray(fun(t, y[:, None], *args)).ravel()
 
     return alone

@@ -142,7 +142,8 @@ def find_invariants(
     Raises
     ------
     ValueError
-        More than 2000 monomials; an infinite interval; a complex y0.
+        More than 2000 monomials; an infinite interval; a complex y0; f has the wrong shape, or is not finite at y0. An
+        exception of f comes out if it ends every run from y0 and from points around it.
 
     Notes
     -----
@@ -195,7 +196,11 @@ class _Search:
         self._exponent = math.frexp(np.abs(y0).max(initial=0) or 1.0)[1] - 1
         self._unit = math.ldexp(1.0, self._exponent)
         self._users_fun, self._t_span, self._args = fun, t_span, args
-        checked_slope(fun(t_span[0], y0.copy(), *args), y0)  # elsewhere f may not be defined
+        slope = checked_slope(fun(t_span[0], y0.copy(), *args), y0)  # elsewhere f may not be defined
+        if not np.isfinite(slope).all():
+            raise ValueError(f"fun is not finite at the start: {shown(slope)} at t = {t_span[0]}; correct fun or y0")
+        self._wrong: Exception | None = None  # of what f returned
+        self._without_run: Exception | None = None  # the first exception of f
         y0 = y0 / self._unit
         self._random = np.random.default_rng(20260)
         self._largest = np.abs(y0).max(initial=0) or 1.0
@@ -205,10 +210,16 @@ class _Search:
         self._y0 = y0
         runs = [first, *(self._trajectory(self._near(y0), 1e-6) for _ in range(_TRAJECTORIES - 1))]
         self._runs = [run for run in runs if run]
+        if not self._runs and self._without_run is not None:
+            raise self._without_run
 
     def _fun(self, t: float, y: Array, *args: Any) -> Array:
-        slope: Array = np.asarray(self._users_fun(t, self._unit * y, *args), dtype=float)
-        return slope / self._unit
+        given = self._users_fun(t, self._unit * y, *args)
+        try:
+            return checked_slope(given, y) / self._unit
+        except (TypeError, ValueError) as wrong:
+            self._wrong = wrong
+            raise
 
     def _near(self, y: Array) -> Array:
         near: Array = y + _SPREAD * self._size * self._random.uniform(-1, 1, y.shape)
@@ -226,9 +237,16 @@ class _Search:
                 sol = solve_ivp(self._fun, self._t_span, y0, "ode113", max_steps=_MOST_STEPS, **options)
                 if not sol.success:
                     sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
-        except (ArithmeticError, ValueError):  # a perturbed start outside the domain of f
+        except (ArithmeticError, ValueError) as error:  # outside the domain of f, as a perturbed start may be
+            self._note(error)
             return None
         return (sol.t, sol.y) if len(sol.t) > 1 else None
+
+    def _note(self, error: Exception) -> None:
+        """Keeps the first reason why there is no run; what f must never return is an error at once."""
+        if error is self._wrong:
+            raise error
+        self._without_run = self._without_run or error
 
     def _samples(self, count: int) -> tuple[Array, Array]:
         """Points y (n, count) around the trajectories, and y' there, (n, count)."""
@@ -243,7 +261,9 @@ class _Search:
             with np.errstate(all="ignore"):
                 try:
                     slope = np.asarray(self._fun(t[k], point.copy(), *self._args), dtype=float)
-                except (ArithmeticError, ValueError):
+                except (ArithmeticError, ValueError) as error:
+                    if error is self._wrong:
+                        raise
                     continue
             if np.isfinite(slope).all() and slope.any():
                 points.append(point)

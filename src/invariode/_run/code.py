@@ -1,0 +1,248 @@
+"""The code of functions as a number: equal in every process for functions that are written alike and use the same
+constants, arrays and attributes of objects."""
+
+from __future__ import annotations
+
+import dis
+import hashlib
+import inspect
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from itertools import chain
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.first_order import FirstOrderForm
+from .._functions.graph.python import Formula
+
+#: Instructions that take a name from outside, or an attribute.
+_ATTRIBUTES = ("LOAD_ATTR", "LOAD_METHOD")
+_LOADS = dict.fromkeys(_ATTRIBUTES, "attribute") | {"LOAD_GLOBAL": "name", "LOAD_DEREF": "name"}
+#: Instructions that bind a name from outside, or an attribute, anew.
+_BINDS = {"STORE_GLOBAL": "name", "STORE_DEREF": "name", "DELETE_GLOBAL": "name", "DELETE_DEREF": "name"}
+_BINDS |= {"STORE_ATTR": "attribute", "DELETE_ATTR": "attribute"}
+
+#: Instructions that change the items of what stands before them in the source,
+_CHANGES_ITEMS = ("STORE_SUBSCR", "DELETE_SUBSCR", "STORE_SLICE")
+#: and methods of lists, dicts and arrays that do.
+_CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove", "setdefault", "sort", "update"}
+
+
+class Method(NamedTuple):
+    """A function, and the object whose attributes it uses: None if it is a function alone."""
+
+    function: FunctionType
+    owner: Any
+
+
+def digest_of_code(value: Any) -> str | None:
+    """A number for the code of a function; None: it has no code of Python's."""
+    if isinstance(value, partial):
+        inner = digest_of_code(value.func)
+        return inner and digest(chain([inner.encode()], _content(value.args), _content(value.keywords)))
+    if isinstance(value, CoreFunction):
+        codes = [digest_of_code(one) for one in value.functions]
+        return digest(iter([repr(codes).encode()])) if any(codes) else None
+    formula = value.fun if isinstance(value, CompiledFunction) else value
+    if isinstance(formula, Formula):
+        return digest(iter([formula.text.encode()]))
+    method = _method(value)
+    if method is None or (method.function.__module__ or "").startswith("invariode."):
+        return None
+    return digest(_code(method))
+
+
+def digest(parts: Iterable[bytes]) -> str:
+    """A short number for bytes."""
+    found = hashlib.blake2b(digest_size=6)
+    for part in parts:
+        found.update(part)
+    return found.hexdigest()
+
+
+def parts_of_array(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
+    """The bytes of an array."""
+    yield str(value.dtype).encode()
+    yield np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode()
+
+
+def _method(value: Any) -> Method | None:
+    """The Python function behind a function or a callable object, if there is one."""
+    if isinstance(value, CompiledFunction):
+        value = value.fun
+    value = value.fun if isinstance(value, FirstOrderForm) else value
+    value = getattr(value, "py_func", value)  # numba's
+    if not isinstance(value, (FunctionType, type)):  # a cfunc of numba's, what functools.cache returns
+        value = inspect.getattr_static(value, "__wrapped__", value)
+    if isinstance(value, (staticmethod, classmethod)):
+        value = value.__func__
+    if isinstance(value, property):
+        value = value.fget
+    if isinstance(value, MethodType):
+        owner, value = value.__self__, value.__func__
+    else:
+        owner = None
+    if not isinstance(value, (FunctionType, type)):
+        owner, value = value, inspect.getattr_static(type(value), "__call__", None)
+    return Method(value, owner) if isinstance(value, FunctionType) else None
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What a function uses
+
+
+class _Uses:
+    """What the code of one function uses by name, and what it changes, which is its memory and not its code."""
+
+    def __init__(self, method: Method) -> None:
+        function, owner = method
+        self.codes = list(_nested(function.__code__))
+        free = set(function.__code__.co_freevars)
+        self.changed: set[tuple[str, str]] = set()
+        names: dict[str, None] = {}
+        attributes: dict[str, None] = {}
+        for code in self.codes:
+            instructions = list(dis.get_instructions(code))
+            self._note_changes(instructions, free)
+            for one in instructions:
+                if one.opname.startswith("LOAD_GLOBAL"):
+                    names[one.argval] = None
+                elif one.opname in _ATTRIBUTES:
+                    attributes[one.argval] = None
+        cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
+        found: list[tuple[str, Any]] = [(name, cell.cell_contents) for name, cell in cells if _is_filled(cell)]
+        found += [(name, function.__globals__[name]) for name in names if name in function.__globals__]
+        defaults = (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
+        self.values = [("name", name, value) for name, value in [*(("", one) for one in defaults), *found]]
+        objects = [] if owner is None else [owner]
+        objects += [value for _, value in found if _has_attributes(value)]
+        self.values += _attributes(objects, list(attributes))
+
+    def _note_changes(self, instructions: list[dis.Instruction], free: set[str]) -> None:
+        """Instructions that change the items of something begin in the source where its name does."""
+        places = {
+            _place(one)
+            for one in instructions
+            if one.opname in _CHANGES_ITEMS or (one.opname in _ATTRIBUTES and one.argval in _CHANGES)
+        }
+        for one in instructions:
+            if one.opname in _BINDS:
+                kind = _BINDS[one.opname]
+                if one.opname.endswith("DEREF") and one.argval not in free:
+                    continue
+                self.changed.add((kind, one.argval))
+            elif one.opname in _LOADS and _place(one) in places:
+                self.changed.add((_LOADS[one.opname], one.argval))
+
+
+def _place(one: dis.Instruction) -> tuple[int | None, int | None] | None:
+    where = one.positions
+    return None if where is None else (where.lineno, where.col_offset)
+
+
+def _has_attributes(value: Any) -> bool:
+    """Whether a value is an object, or a class, whose attributes are not code that is seen otherwise."""
+    if isinstance(value, (ModuleType, FunctionType, MethodType, BuiltinFunctionType, np.ndarray, np.generic, np.ufunc)):
+        return False
+    return hasattr(value, "__dict__") or hasattr(type(value), "__slots__")
+
+
+def _attributes(objects: list[Any], names: list[str]) -> list[tuple[str, str, Any]]:
+    """What the attributes of these names are, of the objects and of those among their attributes; of methods and
+    properties the function with its object."""
+    found: list[tuple[str, str, Any]] = []
+    seen: set[int] = set()
+    while objects:
+        one = objects.pop(0)
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        for name in names:
+            value = inspect.getattr_static(one, name, None)
+            if inspect.ismemberdescriptor(value):  # a slot
+                value = getattr(one, name, None)
+            inner = value.fget if isinstance(value, property) else value
+            if isinstance(inner, FunctionType) and not isinstance(one, type):
+                value = MethodType(inner, one)
+            elif _has_attributes(value):
+                objects.append(value)
+            found.append(("attribute", name, value))
+    return found
+
+
+def _reached(first: Method) -> list[_Uses]:
+    """What a function uses, and those of its module that it calls."""
+    found: list[_Uses] = []
+    waiting, seen = [first], set()
+    while waiting:
+        method = waiting.pop(0)
+        if (key := (id(method.function), id(method.owner))) in seen:
+            continue
+        seen.add(key)
+        found.append(_Uses(method))
+        inner = [_method(one) for _, _, value in found[-1].values for one in _elements(value)]
+        waiting += [one for one in inner if one and one.function.__module__ == method.function.__module__]
+    return found
+
+
+def _code(method: Method) -> Iterator[bytes]:
+    """The code of a function and of those that it uses, with their constants, and the content of what they use."""
+    reached = _reached(method)
+    changed = set().union(*(uses.changed for uses in reached))
+    for uses in reached:
+        for code in uses.codes:
+            yield code.co_code
+            yield repr((code.co_names, code.co_varnames)).encode()
+            yield from (repr(_in_order(one)).encode() for one in code.co_consts if not isinstance(one, CodeType))
+        for kind, name, value in uses.values:
+            if (kind, name) not in changed:
+                yield from _content(value)
+
+
+def _elements(value: Any) -> Iterator[Any]:
+    """A value, or what a container of values holds, without those that hold each other."""
+    waiting, seen = [value], set()
+    while waiting:
+        one = waiting.pop(0)
+        if isinstance(one, partial):
+            waiting += [one.func, one.args, one.keywords]
+        elif isinstance(one, (tuple, list, Mapping)):
+            if id(one) not in seen:
+                seen.add(id(one))
+                waiting += list(chain(*one.items()) if isinstance(one, Mapping) else one)
+        else:
+            yield one
+
+
+def _content(value: Any) -> Iterator[bytes]:
+    """Numbers, text and arrays, alone or in containers."""
+    for one in _elements(value):
+        if isinstance(one, np.ndarray):
+            yield from parts_of_array(one)
+        elif isinstance(one, (bool, int, float, complex, str, bytes, np.generic)):
+            yield repr(one).encode()
+
+
+def _nested(code: CodeType) -> Iterator[CodeType]:
+    """The code of a function, and of those inside it."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _nested(one)
+
+
+def _is_filled(cell: Any) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False
+
+
+def _in_order(constant: Any) -> Any:
+    """A constant of a function, without the order that a set has in this process only."""
+    if isinstance(constant, frozenset):
+        return sorted(map(repr, constant))
+    return tuple(map(_in_order, constant)) if isinstance(constant, tuple) else constant
