@@ -225,7 +225,8 @@ class CompiledFunction:
             head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
-            body += [f"out[:{half}] = y[{half}:]", f"out = out[{half}:]"] if half else []
+            if half:  # not as slices: to say that their lengths differ numba would compile its strings, for seconds
+                body += [f"for i in range({half}):", f"    out[i] = y[{half} + i]", f"out = out[{half}:]"]
             body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size - half)
         text = "\n    ".join([head, *body])
         given = copied if copies else read_only
