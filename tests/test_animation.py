@@ -110,7 +110,7 @@ def test_the_axes_hold_the_motion_and_have_one_scale(films):
     before = ax.get_xlim(), ax.get_ylim(), ax.get_position().bounds
     for frame in range(len(film.times)):
         film.show(frame)
-        film.figure.canvas.draw()
+        film.figure.draw_without_rendering()
         assert (ax.get_xlim(), ax.get_ylim(), ax.get_position().bounds) == before
     (x0, x1), (y0, y1) = before[:2]
     assert x0 < film.points[..., 0].min() <= film.points[..., 0].max() < x1
