@@ -73,6 +73,11 @@ def oscillator():
     return iv.compile(lambda t, y: (y[1], -y[0]))
 
 
+@functools.cache
+def integrals_by(way):
+    return iv.compile(integrals, by=way)
+
+
 ORBIT = [0.4, 0, 0, 2]
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
 KINDS = {
@@ -161,7 +166,7 @@ def test_gradients_of_a_compiled_invariant_are_exact():
     """As those of the Python function are; machine code of others takes no complex y."""
     python = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=iv.Invariants(integrals, names=["energy", "momentum"]))
     for by, jac, kind in (("trace", None, "traced"), ("numba", None, "complex step")):
-        held = iv.Invariants(iv.compile(integrals, by=by), jac, names=["energy", "momentum"])
+        held = iv.Invariants(integrals_by(by), jac, names=["energy", "momentum"])
         sol = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=held)
         assert sol.stats.derivatives == kind
         np.testing.assert_allclose(sol.y, python.y, rtol=1e-12, atol=1e-12)
@@ -172,7 +177,7 @@ def test_gradients_of_a_compiled_invariant_are_exact():
 
 @pytest.mark.parametrize("by", ["trace", "numba"])
 def test_a_compiled_invariant_says_how_many_values_it_has(by):
-    held = iv.compile(integrals, by=by)
+    held = integrals_by(by)
     named = iv.Invariants(held, names=["energy", "momentum"])
     alone, expected = (iv.ode45(kepler, (0, 20), ORBIT, invariants=one) for one in (held, named))
     np.testing.assert_array_equal(alone.y, expected.y)
