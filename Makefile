@@ -27,7 +27,9 @@ paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-
 
 # Each worker starts with half of the files, and takes over from the other at the end: what tests of one file share,
 # such as compiled functions, is made once.
-PYTEST := -m pytest -q -n 2 --dist worksteal
+# Without the plugins of other packages: at each start pytest would import, and rewrite, all of Zarr and of hypothesis.
+PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal
+test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 
 test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
 	$(BIN)/python $(PYTEST)

@@ -37,7 +37,8 @@ def laws(t, state):
     x, v = state.reshape(2, 6, 3)
     r = ((x[first] - x[second]) ** 2).sum(axis=1) ** 0.5
     energy = (m * (v**2).sum(axis=1)).sum() / 2 - G * (m[first] * m[second] / r).sum()
-    return [1e9 * energy, *(1e9 * (m[:, None] * np.cross(x, v)).sum(axis=0))]
+    moment = 1e9 * (m * x.T) @ v
+    return [1e9 * energy, *(moment - moment.T)[[1, 2, 0], [2, 0, 1]]]
 
 
 def main():

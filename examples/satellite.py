@@ -49,7 +49,7 @@ def main():
     start /= np.linalg.norm(start)
     figure, (angle, drift) = plt.subplots(2, sharex=True, layout="constrained")
     for label, correction in (("plain", "none"), ("projected", "levels")):
-        problem = satellite.problem((0, 40 * np.pi), start, [0, 0, 1.0], correction=correction)
+        problem = satellite.problem((0, 20 * np.pi), start, [0, 0, 1.0], correction=correction)
         sol = problem.solve("ode45", rtol=1e-4, atol=1e-6)
         orbits, states = sol.t / (2 * np.pi), list(zip(sol.t, sol.y.T, strict=True))
         laws = [(y[:4] @ y[:4], jacobi(t, y[:4], y[4:])) for t, y in states]

@@ -4,6 +4,7 @@ all; and where several lists meet, some of their combinations instead of all (te
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import Counter
 from collections.abc import Iterable
@@ -36,10 +37,11 @@ explicit_and_implicit = pytest.mark.parametrize("method", ["ode45", "ode15s"])
 LOOKED_UP = ("problem", "run", "draw", "code", "algebraic_code")
 
 
-def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ...]]:
-    """`count` rows of the product of the lists: each next one takes the values that came least so far, and of those the
-    pairs of values that came least."""
-    left = list(itertools.product(*(range(len(values)) for values in lists)))
+@functools.cache
+def places(count: int, lengths: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """`count` rows of the product of lists of such lengths, as places in them: each next one takes values that came
+    least so far, and of those the pairs of values that came least."""
+    left = list(itertools.product(*map(range, lengths)))
     came: Counter[object] = Counter()
 
     def singles(row: tuple[int, ...]) -> list[object]:
@@ -55,8 +57,14 @@ def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ..
         left.remove(row)
         came.update(singles(row))
         came.update(itertools.combinations(singles(row), 2))
-        rows.append(tuple(values[i] for values, i in zip(lists, row, strict=True)))
+        rows.append(row)
     return rows
+
+
+def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ...]]:
+    """`count` rows of the product of the lists, in which values and pairs of values come about equally often."""
+    rows = places(count, tuple(map(len, lists)))
+    return [tuple(values[i] for values, i in zip(lists, row, strict=True)) for row in rows]
 
 
 def dealt(count: int | None = None, /, **lists: Iterable[object]) -> pytest.MarkDecorator:

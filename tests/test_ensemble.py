@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
@@ -219,7 +220,7 @@ def test_an_exception_becomes_the_status_of_its_trajectory(workers):
 def test_a_compiled_f_of_another_length_is_told_as_of_a_single_run(method):
     """Its values are NaN in the core, which alone would say that fun is not finite at the start."""
     pytest.importorskip("numba")
-    of_p = iv.compile(values)
+    of_p = values_code()
     many = {"args": [(2.0,), (3.0,), (2.0,), (1.0,)], "on_failure": "return"}
     out = iv.solve_ensemble(of_p, (0, 1), np.ones((4, 2)), method, **many)
     np.testing.assert_array_equal(out.status, [0, -4, 0, -4])
@@ -233,6 +234,11 @@ def test_a_compiled_f_of_another_length_is_told_as_of_a_single_run(method):
 
 def values(t, y, p):
     return np.ones(int(p[0]))
+
+
+@functools.cache
+def values_code():
+    return iv.compile(values)
 
 
 def test_a_process_that_dies_takes_only_its_trajectory_with_it():

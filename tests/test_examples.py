@@ -36,7 +36,7 @@ def test_example_draws_and_keeps_its_laws(example, capsys):
     """Plain and projected runs print their drifts first, others how far off they are."""
     figure = runpy.run_path(str(example), run_name="example")["main"]()
     assert isinstance(figure, Figure)
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     found = (
         re.match(r" *([\w ]+?)(?::.*?| off by )(\d\.\de[+-]\d+)", line) for line in capsys.readouterr().out.splitlines()
     )

@@ -67,9 +67,10 @@ def test_the_slider_crank_is_that_of_ida():
 
 
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # friction: in the end the points rest
-@pytest.mark.parametrize(("rtol", "digits"), [(1e-4, 3.4), (1e-7, 6.9)])
+@pytest.mark.parametrize(("rtol", "digits"), [(1e-4, 3.7), (1e-7, 7.0)])
 def test_feketes_points_find_their_places(rtol, digits):
-    """Plain ode45 has 0.3 and 4.4 digits: without projection points leave the sphere."""
-    case = mechanisms.fekete()
+    """At t = 300 they are where they are published to be at 1000. Plain ode45 has 1.5 and 5.0 digits there: without
+    projection points leave the sphere."""
+    case = mechanisms.fekete()._replace(t_span=(0.0, 300.0))
     assert -np.log10(errors(case, "ode45", rtol)[0]) > digits
     assert -np.log10(errors(case, "ode45", rtol, "none")[0]) < digits - 2

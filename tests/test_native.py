@@ -68,6 +68,16 @@ def as_python(fun):
     return iv.compile(fun, elementary="libm")
 
 
+@functools.cache
+def oscillator():
+    return iv.compile(lambda t, y: (y[1], -y[0]))
+
+
+@functools.cache
+def integrals_by(way):
+    return iv.compile(integrals, by=way)
+
+
 ORBIT = [0.4, 0, 0, 2]
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
 KINDS = {
@@ -156,7 +166,7 @@ def test_gradients_of_a_compiled_invariant_are_exact():
     """As those of the Python function are; machine code of others takes no complex y."""
     python = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=iv.Invariants(integrals, names=["energy", "momentum"]))
     for by, jac, kind in (("trace", None, "traced"), ("numba", None, "complex step")):
-        held = iv.Invariants(iv.compile(integrals, by=by), jac, names=["energy", "momentum"])
+        held = iv.Invariants(integrals_by(by), jac, names=["energy", "momentum"])
         sol = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=held)
         assert sol.stats.derivatives == kind
         np.testing.assert_allclose(sol.y, python.y, rtol=1e-12, atol=1e-12)
@@ -167,7 +177,7 @@ def test_gradients_of_a_compiled_invariant_are_exact():
 
 @pytest.mark.parametrize("by", ["trace", "numba"])
 def test_a_compiled_invariant_says_how_many_values_it_has(by):
-    held = iv.compile(integrals, by=by)
+    held = integrals_by(by)
     named = iv.Invariants(held, names=["energy", "momentum"])
     alone, expected = (iv.ode45(kepler, (0, 20), ORBIT, invariants=one) for one in (held, named))
     np.testing.assert_array_equal(alone.y, expected.y)
@@ -296,10 +306,12 @@ class TestCompile:
     )
     def test_rows_of_another_shape_are_refused(self, rows, message):
         with pytest.raises(TypeError, match=message):
-            iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(rows))
-        for uneven in (lambda t, y: [[0.0, 1.0], [y[0]]], lambda t, y: [[0.0, 1.0, y[0]], [0.0]]):
-            sol = iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(uneven))
-            assert "The Jacobian of fun is NaN or infinite" in sol.message
+            iv.ode15s(oscillator(), (0, 1), [1.0, 0.0], jac=iv.compile(rows))
+
+    @pytest.mark.parametrize("uneven", [lambda t, y: [[0.0, 1.0], [y[0]]], lambda t, y: [[0.0, 1.0, y[0]], [0.0]]])
+    def test_lists_of_uneven_rows_cannot_be_evaluated(self, uneven):
+        sol = iv.ode15s(oscillator(), (0, 1), [1.0, 0.0], jac=iv.compile(uneven))
+        assert "The Jacobian of fun is NaN or infinite" in sol.message
 
     @pytest.mark.parametrize("fun", [lambda t, y: y[:1] * 1.0, lambda t, y: [y[0]], lambda t, y: np.ones(3)])
     def test_a_list_or_array_of_another_length_is_refused(self, fun):
@@ -489,20 +501,29 @@ class TestArguments:
         y[1] = 99.0
         return value
 
+    @classmethod
+    @functools.cache
+    def compiled(cls):
+        return [iv.compile(one) for one in (cls.writing, cls.energy, cls.gradient, cls.crossing)]
+
+    @classmethod
+    @functools.cache
+    def honestly(cls):
+        """The same functions, which write nothing."""
+        return [
+            iv.compile(cls.honest),
+            iv.compile(lambda t, y, p: p[0] * y[0] * y[0] + y[1] * y[1]),
+            iv.compile(lambda t, y, p: (2 * p[0] * y[0], 2 * y[1])),
+            iv.compile(lambda t, y, p: y[0] * p[0]),
+        ]
+
     @pytest.mark.parametrize("method", ["ode45", "ode15s"])
     def test_a_run_is_that_of_functions_that_write_nothing(self, method):
         def solved(f, g, gjac, event):
-            law = iv.Invariants(iv.compile(g), iv.compile(gjac), names="energy")
-            events = iv.Event(iv.compile(event))
-            return iv.solve_ivp(iv.compile(f), (0, 2), [1.0, 0.5], method, args=(2.0,), invariants=law, events=events)
+            law, events = iv.Invariants(g, gjac, names="energy"), iv.Event(event)
+            return iv.solve_ivp(f, (0, 2), [1.0, 0.5], method, args=(2.0,), invariants=law, events=events)
 
-        sol = solved(self.writing, self.energy, self.gradient, self.crossing)
-        clean = solved(
-            self.honest,
-            lambda t, y, p: p[0] * y[0] * y[0] + y[1] * y[1],
-            lambda t, y, p: (2 * p[0] * y[0], 2 * y[1]),
-            lambda t, y, p: y[0] * p[0],
-        )
+        sol, clean = solved(*self.compiled()), solved(*self.honestly())
         assert sol.success, sol.message
         np.testing.assert_array_equal(sol.y, clean.y)
         np.testing.assert_array_equal(sol.t_events[0], clean.t_events[0])

@@ -152,8 +152,10 @@ def test_functions_of_a_script_travel() -> None:
 def test_dask_and_a_worker_that_dies(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     zarr = pytest.importorskip("zarr")
+    dask = pytest.importorskip("dask")
     with (
         warnings.catch_warnings(),
+        dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}),  # imports distributed once
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
         ) as cluster,

@@ -207,7 +207,8 @@ def energy(t, y, w, d):
 def test_what_may_only_fall_does_not_restrict_derivatives(method):
     """Without friction the energy stays, but its derivative with respect to friction does not."""
     w, tf = 1.5, 20.0
-    given = {"args": (w, 0.0), "rtol": 1e-7, "atol": 1e-9, "invariants": iv.Dissipated(energy)}
+    rtol = 1e-6 if iv.METHODS[method].order == 2 else 1e-7
+    given = {"args": (w, 0.0), "rtol": rtol, "atol": rtol / 100, "invariants": iv.Dissipated(energy)}
     sol = iv.solve_ivp(braked, (0, tf), [1.0, 0.0], method, **given, sensitivities=True)
     assert (np.diff(energy(0, sol.y, w, 0)) <= 1e-14).all()
     if method == "ode113":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import inspect
 import pickle
@@ -32,10 +33,20 @@ SOURCES = [(module_name(path), path) for path in PACKAGE.rglob("*.py*") if path.
 MODULES = {name for name, _ in SOURCES}
 
 
+@functools.cache
+def tree(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imported(name, path):
     """All modules of the package that a module names in an import, in functions and for type checkers too."""
+    return list(_imported(name, path))
+
+
+def _imported(name, path):
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in MODULES)
         elif isinstance(node, ast.ImportFrom):
@@ -106,7 +117,7 @@ def test_no_function_is_longer_than_a_screen():
     """Python's by their syntax; those of the core and the binding from the line at the margin that opens them."""
     found = {}
     for path in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "paper").glob("*.py")]):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.FunctionDef):
                 first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
                 lines = first.lineno - node.body[0].lineno if ast.get_docstring(node) else 0

@@ -225,7 +225,8 @@ class CompiledFunction:
             head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
-            body += [f"out[:{half}] = y[{half}:]", f"out = out[{half}:]"] if half else []
+            if half:  # not as slices: to say that their lengths differ numba would compile its strings, for seconds
+                body += [f"for i in range({half}):", f"    out[i] = y[{half} + i]", f"out = out[{half}:]"]
             body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size - half)
         text = "\n    ".join([head, *body])
         given = copied if copies else read_only
@@ -245,15 +246,16 @@ class CompiledFunction:
         numba = numba_or_say_so()
         fun = self.fun.fun if isinstance(self.fun, FirstOrderForm) else self.fun
         fun = getattr(fun, "py_func", fun)
+        # Only the code made of it calls it: without what calls from Python and C need it compiles in half the time.
+        options = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         if is_complex:
             if self._jitted_complex is None:
                 from .numba_additions import ComplexCompiler
 
-                options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
-                self._jitted_complex = numba.njit(**options)(_with_complex_math(fun))
+                self._jitted_complex = numba.njit(pipeline_class=ComplexCompiler, **options)(_with_complex_math(fun))
             return self._jitted_complex
         if self._jitted is None:
-            self._jitted = numba.njit(fun, error_model="numpy")
+            self._jitted = numba.njit(**options)(fun)
         return self._jitted
 
     def _check_call(self, names: list[str]) -> None:
