@@ -1,14 +1,12 @@
-#define NPY_NO_DEPRECATED_API NPY_1_22_API_VERSION
 #include "callables.hpp"
 
 #include <Python.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
-#include <numpy/arrayobject.h>
 
 #include <algorithm>
 #include <cassert>
-#include <cstdio>
+#include <cstddef>
 #include <new>
 #include <stdexcept>
 #include <tuple>
@@ -19,351 +17,10 @@
 #include "linear/solve.hpp"
 #include "manifolds.hpp"
 #include "mechanics.hpp"
+#include "outputs.hpp"
+#include "python_function.hpp"
 
 namespace invariode::binding {
-
-/// A Python callable as a core callback. y, or its two parts, is handed over in an array that the callee may keep: it
-/// is used again only if nobody else holds it or a view of it. Results are copied at once. The first exception stays
-/// set, and the callback says `stop`.
-class PythonFunction final : public Callable {
- public:
-  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, Takes takes, Returns returns)
-      : args_(args), name_(std::move(name)), takes_(takes), returns_(returns) {
-    take(nb::borrow(callable));
-  }
-  ~PythonFunction() override {
-    for (PyArrayObject* spare : spare_) Py_XDECREF(reinterpret_cast<PyObject*>(spare));
-  }
-
-  [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
-  /// Another one that takes and returns the same.
-  void exchange(nb::object callable, nb::tuple args) {
-    const nb::object before = take(std::move(callable));  // is given up at the end, which may run Python code
-    std::swap(args_, args);
-  }
-  int visit(visitproc visit, void* arg) const override {
-    Py_VISIT(callable_.ptr());
-    Py_VISIT(args_.ptr());
-    return 0;
-  }
-
- private:
-  static Status entry(void* self, double t, const double* y, double* out) noexcept {
-    return in_python([&] { return static_cast<PythonFunction*>(self)->call(t, y, out); }) ? Status::ok : Status::stop;
-  }
-
-  /// The callable from now on. Returns what it was.
-  nb::object take(nb::object callable) {
-    state_first_ = nb::isinstance<StateFirst>(callable);
-    if (state_first_) callable = nb::cast<const StateFirst&>(callable).fun;
-    looks_for_signals_ = PyFunction_Check(callable.ptr()) != 0;
-    return std::exchange(callable_, std::move(callable));
-  }
-
-  // None of these throws, but each may end its thread (`in_python`).
-  bool call(double t, const double* y, double* out);
-  PyObject* call_with(PyObject* time, PyArrayObject* const* parts);
-  PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
-  [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
-  PyArrayObject* array_for(std::size_t part, const double* y);
-  [[nodiscard]] bool reusable(PyArrayObject* a, std::span<const npy_intp> shape) const;
-  bool read(PyObject* result, double* out);
-  bool read_truth(PyObject* result, double* out) const;
-  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
-  bool read_array(PyArrayObject* array, double* out);
-  bool holds_numbers(PyObject* items) const;
-  bool read_objects(PyArrayObject* array, double* out) const;
-  bool has_values(PyObject* array) const;
-  [[nodiscard]] bool fits(PyArrayObject* array) const;
-  void complain(PyObject* returned) const;
-
-  nb::object callable_;
-  nb::tuple args_;
-  std::string name_;
-  bool looks_for_signals_ = false;  // a function written in Python does so itself when it is entered
-  bool state_first_ = false;        // it takes (y, t), not (t, y)
-  Takes takes_;
-  Returns returns_;
-  PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
-};
-
-bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape) const {
-  constexpr int flags = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
-  return a != nullptr && is_unique(reinterpret_cast<PyObject*>(a)) &&
-         PyArray_NDIM(a) == static_cast<int>(shape.size()) && std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
-         (PyArray_FLAGS(a) & ~NPY_ARRAY_F_CONTIGUOUS) == flags &&
-         PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE) && PyArray_ISNOTSWAPPED(a);
-}
-
-PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
-  assert(part < 2);
-  const bool matrix = part == 0 && takes_.rows > 0;
-  const npy_intp whole[] = {matrix ? takes_.rows : part == 0 ? takes_.n : takes_.second, takes_.n};
-  const std::span<const npy_intp> shape(whole, matrix ? 2 : 1);
-  const npy_intp size = matrix ? whole[0] * whole[1] : whole[0];
-  PyArrayObject* a = std::exchange(spare_[part], nullptr);
-  if (!reusable(a, shape)) {
-    Py_XDECREF(reinterpret_cast<PyObject*>(a));
-    a = reinterpret_cast<PyArrayObject*>(
-        PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE));
-    if (a == nullptr) return nullptr;
-  }
-  std::copy_n(y, size * (takes_.complex ? 2 : 1), static_cast<double*>(PyArray_DATA(a)));
-  return a;
-}
-
-/// t, which is the first of the complex numbers where there is a complex one; then they begin after it.
-PyObject* PythonFunction::time_for(double t, const double*& y) const {
-  if (!takes_.complex_time) return PyFloat_FromDouble(t);
-  const double re = y[0], im = y[1];
-  y += 2;
-  return im == 0 ? PyFloat_FromDouble(re) : PyComplex_FromDoubles(re, im);
-}
-
-bool PythonFunction::call(double t, const double* y, double* out) {
-  assert(PyGILState_Check() == 1 && PyErr_Occurred() == nullptr);
-  if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
-  PyObject* time = time_for(t, y);
-  PyArrayObject* parts[2] = {array_for(0, y), nullptr};
-  const bool two = takes_.second > 0;
-  const std::ptrdiff_t first = takes_.n * std::max<std::ptrdiff_t>(takes_.rows, 1);
-  if (two) parts[1] = array_for(1, y + first * (takes_.complex ? 2 : 1));
-  PyObject* result = nullptr;
-  if (time != nullptr && parts[0] != nullptr && (!two || parts[1] != nullptr)) result = call_with(time, parts);
-  const bool done = result != nullptr && read(result, out);
-  Py_XDECREF(result);
-  Py_XDECREF(time);
-  for (std::size_t k = 0; k < (two ? 2 : 1); ++k) {
-    if (spare_[k] == nullptr)  // else a nested call of this function has left its own
-      spare_[k] = parts[k];
-    else
-      Py_XDECREF(reinterpret_cast<PyObject*>(parts[k]));
-  }
-  return done;
-}
-
-PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts) {
-  constexpr std::size_t on_stack = 8;
-  const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
-  if (extra > on_stack) return call_with_tuple(time, parts);
-  PyObject* arguments[on_stack + 4];
-  std::size_t count = 1;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
-  arguments[count++] = state_first_ ? reinterpret_cast<PyObject*>(parts[0]) : time;
-  arguments[count++] = state_first_ ? time : reinterpret_cast<PyObject*>(parts[0]);
-  if (parts[1] != nullptr) arguments[count++] = reinterpret_cast<PyObject*>(parts[1]);
-  for (std::size_t i = 0; i < extra; ++i)
-    arguments[count++] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
-  return PyObject_Vectorcall(callable_.ptr(), arguments + 1, (count - 1) | PY_VECTORCALL_ARGUMENTS_OFFSET, nullptr);
-}
-
-/// The call with arguments that are too many for the stack.
-PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* const* parts) const {
-  const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr()), own = parts[1] == nullptr ? 2 : 3;
-  PyObject* arguments = PyTuple_New(own + extra);
-  if (arguments == nullptr) return nullptr;
-  PyTuple_SET_ITEM(arguments, state_first_ ? 1 : 0, Py_NewRef(time));
-  PyTuple_SET_ITEM(arguments, state_first_ ? 0 : 1, Py_NewRef(reinterpret_cast<PyObject*>(parts[0])));
-  if (own == 3) PyTuple_SET_ITEM(arguments, 2, Py_NewRef(reinterpret_cast<PyObject*>(parts[1])));
-  for (Py_ssize_t i = 0; i < extra; ++i)
-    PyTuple_SET_ITEM(arguments, own + i, Py_NewRef(PyTuple_GET_ITEM(args_.ptr(), i)));
-  PyObject* result = PyObject_Call(callable_.ptr(), arguments, nullptr);
-  Py_DECREF(arguments);
-  return result;
-}
-
-/// Copies what was returned into out, the common kinds without NumPy's generic paths.
-bool PythonFunction::read(PyObject* result, double* out) {
-  if (returns_.kind == Returns::Kind::truth) return read_truth(result, out);
-  if ((!returns_.matrix || returns_.rows == 1) && read_sequence(result, out)) return true;
-  if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
-  PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
-  if (array == nullptr) {
-    if (PyErr_Occurred() != nullptr && PyErr_ExceptionMatches(PyExc_ValueError) == 0) return false;
-    complain(result);
-    return false;
-  }
-  auto* values = reinterpret_cast<PyArrayObject*>(array);
-  const bool something_else = PyArray_NDIM(values) == 0 && PyArray_ISOBJECT(values);  // a generator, a dict
-  if (something_else) complain(result);
-  const bool done = !something_else && read_array(values, out);
-  Py_DECREF(array);
-  return done;
-}
-
-/// What is true for Python; an array of several values is neither true nor false.
-bool PythonFunction::read_truth(PyObject* result, double* out) const {
-  if (PyArray_Check(result) && PyArray_SIZE(reinterpret_cast<PyArrayObject*>(result)) != 1) {
-    PyObject* shape = PyObject_GetAttrString(result, "shape");
-    PyErr_Format(PyExc_ValueError, "%s returned an array of shape %S, expected True to stop, or False or None to go on",
-                 name_.c_str(), shape);
-    Py_XDECREF(shape);
-    return false;
-  }
-  const int truth = PyObject_IsTrue(result);
-  out[0] = truth;
-  return truth >= 0;
-}
-
-/// Lists and tuples of Python or NumPy floats and ints, and a bare float where one number is expected. False: try as an
-/// array.
-bool PythonFunction::read_sequence(PyObject* result, double* out) const {
-  const auto number = [this](PyObject* item, double* to) {
-    if (PyFloat_Check(item)) {
-      to[0] = PyFloat_AS_DOUBLE(item);
-      if (returns_.complex) to[1] = 0;
-      return true;
-    }
-    if (returns_.complex && PyComplex_Check(item)) {
-      const Py_complex z = PyComplex_AsCComplex(item);
-      to[0] = z.real;
-      to[1] = z.imag;
-      return true;
-    }
-    if (PyLong_CheckExact(item)) {
-      to[0] = PyLong_AsDouble(item);
-      if (returns_.complex) to[1] = 0;
-      if (to[0] != -1.0 || PyErr_Occurred() == nullptr) return true;
-      PyErr_Clear();
-    }
-    return false;
-  };
-  const npy_intp size = returns_.size();
-  const npy_intp stride = returns_.complex ? 2 : 1;
-  const bool list = PyList_CheckExact(result);
-  if (!list && !PyTuple_CheckExact(result)) return size == 1 && number(result, out);
-  const ListLock lock(result);
-  if ((list ? PyList_GET_SIZE(result) : PyTuple_GET_SIZE(result)) != size) return false;
-  for (npy_intp i = 0; i < size; ++i)
-    if (!number(list ? PyList_GET_ITEM(result, i) : PyTuple_GET_ITEM(result, i), out + i * stride)) return false;
-  return true;
-}
-
-bool PythonFunction::fits(PyArrayObject* array) const {
-  const int nd = PyArray_NDIM(array);
-  const npy_intp* shape = PyArray_DIMS(array);
-  if (PyArray_SIZE(array) != returns_.size()) return false;
-  if (returns_.size() == 1) return true;
-  if (returns_.matrix && nd == 2) return shape[0] == returns_.rows && shape[1] == returns_.columns;
-  return nd == 1 && (!returns_.matrix || returns_.rows == 1);
-}
-
-bool PythonFunction::read_array(PyArrayObject* array, double* out) {
-  const int type = returns_.complex ? NPY_CDOUBLE : NPY_DOUBLE;
-  if (!fits(array)) {
-    complain(reinterpret_cast<PyObject*>(array));
-    return false;
-  }
-  if (!PyArray_CheckExact(reinterpret_cast<PyObject*>(array)) && !has_values(reinterpret_cast<PyObject*>(array)))
-    return false;
-  const auto copy = [&](PyArrayObject* from) {
-    assert(PyArray_SIZE(from) == returns_.size());
-    std::copy_n(static_cast<const double*>(PyArray_DATA(from)), returns_.size() * (returns_.complex ? 2 : 1), out);
-  };
-  if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
-    copy(array);
-    return true;
-  }
-  const bool numeric = PyArray_ISNUMBER(array) || PyArray_ISBOOL(array) || PyArray_ISOBJECT(array);
-  if (!numeric || (PyArray_ISCOMPLEX(array) && !returns_.complex)) {
-    PyErr_Format(PyExc_TypeError, "%s returned values of type %S, expected %s numbers%s", name_.c_str(),
-                 reinterpret_cast<PyObject*>(PyArray_DESCR(array)), returns_.complex ? "complex" : "real",
-                 PyArray_ISCOMPLEX(array) && !takes_.complex ? " (for a complex problem give a complex y0)" : "");
-    return false;
-  }
-  if (PyArray_ISOBJECT(array)) return read_objects(array, out);
-  PyObject* converted = PyArray_FromAny(reinterpret_cast<PyObject*>(array), PyArray_DescrFromType(type), 0, 0,
-                                        NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST, nullptr);
-  if (converted == nullptr) return false;
-  copy(reinterpret_cast<PyArrayObject*>(converted));
-  Py_DECREF(converted);
-  return true;
-}
-
-/// An error if entries of an array are masked, as in numpy.ma: behind the mask anything may stand.
-bool PythonFunction::has_values(PyObject* array) const {
-  PyObject* mask = PyObject_GetAttrString(array, "mask");
-  PyObject* any = mask == nullptr ? nullptr : PyObject_CallMethod(mask, "any", nullptr);
-  const bool masked = any != nullptr && PyObject_IsTrue(any) == 1;
-  Py_XDECREF(any);
-  Py_XDECREF(mask);
-  PyErr_Clear();  // an array of another kind, which has no mask
-  if (masked)
-    PyErr_Format(PyExc_ValueError, "%s returned masked entries, which have no values: return numbers for all of them",
-                 name_.c_str());
-  return !masked;
-}
-
-/// An error if what is no number at all (None, which NumPy would read as NaN) is among the items.
-bool PythonFunction::holds_numbers(PyObject* items) const {
-  for (Py_ssize_t i = 0; i < PyList_GET_SIZE(items); ++i) {
-    PyObject* item = PyList_GET_ITEM(items, i);
-    if (PyNumber_Check(item) != 0) continue;
-    PyErr_Format(PyExc_TypeError, "%s returned %R among its values, expected %s numbers", name_.c_str(), item,
-                 returns_.complex ? "complex" : "real");
-    return false;
-  }
-  return true;
-}
-
-/// float() of each item, or complex().
-bool PythonFunction::read_objects(PyArrayObject* array, double* out) const {
-  PyObject* flat = PyArray_Ravel(array, NPY_CORDER);
-  PyObject* items = flat == nullptr ? nullptr : PyArray_ToList(reinterpret_cast<PyArrayObject*>(flat));
-  Py_XDECREF(flat);
-  if (items == nullptr) return false;
-  const bool numbers = holds_numbers(items);
-  for (Py_ssize_t i = 0; numbers && i < PyList_GET_SIZE(items) && PyErr_Occurred() == nullptr; ++i) {
-    if (returns_.complex) {
-      const Py_complex z = PyComplex_AsCComplex(PyList_GET_ITEM(items, i));
-      *out++ = z.real;
-      *out++ = z.imag;
-    } else {
-      *out++ = PyFloat_AsDouble(PyList_GET_ITEM(items, i));
-    }
-    if (PyLong_Check(PyList_GET_ITEM(items, i)) && PyErr_ExceptionMatches(PyExc_OverflowError) != 0) {
-      PyErr_Clear();
-      PyErr_Format(PyExc_ValueError, "%s returned an integer too large for a double", name_.c_str());
-    }
-  }
-  Py_DECREF(items);
-  return PyErr_Occurred() == nullptr;
-}
-
-/// ValueError: the name of the function, the shape returned, the shape expected; with the exception that is set as its
-/// cause.
-void PythonFunction::complain(PyObject* returned) const {
-  PyObject *type = nullptr, *cause = nullptr, *traceback = nullptr;
-  PyErr_Fetch(&type, &cause, &traceback);
-  if (type != nullptr) PyErr_NormalizeException(&type, &cause, &traceback);
-
-  char expected[96];
-  const auto rows = static_cast<long long>(returns_.rows), columns = static_cast<long long>(returns_.columns);
-  if (returns_.matrix)
-    std::snprintf(expected, sizeof expected, rows == 1 ? "shape (%lld, %lld) or (%lld,)" : "shape (%lld, %lld)", rows,
-                  columns, columns);
-  else
-    std::snprintf(expected, sizeof expected, returns_.size() == 1 ? "a number or shape (1,)" : "shape (%lld,)", rows);
-  if (PyArray_Check(returned)) {
-    PyObject* shape = PyObject_GetAttrString(returned, "shape");
-    PyErr_Format(PyExc_ValueError, "%s returned shape %S, expected %s", name_.c_str(), shape, expected);
-    Py_XDECREF(shape);
-  } else if (returned == Py_None) {
-    PyErr_Format(PyExc_ValueError, "%s returned None (is a `return` missing?), expected %s", name_.c_str(), expected);
-  } else {
-    PyErr_Format(PyExc_ValueError, "%s returned a %s that is not an array of numbers, expected %s", name_.c_str(),
-                 Py_TYPE(returned)->tp_name, expected);
-  }
-  if (cause != nullptr) {
-    PyObject *t = nullptr, *error = nullptr, *tb = nullptr;
-    PyErr_Fetch(&t, &error, &tb);
-    PyErr_NormalizeException(&t, &error, &tb);
-    PyException_SetCause(error, Py_NewRef(cause));
-    PyErr_Restore(t, error, tb);
-  }
-  Py_XDECREF(type);
-  Py_XDECREF(cause);
-  Py_XDECREF(traceback);
-}
 
 namespace {
 
@@ -508,15 +165,6 @@ Status reported(Act act) noexcept {
   return Status::stop;
 }
 
-/// A new array of these values, `size` reals or half as many complex numbers.
-nb::object new_array(const double* values, std::size_t size, bool complex) {
-  auto n = static_cast<npy_intp>(complex ? size / 2 : size);
-  PyObject* array = PyArray_SimpleNew(1, &n, complex ? NPY_CDOUBLE : NPY_DOUBLE);
-  if (array == nullptr) throw nb::python_error();
-  std::copy_n(values, size, static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))));
-  return nb::steal(array);
-}
-
 /// A Python function of (t, y), or of t alone, as a core function that fills a matrix. It returns what `read_matrix`
 /// takes: Python's own layer has brought what the user's function returned into this form.
 class PythonMatrix final : public Callable {
@@ -530,7 +178,7 @@ class PythonMatrix final : public Callable {
   static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
     auto* me = static_cast<PythonMatrix*>(self);
     return reported([&] {
-      read_matrix(y == nullptr ? me->function_(t) : me->function_(t, new_array(y, out.n(), me->complex_)), out);
+      read_matrix(y == nullptr ? me->function_(t) : me->function_(t, state_array(y, out.n(), me->complex_)), out);
     });
   }
 
@@ -562,14 +210,14 @@ class PythonPreconditioner final : public Callable {
   static Status set_up(void* self, double t, const double* y, double c, std::shared_ptr<void>& made) noexcept {
     auto& me = *static_cast<PythonPreconditioner*>(self);
     return reported([&] {
-      const nb::object state = new_array(y, me.space_.size, me.space_.complex);
+      const nb::object state = state_array(y, me.space_.size, me.space_.complex);
       made = std::make_shared<Made>(me.function_(t, state, c));
     });
   }
   static Status solve(void* self, void* made, double* b) noexcept {
     auto& me = *static_cast<PythonPreconditioner*>(self);
     return reported([&] {
-      const nb::object right = new_array(b, me.space_.size, me.space_.complex);
+      const nb::object right = state_array(b, me.space_.size, me.space_.complex);
       const auto x = nb::cast<ConstVector>(static_cast<Made*>(made)->solve(right));
       require(x.size() == me.space_.size, "what a preconditioner returned is not of the size of the state");
       std::copy_n(x.data(), x.size(), b);
@@ -663,7 +311,7 @@ Motion& Functions::motion(const nb::object& mechanics) {
 }
 
 Callback Functions::state_valued(nb::handle f, const std::string& name) {
-  return add(f, args_, name, {.rows = static_cast<npy_intp>(space_.components()), .complex = space_.complex},
+  return add(f, args_, name, {.rows = static_cast<std::ptrdiff_t>(space_.components()), .complex = space_.complex},
              space_.complex);
 }
 
@@ -710,22 +358,22 @@ Callback Functions::truth(nb::handle f, const std::string& name) {
 }
 
 Callback Functions::vector(nb::handle f, const std::string& name, std::size_t m) {
-  return add(f, args_, name, {.rows = static_cast<npy_intp>(m)}, space_.complex);
+  return add(f, args_, name, {.rows = static_cast<std::ptrdiff_t>(m)}, space_.complex);
 }
 
 Callback Functions::complex_vector(nb::handle f, const std::string& name, std::size_t m) {
-  return add(f, args_, name, {.rows = static_cast<npy_intp>(m), .complex = true}, true);
+  return add(f, args_, name, {.rows = static_cast<std::ptrdiff_t>(m), .complex = true}, true);
 }
 
 Callback Functions::square(nb::handle f, const std::string& name, std::size_t k) {
-  const auto size = static_cast<npy_intp>(k);
+  const auto size = static_cast<std::ptrdiff_t>(k);
   return add(f, args_, name, {.rows = size, .columns = size, .matrix = true}, space_.complex);
 }
 
 Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
   return add(f, args_, name,
-             {.rows = static_cast<npy_intp>(m),
-              .columns = static_cast<npy_intp>(space_.components()),
+             {.rows = static_cast<std::ptrdiff_t>(m),
+              .columns = static_cast<std::ptrdiff_t>(space_.components()),
               .matrix = true,
               .complex = space_.complex},
              space_.complex);
@@ -874,7 +522,6 @@ void define_machine_code(nb::module_& module) {
 }  // namespace
 
 void define_callables(nb::module_& module) {
-  if (_import_array() < 0) throw nb::python_error();
   define_inputs(module);
   define_step_limit(module);
   define_machine_code(module);

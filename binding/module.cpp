@@ -24,6 +24,7 @@
 #include "methods/registry.hpp"
 #include "outputs.hpp"
 #include "problem.hpp"
+#include "python_function.hpp"
 #include "run/names.hpp"
 #include "run/points.hpp"
 #include "runs.hpp"
@@ -250,6 +251,7 @@ NB_MODULE(_core, module) {
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
   prepare_outputs();
+  prepare_python_functions();
   define_arguments(module);
   define_callables(module);
   define_problem(module);

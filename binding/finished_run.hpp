@@ -1,0 +1,36 @@
+#pragma once
+// What comes out of a run.
+
+#include <nanobind/nanobind.h>
+
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "arrays.hpp"
+#include "dense.hpp"
+#include "run/run.hpp"
+
+namespace nb = nanobind;
+
+namespace invariode::binding {
+
+/// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
+struct FinishedRun {
+  RunResult result;
+  std::optional<Dense> dense;
+  RunMemory memory;
+  bool complex = false;
+  // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
+  std::vector<double> start = {}, value = {};
+  bool points_taken = false;
+};
+
+inline std::pair<Vector, Table> to_arrays(Trajectory&& points, std::size_t n) {
+  const std::size_t size = points.t.size();
+  return {to_array<Vector>(std::move(points.t), size), to_array<Table>(std::move(points.y), size, n)};
+}
+
+void define_finished_run(nb::module_& module);
+
+}  // namespace invariode::binding

@@ -1,0 +1,86 @@
+#pragma once
+// Calls of Python functions from the core.
+
+#include <Python.h>
+#include <nanobind/nanobind.h>
+#include <numpy/ndarraytypes.h>
+
+#include <cstddef>
+#include <span>
+#include <string>
+#include <utility>
+
+#include "callables.hpp"
+#include "interpreter.hpp"
+
+namespace invariode::binding {
+
+/// A Python callable as a core callback. y, or its two parts, is handed over in an array that the callee may keep: it
+/// is used again only if nobody else holds it or a view of it. Results are copied at once. The first exception stays
+/// set, and the callback says `stop`.
+class PythonFunction final : public Callable {
+ public:
+  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, Takes takes, Returns returns)
+      : args_(args), name_(std::move(name)), takes_(takes), returns_(returns) {
+    take(nb::borrow(callable));
+  }
+  ~PythonFunction() override {
+    for (PyArrayObject* spare : spare_) Py_XDECREF(reinterpret_cast<PyObject*>(spare));
+  }
+
+  [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
+  /// Another one that takes and returns the same.
+  void exchange(nb::object callable, nb::tuple args) {
+    const nb::object before = take(std::move(callable));  // is given up at the end, which may run Python code
+    std::swap(args_, args);
+  }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(callable_.ptr());
+    Py_VISIT(args_.ptr());
+    return 0;
+  }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) noexcept {
+    return in_python([&] { return static_cast<PythonFunction*>(self)->call(t, y, out); }) ? Status::ok : Status::stop;
+  }
+
+  /// The callable from now on. Returns what it was.
+  nb::object take(nb::object callable) {
+    state_first_ = nb::isinstance<StateFirst>(callable);
+    if (state_first_) callable = nb::cast<const StateFirst&>(callable).fun;
+    looks_for_signals_ = PyFunction_Check(callable.ptr()) != 0;
+    return std::exchange(callable_, std::move(callable));
+  }
+
+  // None of these throws, but each may end its thread (`in_python`).
+  bool call(double t, const double* y, double* out);
+  PyObject* call_with(PyObject* time, PyArrayObject* const* parts);
+  PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
+  [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
+  PyArrayObject* array_for(std::size_t part, const double* y);
+  [[nodiscard]] bool reusable(PyArrayObject* a, std::span<const npy_intp> shape) const;
+  bool read(PyObject* result, double* out);
+  bool read_truth(PyObject* result, double* out) const;
+  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
+  bool read_array(PyArrayObject* array, double* out);
+  bool holds_numbers(PyObject* items) const;
+  bool read_objects(PyArrayObject* array, double* out) const;
+  bool has_values(PyObject* array) const;
+  [[nodiscard]] bool fits(PyArrayObject* array) const;
+  void complain(PyObject* returned) const;
+
+  nb::object callable_;
+  nb::tuple args_;
+  std::string name_;
+  bool looks_for_signals_ = false;  // a function written in Python does so itself when it is entered
+  bool state_first_ = false;        // it takes (y, t), not (t, y)
+  Takes takes_;
+  Returns returns_;
+  PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
+};
+
+/// Before the first of them.
+void prepare_python_functions();
+
+}  // namespace invariode::binding
