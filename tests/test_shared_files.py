@@ -231,7 +231,7 @@ def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
     monkeypatch.setattr("invariode._run.checkpoint._SESSION", "another one")
     iv.load(path, problem()).extend(3, max_steps=None)
     monkeypatch.undo()
-    with pytest.raises(ValueError, match=r"another process has gone on with .*, to t = 3\.0: load it again"):
+    with pytest.raises(ValueError, match=r"another process has continued .*, to t = 3\.0: load it again"):
         half.extend(3, max_steps=None)
     assert iv.load(path, problem()).t_end == 3
 

@@ -151,7 +151,7 @@ class Stats(Record):
 
     @classmethod
     def when_needed(cls, make: Callable[[], Stats]) -> Stats:
-        """Counts that are made when the first of them is asked for."""
+        """Counts that are made when one of them is first read."""
         later = cls.__new__(cls)
         later.__dict__["_make"] = make
         return later
@@ -448,7 +448,7 @@ class Result(dict[str, Any]):
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
     def __init__(self, private: Mapping[str, Any] | Callable[[], Mapping[str, Any]], /, **fields: Any) -> None:
-        """`private`, what is not an item, may be made when the first of it is asked for."""
+        """`private` holds what is not an item; a callable makes it when it is first needed."""
         super().__init__(fields)
         if callable(private):
             self.__dict__["_make"] = private

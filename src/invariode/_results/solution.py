@@ -123,11 +123,11 @@ class Solution(Exports):
         ----------
         t_end : float
             The new end, in the direction of integration beyond the point where the run ended, whether the end of its
-            interval, an event, the callback or a limit ended it. May be infinite. Where the run has ended there
-            already, the solution is this one.
+            interval, an event, the callback or a limit ended it. May be infinite. If the run has already ended
+            there, this solution is returned.
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
-            output if there are none. Those beyond `t_end` are left for a further extension.
+            output if it has reached all. Times beyond `t_end` are kept for a further extension.
         max_step : float or 'tenth', optional
             Default: the run's; 'tenth' is a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional

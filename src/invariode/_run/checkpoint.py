@@ -86,8 +86,7 @@ class Checkpoint:
                 )
             if left["sequence"] != self._sequence and left["writer"] != _writer():
                 raise ValueError(
-                    f"checkpoint: another process has gone on with {self._path}, to t = {left['t_end']!r}: load it "
-                    "again"
+                    f"checkpoint: another process has continued {self._path}, to t = {left['t_end']!r}: load it again"
                 )
         self.mechanics = mechanics
 

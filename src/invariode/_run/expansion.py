@@ -237,7 +237,7 @@ class Expansion(NamedTuple):
         return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
 
     def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
-        """Code of the series of so many solutions side by side, or why there is none."""
+        """Code for the series of this many solutions side by side, or the reason why it cannot be made."""
         from .._functions.graph.series import lane_code
 
         return lane_code(self.outputs, self.form._replace(lanes=lanes), make=make)
