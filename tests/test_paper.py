@@ -231,6 +231,7 @@ def test_the_command_prints_the_table_and_writes_the_report(tmp_path):
 @pytest.mark.parametrize("columns", [80, 120])
 def test_table_fits_the_terminal(columns, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("paper.command.run", results)
     outcome = CliRunner().invoke(papers, ["--no-report"], env={"COLUMNS": str(columns)})
     assert outcome.exit_code == 0, outcome.output
     assert "…" not in outcome.output

@@ -322,6 +322,7 @@ def after_use(simulation):
     return weakref.ref(simulation)
 
 
+@pytest.mark.usefixtures("few_objects")
 @explicit_and_implicit
 def test_a_solver_that_its_functions_refer_to_is_collected(method):
     alive = after_use(Simulation(method))
@@ -329,6 +330,7 @@ def test_a_solver_that_its_functions_refer_to_is_collected(method):
     assert alive() is None
 
 
+@pytest.mark.usefixtures("few_objects")
 @pytest.mark.parametrize("matrices", [["jac"], ["mass"], ["jac", "mass"]])
 def test_a_solver_that_its_matrices_refer_to_is_collected(matrices):
     alive = after_use(Simulation("ode15s", *matrices))
@@ -336,6 +338,7 @@ def test_a_solver_that_its_matrices_refer_to_is_collected(matrices):
     assert alive() is None
 
 
+@pytest.mark.usefixtures("few_objects")
 @explicit_and_implicit
 def test_the_solver_keeps_what_it_needs(method):
     """Without a reference to the functions from anywhere else."""
