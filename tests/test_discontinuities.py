@@ -363,6 +363,7 @@ def test_a_solution_that_sticks_where_f_jumps_is_told(method, rtol, y0):
     (text,) = [str(one.message) for one in said if one.category is iv.DiscontinuityWarning]
     if sol.status == -1 or sol.stats.failed > sol.stats.steps:
         assert "sticks where fun jumps" in text or "looks discontinuous" in text
+        assert "wrong Jacobian" not in sol.message  # no jac was given, and the jump is what is wrong
         return
     assert "sticks where fun jumps" in text
     since = float(text.partition("from t = ")[2].split()[0])

@@ -201,8 +201,14 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         )
     if run.cause == "newton" and run.unsolved in _UNDEFINED:
         return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
+    jumps = run.sticks_since is not None or any((t - run.t) * run.h > 0 for t in run.discontinuities)
     if run.cause == "newton":
-        return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
+        what = _newton_failed(run, pairs)
+        if what != _NEWTON_DIVERGED:
+            return f"{what}, {where}. {_NEWTON_REMEDY}"
+        if jumps:  # what comes after the message says why
+            return f"{what}, {where}."
+        return f"{what} ({_WRONG_JACOBIAN}), {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
         return (
             f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance even with the "
@@ -222,8 +228,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             "pass over it."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
-    if any((t - run.t) * run.h > 0 for t in run.discontinuities):
-        return text  # what comes after it says why
+    if jumps:
+        return text
     if run.pure_relative:
         text += (
             f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
@@ -260,25 +266,25 @@ _UNDEFINED = {
 #: What helps where Newton's iteration fails.
 _NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution earlier with a terminal event."
 
+_NEWTON_DIVERGED = "Newton's iteration does not converge even with the smallest step"
+_WRONG_JACOBIAN = "a wrong Jacobian, or a jac_sparsity or band that misses entries, may be the cause"
+
 
 def _newton_failed(run: Run, pairs: bool) -> str:
     if run.undefined_mass:
-        return "The mass matrix becomes NaN or infinite, even with the smallest step,"
+        return "The mass matrix becomes NaN or infinite, even with the smallest step"
     if run.undefined_jacobian:
-        return "The Jacobian of fun is NaN or infinite, even with the smallest step,"
+        return "The Jacobian of fun is NaN or infinite, even with the smallest step"
     if run.singular:
-        return "The iteration matrix M - h c J is singular even with the smallest step,"
+        return "The iteration matrix M - h c J is singular even with the smallest step"
     if run.unsolved == "slow":
         return (
             "GMRES does not solve the linear systems of Newton's iteration even with the smallest step (give a better "
-            "preconditioner, or a larger GMRES(dimension=)),"
+            "preconditioner, or a larger GMRES(dimension=))"
         )
     if run.component >= 0:
-        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step,"
-    return (
-        "Newton's iteration does not converge even with the smallest step (a wrong Jacobian, or a jac_sparsity or band "
-        "that misses entries, may be the cause),"
-    )
+        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step"
+    return _NEWTON_DIVERGED
 
 
 def inconsistent_start(verdict: str, t0: float) -> str:
