@@ -322,6 +322,27 @@ def test_labels_of_any_text_come_back(tmp_path):
     assert iv.load(tmp_path / "a")._names.components == labels
 
 
+def test_names_without_an_encoding_are_readable(tmp_path):
+    """Lone surrogates, as `os.fsdecode` makes them of bytes, reached the core, whose text they cannot be."""
+
+    def height(t, y):
+        return y[0] - 0.5
+
+    height.__name__ = "height\udcff"
+    laws = [
+        iv.Invariants(lambda t, y: y[0] + y[1] + y[2], names=["sum\udcff"]),
+        iv.UnitVector([3, 4], name="axis\udcff"),
+    ]
+    events = [height, iv.Event(lambda t, y: y[0] - 0.1, name="low\udcff")]
+    turning = iv.Problem(
+        lambda t, y: [*rates(t, y), -y[4], y[3]], (0, 3), [1.0, 0, 0, 1, 0], invariants=laws, events=events
+    )
+    sol = turning.solve()
+    sol.save(tmp_path / "a")
+    assert iv.load(tmp_path / "a", turning).extend(4).success
+    assert sol.drift().names == ["sum?", "|axis?|²"]
+
+
 def test_a_wrong_f_is_told_alike_with_a_checkpoint(tmp_path):
     with pytest.raises(ValueError, match=r"returned shape \(1,\), expected shape \(3,\)"):
         problem(lambda t, y: [1.0]).solve(checkpoint=tmp_path / "a")

@@ -77,7 +77,12 @@ def call_name(fun: object, default: str) -> str:
     name = getattr(fun, "__name__", None)
     if name == LAMBDIFIED:
         return _expression(fun) or default
-    return name if isinstance(name, str) and name != "<lambda>" else default
+    return encodable(name) if isinstance(name, str) and name != "<lambda>" else default
+
+
+def encodable(name: str) -> str:
+    """A name as the core takes it: with question marks for lone surrogates, which UTF-8 does not have."""
+    return name.encode(errors="replace").decode()
 
 
 #: What SymPy's `lambdify` calls every function that it makes.

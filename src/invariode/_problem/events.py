@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, cast
 
-from .._base.arguments import Array, call_name, flag, function, number, positive_integer, shown
+from .._base.arguments import Array, call_name, encodable, flag, function, number, positive_integer, shown
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
 
@@ -111,7 +111,7 @@ class Event:
 def _name(name: object) -> str:
     if not isinstance(name, str) or not name:
         raise TypeError(f"name of an event must be a string that is not empty, got {shown(name)}")
-    return name
+    return encodable(name)
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:

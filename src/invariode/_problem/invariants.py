@@ -15,6 +15,7 @@ from .._base.arguments import (
     Array,
     call_name,
     choice,
+    encodable,
     function,
     items,
     positive_integer,
@@ -162,13 +163,13 @@ def demanded_values(value: ArrayLike) -> Array:
 
 def _names(names: object) -> list[str]:
     if isinstance(names, str):
-        return [names]
+        return [encodable(names)]
     listed = items(names)
     if listed is None or not all(isinstance(name, str) for name in listed):
         raise TypeError(f"names of invariants must be str, or a list of str, got {shown(names)}")
     if not listed:
         raise ValueError("names of an invariant must be one str for each of its values, got none; leave names out")
-    return listed
+    return [encodable(name) for name in listed]
 
 
 def _level(level: object) -> int:

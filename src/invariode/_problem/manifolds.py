@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, as_array, items, shown
+from .._base.arguments import Array, as_array, encodable, items, shown
 from .invariants import Invariants
 
 #: The entries of RᵀR that are prescribed: a symmetric matrix has six.
@@ -241,9 +241,9 @@ def _bodies(what: str, indices: ArrayLike, size: int | None) -> Array:
 def _named(name: str | Sequence[str] | None, symbol: str, count: int) -> list[str]:
     """A name for each body; one name for several is numbered."""
     if name is None or isinstance(name, str):
-        title = symbol if name is None else name
+        title = symbol if name is None else encodable(name)
         return [title] if count == 1 else [f"{title}{k + 1}" for k in range(count)]
     names = items(name)
     if names is None or len(names) != count or not all(isinstance(one, str) for one in names):
         raise ValueError(f"name must be one str, or {count} str, one for each body, got {shown(name)}")
-    return names
+    return [encodable(one) for one in names]

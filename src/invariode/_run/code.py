@@ -6,7 +6,8 @@ from __future__ import annotations
 import dis
 import hashlib
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import chain
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
@@ -29,6 +30,9 @@ _BINDS |= {"STORE_ATTR": "attribute", "DELETE_ATTR": "attribute"}
 _CHANGES_ITEMS = ("STORE_SUBSCR", "DELETE_SUBSCR", "STORE_SLICE")
 #: and methods of lists, dicts and arrays that do.
 _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove", "setdefault", "sort", "update"}
+
+#: Elements of a list of numbers that is taken as a whole.
+_FEW = 8
 
 
 class Method(NamedTuple):
@@ -183,7 +187,8 @@ def _reached(first: Method) -> list[_Uses]:
             continue
         seen.add(key)
         found.append(_Uses(method))
-        inner = [_method(one) for _, _, value in found[-1].values for one in _elements(value)]
+        called = (one for _, _, value in found[-1].values for one in _elements(value) if callable(one))
+        inner = [_method(one) for one in called]
         waiting += [one for one in inner if one and one.function.__module__ == method.function.__module__]
     return found
 
@@ -204,15 +209,19 @@ def _code(method: Method) -> Iterator[bytes]:
 
 def _elements(value: Any) -> Iterator[Any]:
     """A value, or what a container of values holds, without those that hold each other."""
-    waiting, seen = [value], set()
+    waiting, seen = deque([value]), set()
     while waiting:
-        one = waiting.pop(0)
+        one = waiting.popleft()
         if isinstance(one, partial):
             waiting += [one.func, one.args, one.keywords]
-        elif isinstance(one, (tuple, list, Mapping)):
+        elif (
+            isinstance(one, (tuple, list)) and len(one) > _FEW and all(type(x) is float or type(x) is int for x in one)
+        ):
+            yield repr(one)
+        elif isinstance(one, (tuple, list, dict)):
             if id(one) not in seen:
                 seen.add(id(one))
-                waiting += list(chain(*one.items()) if isinstance(one, Mapping) else one)
+                waiting += chain(*one.items()) if isinstance(one, dict) else one
         else:
             yield one
 
