@@ -464,9 +464,7 @@ bool Integration::go_on_from_jump(bool rehold) {
     return take_back();
   }
   if (!refuse(manifold_.restart(t, y, rehold))) return take_back();
-  emitter_.begin({t, y});
-  const Invariants* invariants = manifold_.invariants();
-  emitter_.jump(t, invariants != nullptr ? invariants->value() : std::vector<double>{});
+  begin_output();
   if (t != settings_.tf && !start_memory(t, y)) return false;
   return watch_events(events_.restart(t, y)) && emit(breaks_.at(t));
 }
@@ -479,10 +477,11 @@ void Integration::begin_piece() {
 
 /// Starts again at the point reached, in the next piece, from what the actions return.
 bool Integration::pass_breakpoint() {
+  if (!unless_stopped(manifold_.note_values(reached_.t, reached_.y))) return false;
   discard_step(reached_.y);
   left_ = y0_;
   begin_piece();
-  bool acts = false, moved = false;
+  bool acts = false, moved = false, others = false;
   for (; breaks_.at(reached_.t); breaks_.pass()) {
     Breakpoint& point = breaks_.next();
     if (!point.action) continue;
@@ -491,9 +490,28 @@ bool Integration::pass_breakpoint() {
     if (!take(point.action, point.jump)) return take_back();
   }
   if (!make_consistent(moved)) return take_back();
-  if (acts || moved) return go_on_from_jump(acts);
+  if (!acts && !unless_stopped(manifold_.compare_values(reached_.t, reached_.y, others))) return take_back();
+  if (acts || moved) return go_on_from_jump(acts || others);
+  if (others && !hold_other_values()) return take_back();
   if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
   return unless_stopped(emitter_.emit_times(reached_, false));
+}
+
+/// The invariants jump though the solution does not, as the energy where a stiffness is switched: holds them at their
+/// values behind the breakpoint. Events go on.
+bool Integration::hold_other_values() {
+  Finding finding = manifold_.restart(reached_.t, y0_.data(), true);
+  if (finding.kind == Finding::Kind::off_value) finding.kind = Finding::Kind::jumps_off;
+  if (!refuse(finding)) return false;
+  begin_output();
+  return emit(true);
+}
+
+/// The output goes on from the start of the next step, with the values of the invariants there.
+void Integration::begin_output() {
+  emitter_.begin({reached_.t, y0_.data()});
+  const Invariants* invariants = manifold_.invariants();
+  emitter_.jump(reached_.t, invariants != nullptr ? invariants->value() : std::vector<double>{});
 }
 
 /// Algebraic variables jump where their equations do.

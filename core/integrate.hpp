@@ -144,6 +144,8 @@ class Integration {
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
   bool go_on_from_jump(bool rehold);
+  bool hold_other_values();
+  void begin_output();
   bool goes_on();
   bool reach(Limit limit);
   [[nodiscard]] DenseOutput no_steps() const;

@@ -661,6 +661,33 @@ def test_wrong_input_is_said_by_name():
             sol.gradient(**given)
 
 
+@pytest.mark.parametrize("adjoint", [True, "checkpoints"])
+@explicit_and_implicit
+def test_laws_that_jump_at_a_breakpoint_take_new_values_there(method, adjoint):
+    """The energy of a spring that becomes stiffer; with costs at the breakpoint and at the end."""
+
+    def stiffness(t, k):
+        return np.where(t < 1, 1.0, k)
+
+    sol = iv.solve_ivp(
+        lambda t, y, k: [y[1], -stiffness(t, k) * y[0]],
+        (0, 2),
+        [1.0, 0.3],
+        method,
+        args=(1.7,),
+        invariants=lambda t, y, k: y[1] ** 2 / 2 + stiffness(t, k) * y[0] ** 2 / 2,
+        breakpoints=[1.0],
+        t_eval=[1.0, 2.0],
+        sensitivities=["k", "y0"],
+        rtol=1e-8,
+        atol=1e-10,
+        adjoint=adjoint,
+    )
+    costs = np.array([[1.0, 2.0], [3.0, -1.0]])
+    expected = np.einsum("it,ikt->k", costs, sol.sensitivities)
+    np.testing.assert_allclose(sol.gradient(costs, t=sol.t), expected, rtol=0, atol=1e-5)
+
+
 def test_costs_at_times_that_are_as_far_from_the_end_add_up():
     """10 - 0.3 is 10 - (0.1 + 0.2)."""
     sol = iv.solve_ivp(lambda t, y, a: [-a * y[0]], (0, 10), [1.0], args=(0.5,), rtol=1e-9, atol=1e-12, adjoint=True)

@@ -270,6 +270,82 @@ def test_invariants_may_have_kinks_at_breakpoints(method):
     assert np.abs(sol.residual).max() < 1e-12
 
 
+def stiffness(t, k=1.7):
+    return np.where(t < 1, 1.0, k)
+
+
+def stiffened(t, y, k=1.7):
+    """An oscillator whose spring becomes stiffer at t = 1."""
+    return [y[1], -stiffness(t, k) * y[0]]
+
+
+def energy(t, y, k=1.7):
+    return y[1] ** 2 / 2 + stiffness(t, k) * y[0] ** 2 / 2
+
+
+@pytest.mark.parametrize("k", [1.7, 1.01])
+@pytest.mark.parametrize("t_span", [(0, 2), (2, 0)])
+@families_and_series
+def test_an_invariant_that_jumps_is_held_at_its_values_on_both_sides(method, t_span, k):
+    """The energy jumps, y does not: held at its old value, it would take y to another orbit."""
+    given = {"breakpoints": [1.0], "args": (k,), "second_order": True, **TIGHT}
+    free = iv.solve_ivp(stiffened, t_span, [1.0, 0.3], method, **given)
+    sol = iv.solve_ivp(stiffened, t_span, [1.0, 0.3], method, invariants=energy, dense_output=True, **given)
+    assert sol.success
+    np.testing.assert_allclose(sol.y[:, -1], free.y[:, -1], rtol=0, atol=1e-5)
+    assert np.abs(sol.residual).max() < 1e-12
+    np.testing.assert_array_equal(*sol.y[:, sol.t == 1].T)  # both sides are in the output
+    times = np.linspace(0, 2, 101)
+    for side in (times < 1, times > 1):
+        assert np.ptp(energy(times[side], sol.sol(times[side]), k)) < 1e-12
+    assert np.abs(sol.impose().y - sol.y).max() < 1e-12
+
+
+@explicit_and_implicit
+def test_a_function_that_only_falls_may_jump_at_breakpoints(method):
+    """Behind the jump the energy, which is larger there, falls on."""
+    problem = iv.Problem(lambda t, y: [y[1], -stiffness(t) * y[0] - 0.1 * y[1]], (0, 2), [1.0, 0.3])
+    free = problem.solve(method, breakpoints=[1.0], **TIGHT)
+    sol = problem.replace(invariants=iv.Dissipated(energy)).solve(method, breakpoints=[1.0], **TIGHT)
+    np.testing.assert_array_equal(sol.y[:, -1], free.y[:, -1])
+
+
+def test_a_demanded_value_that_an_invariant_leaves_in_a_jump_is_said_to_be_left():
+    def circle(t, y):
+        return y[0] ** 2 + y[1] ** 2 - (1 if t < 1 else 1.1)
+
+    sol = iv.solve_ivp(
+        lambda t, y: [-y[1], y[0]], (0, 2), [1.0, 0.0], invariants=iv.Invariants(circle, value=0), breakpoints=[1.0]
+    )
+    assert sol.status == -2
+    assert sol.t_end == 1
+    assert "At the breakpoint t = 1 invariant circle jumps, and the solution violates it" in sol.message
+
+
+@pytest.mark.parametrize("form", [lambda f: f, compiled])
+def test_residuals_of_ensembles_are_those_of_each_piece(form):
+    """Of functions of t, whose last piece is not the first one; of one that jumps; and behind an action."""
+    given = {"t_eval": [0, 0.5, 1, 1.5, 2], **TIGHT}
+    start = [[1.0, 0.3], [0.5, 0.1]]
+    rising = {"invariants": form(lambda t, y: y[0] - np.sin(t)), "breakpoints": [1.0]}
+    jumping = {"invariants": form(lambda t, y: energy(t, y)), "breakpoints": [1.0]}
+    kicked = {"invariants": form(lambda t, y: energy(t, y)), "breakpoints": {1.0: lambda t, y: 2 * y}}
+    for fun, options in (
+        (form(lambda t, y: [np.cos(t), -y[1]]), rising),
+        (form(lambda t, y: stiffened(t, y)), jumping),
+        (form(lambda t, y: stiffened(t, y)), kicked),
+    ):
+        many = iv.solve_ensemble(fun, (0, 2), start, workers=1, **given, **options)
+        assert many.residual_after.max() < 1e-12
+        for one, y0 in zip(many, start, strict=True):
+            np.testing.assert_array_equal(one.y, iv.solve_ivp(fun, (0, 2), y0, **given, **options).y)
+            if options is rising:
+                assert np.abs(one.residual).max() < 1e-12
+            else:
+                with pytest.raises(ValueError, match="breakpoints that change the values of invariants"):
+                    _ = one.residual
+
+
 @explicit_and_implicit
 def test_an_event_at_a_breakpoint_is_found_once(method):
     """Without an action the signs go on; f has a knee there."""

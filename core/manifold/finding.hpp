@@ -5,13 +5,13 @@ namespace invariode {
 
 /// What speaks against the invariants.
 struct Finding {
-  enum class Kind { none, stop, undefined, off_value, wrong_jacobian, not_conserved };
+  enum class Kind { none, stop, undefined, off_value, jumps_off, wrong_jacobian, not_conserved };
   Kind kind = Kind::none;
   int invariant = -1;
   int component = -1;  ///< wrong_jacobian: the column
   double t = 0;
-  double size = 0;      ///< off_value: residual; wrong_jacobian: the entry given; not_conserved: d/dt of the invariant
-  double distance = 0;  ///< off_value: in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ
+  double size = 0;      ///< off_value, jumps_off: residual; wrong_jacobian: the entry given; not_conserved: d/dt of it
+  double distance = 0;  ///< of the residual in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ
   double drift = 0;     ///< not_conserved: in a step, in units of rtol; of several invariants the largest
 };
 

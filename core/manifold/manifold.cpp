@@ -81,6 +81,24 @@ Finding Manifold::restart(double t, double* y, bool rehold) {
   return {};
 }
 
+Status Manifold::note_values(double t, const double* y) {
+  if (invariants_ == nullptr) return Status::ok;
+  before_.resize(invariants_->m());
+  after_.resize(invariants_->m());
+  return invariants_->evaluate(t, y, before_.data());
+}
+
+/// The gradients are those of the last step; where they are not known, roundoff counts as a jump, which does no harm.
+Status Manifold::compare_values(double t, const double* y, bool& differ) {
+  differ = false;
+  if (invariants_ == nullptr) return Status::ok;
+  if (invariants_->evaluate(t, y, after_.data()) == Status::stop) return Status::stop;
+  const double* J = projector_->linearization().jacobian.data();
+  for (std::size_t i = 0; i < after_.size(); ++i)
+    if (std::abs(after_[i] - before_[i]) > invariants_->roundoff(i, y, J)) differ = true;
+  return Status::ok;
+}
+
 void Manifold::forget() {
   if (projector_) projector_->forget();
 }

@@ -67,6 +67,10 @@ class Manifold {
   Status start(double t, double* y);
   /// The same after a jump. `rehold`: onto what an impact keeps, with new values of what it does not.
   Finding restart(double t, double* y, bool rehold);
+  /// Notes the values of the invariants at (t, y), as functions of the piece that ends there.
+  Status note_values(double t, const double* y);
+  /// Whether they are others at (t, y), by more than roundoff, as functions of the piece that begins there.
+  Status compare_values(double t, const double* y, bool& differ);
   /// What is known of the gradients does not hold where the solution goes on.
   void forget();
   /// The start, which is within bounds, onto the manifold within them. Not finite: there is no such point near it.
@@ -132,6 +136,7 @@ class Manifold {
   Projected projected_;                    // of the accepted candidate
   double correction_ = 0;                  // of the latest candidate
   std::vector<double> y1_;                 // the projected candidate
+  std::vector<double> before_, after_;     // the values of the invariants on the two sides of a breakpoint
   std::vector<const double*> directions_;  // of corrections, where they are those of the step
 };
 

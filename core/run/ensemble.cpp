@@ -153,7 +153,7 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);
   keep_outputs(i, one);
-  if (m > 0) measure_drift(i, one, *run.invariants());
+  if (m > 0) measure_drift(i, one, *run.invariants_everywhere(), run.forward());
   keep_happenings(i, one);
 }
 
@@ -210,12 +210,15 @@ void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, run.points.y.data() + j * n, 1);
 }
 
-/// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.
-void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invariants& invariants) {
+/// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them. At
+/// the time of a jump the functions are those behind it, as the outputs are.
+void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invariants& invariants, double forward) {
   std::copy_n(run.drift.residual.begin(), m, &before[i * m]);
   correction[i] = run.drift.correction;
   std::vector<double> held(&value[i * m], &value[i * m] + m), g(m);
+  double behind = std::numeric_limits<double>::quiet_NaN();  // the last jump
   const auto measure = [&](double at, const double* point) {
+    if (at == behind) at = std::nextafter(at, forward * std::numeric_limits<double>::infinity());
     if (invariants.evaluate(at, point, g.data()) == Status::stop) return;
     for (std::size_t k = 0; k < m; ++k) {
       double& largest = after[i * m + k];
@@ -226,8 +229,10 @@ void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invarian
   };
   auto jump = run.jumps.begin();
   const auto pass_jumps = [&](std::size_t row) {
-    for (; jump != run.jumps.end() && jump->row <= row; ++jump)
+    for (; jump != run.jumps.end() && jump->row <= row; ++jump) {
+      behind = jump->t;
       held.assign(jump->value.begin(), jump->value.begin() + static_cast<std::ptrdiff_t>(m));
+    }
   };
   for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j) {
     pass_jumps(j);

@@ -80,7 +80,7 @@ class EnsembleResult {
   std::int64_t& count_of(std::size_t i, std::string_view name);
   void keep_held(const lanes::Lane& lane, std::size_t states, double rtol);
   void keep_outputs(std::size_t i, const RunResult& run);
-  void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
+  void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants, double forward);
   void keep_happenings(std::size_t i, const RunResult& run);
 
   std::mutex shared_;  // for occurrences, failures and alone

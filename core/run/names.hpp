@@ -63,6 +63,7 @@ inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind:
                                                          {"stop", Finding::Kind::stop},
                                                          {"undefined", Finding::Kind::undefined},
                                                          {"off_value", Finding::Kind::off_value},
+                                                         {"jumps_off", Finding::Kind::jumps_off},
                                                          {"wrong_jacobian", Finding::Kind::wrong_jacobian},
                                                          {"not_conserved", Finding::Kind::not_conserved}};
 

@@ -132,6 +132,14 @@ void Run::derive_slope() {
   manifold_.slope = slope_.get();
 }
 
+Invariants* Run::invariants_everywhere() {
+  constexpr double infinity = std::numeric_limits<double>::infinity();
+  piece_.enter(-infinity, false, infinity, false);
+  return users_invariants_;
+}
+
+double Run::forward() const { return solver_.settings().tf >= solver_.settings().t0 ? 1 : -1; }
+
 void Run::bind_invariants() {
   const Problem& problem = this->problem();
   if (problem.invariants.empty()) {

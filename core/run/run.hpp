@@ -91,6 +91,9 @@ class Run {
   [[nodiscard]] const Integration& integration() const { return *integration_; }
   /// The user's invariants; null without any.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
+  /// The same when the run has ended: as functions of every t, not only of those in the last piece.
+  [[nodiscard]] Invariants* invariants_everywhere();
+  [[nodiscard]] double forward() const;
   /// Evaluations of f by the method; an expansion is one.
   [[nodiscard]] std::int64_t evaluations() const {
     return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->solution.calls() : 0);

@@ -134,12 +134,13 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
 
 def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
     """What the results of single trajectories need to know."""
-    acting = any(event.action is not None for event in plan.functions.events)
+    acting = any(one.action is not None for one in (*plan.functions.events, *plan.functions.breakpoints))
+    times = np.array([point.t for point in plan.functions.breakpoints])
     return Trajectories(
         task.problem.name,
         plan.called.events,
         plan.names[: len(plan.bound)],
-        None if acting else plan.bound,
+        None if acting or plan.bound.jumps_at(times, plan.y0) else plan.bound,
         task.args,
         plan.rtol,
         plan.atol,

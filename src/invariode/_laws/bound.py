@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import (
+    EPS,
     Array,
     as_array,
     call_name,
@@ -61,7 +62,7 @@ class InvariantSpec(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """Where the action of an event gave the invariants new values."""
+    """Where invariants got new values: at an action, or at a breakpoint where they jump."""
 
     row: int  # of the output, the first at which they hold
     t: float
@@ -148,13 +149,23 @@ class BoundInvariants:
         times = self.forward * np.array([jump.t for jump in self.jumps])
         return np.searchsorted(times, self.forward * np.asarray(t), side=side)
 
-    def _each(self, pieces: Array | None, size: int) -> Iterator[tuple[Array, Array]]:
-        """The points of each piece, and the values that invariants have there."""
+    def _each(self, t: Array, pieces: Array | None) -> Iterator[tuple[Array, Array, Array]]:
+        """The points of each piece, the times at which functions see them, and the values of invariants there."""
         if pieces is None or not self.jumps:
-            yield np.arange(size), self.value
+            yield np.arange(len(t)), t, self.value
             return
+        t = self._within_pieces(t, pieces)
         for piece in np.unique(pieces):
-            yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1].value
+            here = np.flatnonzero(pieces == piece)
+            yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value
+
+    def _within_pieces(self, t: Array, pieces: Array) -> Array:
+        """The times, those of jumps as in the run: on the side of the piece, since the functions may jump too."""
+        t = t.copy()
+        for i, jump in enumerate(self.jumps):
+            here = np.flatnonzero(t == jump.t)
+            t[here] = np.nextafter(jump.t, np.where(pieces[here] > i, self.forward, -self.forward) * np.inf)
+        return t
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
         """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t); for one-sided functions, how far they have gone
@@ -165,9 +176,19 @@ class BoundInvariants:
         """g(t, y) - value, also for one-sided functions."""
         residual = np.zeros((len(self.value), len(t)))
         if self.specs:
-            for here, value in self._each(pieces, len(t)):
-                residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), self._problem_of(y, value)).T
+            for here, times, value in self._each(t, pieces):
+                residual[:, here] = _core.residual(times, _as_rows(y[:, here]), self._problem_of(y, value)).T
         return residual
+
+    def jumps_at(self, t: Array, y: Array) -> bool:
+        """Whether a function has two values at one of the times, for the same y."""
+        if not self.specs or not len(t):
+            return False
+        before, after = (
+            self.departure(np.nextafter(t, side), np.repeat(y[:, None], len(t), axis=1)) for side in (-np.inf, np.inf)
+        )
+        roundoff = 1e3 * EPS * (np.abs(before) + np.abs(after) + np.abs(self.value)[:, None])
+        return bool((np.abs(after - before) > roundoff).any())
 
     def _violation(self, departure: Array, pieces: Array | None) -> Array:
         """`departure`; for one-sided functions the rise above the lowest point so far in the piece (or the fall)."""
@@ -187,8 +208,8 @@ class BoundInvariants:
         correspond to `residual`."""
         distance = np.zeros((len(self.value), len(t)))
         weights = _weights(y, rtol, atol)
-        for here, value in self._each(pieces, len(t)):
-            distance[:, here] = _core.distance(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights).T
+        for here, times, value in self._each(t, pieces):
+            distance[:, here] = _core.distance(times, _as_rows(y[:, here]), self._problem_of(y, value), weights).T
         if not any(self.senses):
             return distance
         departure = self.departure(t, y, pieces)
@@ -203,8 +224,8 @@ class BoundInvariants:
         size = len(t)
         points, converged = y.copy(), np.zeros(size, dtype=bool)
         residual, iterations = np.zeros((len(self.value), size)), np.zeros(size, dtype=np.int64)
-        for here, value in self._each(pieces, size):
-            rows, done, left, spent = _core.impose(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights)
+        for here, times, value in self._each(t, pieces):
+            rows, done, left, spent = _core.impose(times, _as_rows(y[:, here]), self._problem_of(y, value), weights)
             points[:, here] = as_columns(rows, y.dtype)
             converged[here], residual[:, here], iterations[here] = done, left.T, spent
         return Imposed(points, converged, residual, iterations)

@@ -317,6 +317,13 @@ def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
             f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or give "
             "the event rehold=True."
         )
+    if run.finding == "jumps_off":
+        return (
+            f"At the breakpoint t = {run.finding_t:.6g} invariant {names[run.finding_invariant]} jumps, and the "
+            f"solution violates it: g - value = {run.finding_size:.6g}, a distance of {run.finding_distance:.3g} times "
+            "the tolerance. Give the breakpoint an action that returns a point of the manifold, (t, action), or leave "
+            "out value= to hold the invariant at what it is from there on."
+        )
     if run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let "

@@ -535,8 +535,8 @@ class Result(dict[str, Any]):
         if self._drift.all_that_is_known is not None:
             raise ValueError(
                 "the residuals of this trajectory at its outputs are not known: the ensemble comes from a file or a "
-                "pickle, without functions, or has events whose actions change the values of invariants. drift() has "
-                "the largest residuals; for those at outputs solve this trajectory alone"
+                "pickle, without functions, or has events or breakpoints that change the values of invariants. drift() "
+                "has the largest residuals; for those at outputs solve this trajectory alone"
             )
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 

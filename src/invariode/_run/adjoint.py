@@ -346,7 +346,7 @@ class _Adjoint:
             mu = self._across(piece, mu, costs)
         for jump in reversed([one for one in self._jumps if one.t == t0]):
             mu = self._through(jump.found(), mu)
-        mu, beside = self._laws.on_tangent(t0, self._at.y, mu, taking=True)
+        mu, beside = self._laws.on_tangent(self._behind(t0), self._at.y, mu, taking=True)
         return np.asarray(self._total + beside + mu @ self._start)
 
     def _pieces(self, t0: float, tf: float) -> list[_Piece]:
@@ -375,8 +375,12 @@ class _Adjoint:
         """μ at the beginning of a piece, from that behind its end. A cost at a jump is that of the state behind it."""
         if piece.end == self._run.t and piece.end in costs:
             mu = mu + self._cost(piece.end, costs.pop(piece.end))
-        for jump in reversed(piece.jumps):
-            mu = self._through(jump.found(), mu)
+        takes = piece.end in self._times_of_values
+        for one in reversed(piece.jumps):
+            jump = one.found()
+            mu, takes = self._through(jump, mu), takes and not jump.moves
+        if takes:
+            mu = self._taking_values(piece.end, mu)
         if piece.begin == piece.end:
             return mu
         low, high = sorted((piece.begin, piece.end))
@@ -387,14 +391,35 @@ class _Adjoint:
 
     def _cost(self, t: float, cost: Array) -> Array:
         y = self._y(t)
-        cost, beside = self._laws.on_tangent(t, y, cost)
+        cost, beside = self._laws.on_tangent(self._behind(t), y, cost)
         self._total = self._total + beside
         return self._differential(t, y, cost)
+
+    @cached_property
+    def _times_of_values(self) -> set[float]:
+        """When laws got new values."""
+        return {jump.t for jump in self._sol._invariants.jumps}
+
+    @cached_property
+    def _times_of_breaks(self) -> set[float]:
+        return {one.t for one in self._breakpoints}
+
+    def _behind(self, t: float) -> float:
+        """The time at which laws are evaluated: where they may jump, behind that."""
+        forward = 1.0 if self._run.t >= self._problem.t_span[0] else -1.0
+        return float(np.nextafter(t, forward * np.inf)) if t in self._times_of_breaks else t
+
+    def _taking_values(self, t: float, mu: Array) -> Array:
+        """μ before a breakpoint at which laws jump, though y does not, from that behind it."""
+        y = self._y(t)
+        mu, beside = self._laws.on_tangent(self._behind(t), y, mu, taking=True)
+        self._total = self._total + beside
+        return self._differential(t, y, mu)
 
     def _through(self, jump: Jump, mu: Array) -> Array:
         """μ before a jump from that behind it."""
         if jump.moves:
-            mu, beside = self._laws.on_tangent(jump.t, jump.after, mu, taking=jump.reholds)
+            mu, beside = self._laws.on_tangent(self._behind(jump.t), jump.after, mu, taking=jump.reholds)
             self._total = self._total + beside
         cost_of_time = 0.0
         if self._g is not None:
