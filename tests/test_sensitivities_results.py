@@ -50,6 +50,32 @@ def test_extensions_files_and_checkpoints_are_the_run(method, tmp_path):
         iv.load(tmp_path / "part.npz", problem.replace(sensitivities=None))
 
 
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+def test_the_next_step_is_that_of_the_whole_run_wherever_it_stops(method):
+    """Nothing of S depends on what attempts have left in memory that is not kept."""
+
+    def spun(t, y, a):
+        slope = np.array([1.3, 0.7, 1.9]) * y + 0.4 * a * y**3
+        turn = np.array([[0, 1.0, -0.5], [-1, 0, 0.8], [0.5, -0.8, 0]])
+        return turn @ slope * (1 + np.cos(y[0]))
+
+    problem = iv.Problem(
+        spun,
+        (0, 8),
+        [1.0, -0.7, 0.4],
+        args=(1.2,),
+        invariants=lambda t, y, a: 0.5 * np.sum(np.array([1.3, 0.7, 1.9]) * y * y) + 0.1 * a * np.sum(y**4),
+        sensitivities="a",
+    )
+    given = {"rtol": 1e-3, "atol": 1e-5, "max_step": 0.5}
+    whole = problem.solve(method, **given)
+    for k in range(18, 92, 2 if method == "radau" else 1):
+        if k + 1 >= len(whole.t):
+            break
+        sol = problem.solve(method, max_steps=k, **given).extend(8, max_steps=1)
+        np.testing.assert_array_equal(sol.sensitivities, whole.sensitivities[:, :, : k + 2])
+
+
 def test_y_is_that_of_any_solution():
     """Shapes of y, its events and sol; sensitivities beside them."""
     sol = problem_with_everything().solve("ode45", t_eval=[0, 1, 8], dense_output=True)

@@ -526,7 +526,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
 /// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not.
 Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, double* d, double* y) {
   const std::size_t n = extent().n, all = extent().size();
-  sensitivity_weights().fill(y, p, sensitivity_weight_.data());
+  sensitivity_weights().fill(p, sensitivity_weight_.data());  // y still holds what an earlier attempt left there
   const double* w = sensitivity_weight_.data();
   const auto norm = [&](const double* v) {
     return max_norm(all - n, [&](std::size_t i) { return v[n + i] / w[n + i]; });
