@@ -15,12 +15,11 @@ void Breaks::begin_piece(double t) {
   const std::size_t next = first_after(t);
   from_break_ = next > 0 && same(points_[next - 1].t, t);
   start_ = from_break_ ? points_[next - 1].t : t;
-  enter(t);
+  enter(next);
 }
 
-/// Functions see the piece from t up to the breakpoint to which steps lead from now on.
-void Breaks::enter(double t) {
-  const std::size_t next = first_after(t);
+/// Functions see the piece up to the breakpoint `next`, to which steps lead from now on.
+void Breaks::enter(std::size_t next) {
   const bool breaks = next < points_.size();
   target_ = breaks ? points_[next].t : tf_;
   if (piece_ != nullptr) piece_->enter(start_, from_break_, target_, breaks);

@@ -40,8 +40,8 @@ class Breaks {
 
   /// A piece begins at t; functions see it from beyond the last breakpoint there.
   void begin_piece(double t);
-  /// Continues in the piece that was read from an archive, at t.
-  void resume_piece(double t) { enter(t); }
+  /// Continues in the piece that was read from an archive, at t: before a breakpoint there, which has yet to be passed.
+  void resume_piece(double t) { enter(at(t) ? next_ : first_after(t)); }
   /// Where the steps of the piece lead: the first breakpoint after its start, or the end of the interval.
   [[nodiscard]] double target() const { return target_; }
 
@@ -60,7 +60,7 @@ class Breaks {
  private:
   static bool same(double breakpoint, double t) { return std::abs(breakpoint - t) < hmin_ulps * ulp(t); }
   [[nodiscard]] std::size_t first_after(double t) const;
-  void enter(double t);
+  void enter(std::size_t next);
 
   std::vector<Breakpoint> points_;
   Piece* piece_;

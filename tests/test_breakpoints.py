@@ -301,6 +301,23 @@ def test_an_invariant_that_jumps_is_held_at_its_values_on_both_sides(method, t_s
     assert np.abs(sol.impose().y - sol.y).max() < 1e-12
 
 
+@pytest.mark.parametrize("how", ["callback", "event"])
+@explicit_and_implicit
+def test_an_invariant_jumps_where_an_extension_begins(method, how):
+    """The run was stopped right at the breakpoint, before that was passed."""
+    problem = iv.Problem(stiffened, (0, 2), [1.0, 0.3], args=(1.7,), invariants=energy)
+    stop = {"callback": lambda t, y: t == 1} if how == "callback" else {}
+    if how == "event":
+        problem = problem.replace(events=iv.Event(lambda t, y, k: t - 1, terminal=True))
+    sol = problem.solve(method, breakpoints=[1.0], **TIGHT, **stop)
+    assert sol.t_end == 1
+    sol = sol.extend(2, **({"callback": None} if stop else {}))
+    assert sol.success
+    free = iv.solve_ivp(stiffened, (0, 2), [1.0, 0.3], method, breakpoints=[1.0], args=(1.7,), **TIGHT)
+    np.testing.assert_allclose(sol.y[:, -1], free.y[:, -1], rtol=0, atol=1e-5)
+    assert np.abs(sol.residual).max() < 1e-12
+
+
 @explicit_and_implicit
 def test_a_function_that_only_falls_may_jump_at_breakpoints(method):
     """Behind the jump the energy, which is larger there, falls on."""

@@ -134,8 +134,9 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
 
 def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
     """What the results of single trajectories need to know."""
-    acting = any(one.action is not None for one in (*plan.functions.events, *plan.functions.breakpoints))
-    times = np.array([point.t for point in plan.functions.breakpoints])
+    events, points = plan.functions.events, plan.functions.breakpoints
+    acting = any(event.action is not None for event in events) or any(point.action is not None for point in points)
+    times = np.array([point.t for point in points])
     return Trajectories(
         task.problem.name,
         plan.called.events,
