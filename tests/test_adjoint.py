@@ -661,8 +661,7 @@ def test_wrong_input_is_said_by_name():
             sol.gradient(**given)
 
 
-@pytest.mark.parametrize("adjoint", [True, "checkpoints"])
-@explicit_and_implicit
+@dealt(method=["ode45", "ode15s"], adjoint=[True, "checkpoints"])
 def test_laws_that_jump_at_a_breakpoint_take_new_values_there(method, adjoint):
     """The energy of a spring that becomes stiffer; with costs at the breakpoint and at the end."""
 

@@ -12,7 +12,7 @@ import scipy.integrate
 from scipy.interpolate import CubicSpline
 
 import invariode as iv
-from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families, families_and_series
+from cases import FAMILIES, METHODS, SERIES, dealt, explicit_and_implicit, families, families_and_series
 from problems import PROBLEMS, slack
 
 KEPLER = PROBLEMS["Kepler"]
@@ -283,9 +283,7 @@ def energy(t, y, k=1.7):
     return y[1] ** 2 / 2 + stiffness(t, k) * y[0] ** 2 / 2
 
 
-@pytest.mark.parametrize("k", [1.7, 1.01])
-@pytest.mark.parametrize("t_span", [(0, 2), (2, 0)])
-@families_and_series
+@dealt(method=[*FAMILIES, *SERIES], t_span=[(0, 2), (2, 0)], k=[1.7, 1.01])
 def test_an_invariant_that_jumps_is_held_at_its_values_on_both_sides(method, t_span, k):
     """The energy jumps, y does not: held at its old value, it would take y to another orbit."""
     given = {"breakpoints": [1.0], "args": (k,), "second_order": True, **TIGHT}
@@ -301,8 +299,7 @@ def test_an_invariant_that_jumps_is_held_at_its_values_on_both_sides(method, t_s
     assert np.abs(sol.impose().y - sol.y).max() < 1e-12
 
 
-@pytest.mark.parametrize("how", ["callback", "event"])
-@explicit_and_implicit
+@dealt(method=["ode45", "ode15s"], how=["callback", "event"])
 def test_an_invariant_jumps_where_an_extension_begins(method, how):
     """The run was stopped right at the breakpoint, before that was passed."""
     problem = iv.Problem(stiffened, (0, 2), [1.0, 0.3], args=(1.7,), invariants=energy)

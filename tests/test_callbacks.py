@@ -106,22 +106,22 @@ def masked(values):
     return np.ma.masked_array(values, np.ones(np.shape(values)))
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"fun": lambda t, y: masked(decay(t, y))},
-        {"fun": lambda t, y: masked(decay(t, y)), "vectorized": True},
-        {"fun": lambda t, y: masked(decay(t, y)) if t > 0.5 else decay(t, y)},
-        {"fun": lambda t, y: masked(decay(t, y)), "y0": [1, 1j]},
-        {"events": lambda t, y: np.ma.masked},
-        {"events": iv.Event(lambda t, y: y[0] - 0.9, action=lambda t, y: masked(y))},
-        {"jac": lambda t, y: masked(-np.eye(2)) if t > 0 else -np.eye(2), "method": "ode23s"},
-    ],
-)
-def test_masked_results_are_refused(given):
+MASKED = [
+    {"fun": lambda t, y: masked(decay(t, y))},
+    {"fun": lambda t, y: masked(decay(t, y)), "vectorized": True},
+    {"fun": lambda t, y: masked(decay(t, y)) if t > 0.5 else decay(t, y)},
+    {"fun": lambda t, y: masked(decay(t, y)), "y0": [1, 1j]},
+    {"events": lambda t, y: np.ma.masked},
+    {"events": iv.Event(lambda t, y: y[0] - 0.9, action=lambda t, y: masked(y))},
+    {"jac": lambda t, y: masked(-np.eye(2)) if t > 0 else -np.eye(2), "method": "ode23s"},
+]
+
+
+def test_masked_results_are_refused():
     """What is behind a mask is no value."""
-    with pytest.raises(ValueError, match="masked entries, which have no values"):
-        iv.solve_ivp(**{"fun": decay, "t_span": (0, 1), "y0": [1, 1], **given})
+    for given in MASKED:
+        with pytest.raises(ValueError, match="masked entries, which have no values"):
+            iv.solve_ivp(**{"fun": decay, "t_span": (0, 1), "y0": [1, 1], **given})
 
 
 @pytest.mark.parametrize("number", [float, np.float64, np.array, lambda v: [v], lambda v: np.array([v]), int])

@@ -483,9 +483,9 @@ class DescribingOptions(TypedDict, total=False):
             "(lower, upper) or scipy.optimize.Bounds",
             "Bounds on y: numbers or arrays of shape (n,); infinite or None for no bound. A step that takes a "
             "component beyond one by more than its tolerance is repeated with half the size; by less, the component is "
-            "moved to its bound before the method commits the step. Output between steps is within the bounds too, and f "
-            "and its Jacobian are never evaluated outside them: stages, Newton iterates and increments are moved onto "
-            "the bounds first. With `invariants` the result is the nearest point that satisfies both.",
+            "moved to its bound before the method commits the step. Output between steps is within the bounds too, and "
+            "f and its Jacobian are never evaluated outside them: stages, Newton iterates and increments are moved "
+            "onto the bounds first. With `invariants` the result is the nearest point that satisfies both.",
         ),
     ]
     nonnegative: Annotated[
