@@ -214,7 +214,7 @@ def solve(problem: Posed | Description, method: MethodName, options: Options) ->
 
 
 def points(problem: Posed | Description, method: MethodName, options: Options) -> Points:
-    """The outputs of a solve of which nothing else is asked for: the same run, of which no solution is made."""
+    """The outputs of a solve that needs nothing else: the same run, without making a solution of it."""
     try:
         found = plan_or_template(problem, method, options)
         if not isinstance(found, Template):
@@ -250,7 +250,7 @@ def _solved(plan: Plan, source: Solved) -> Solution:
 
 
 def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
-    """The solution as the user gets it; if it failed, with the warning that is asked for.
+    """The solution as the user gets it; if it failed, with the warning that `on_failure` requests.
 
     Raises
     ------
