@@ -11,6 +11,12 @@ Breaks::Breaks(std::vector<Breakpoint> points, Piece* piece, double tf)
   assert(std::ranges::is_sorted(points_, {}, [this](const Breakpoint& one) { return -std::abs(tf_ - one.t); }));
 }
 
+void Breaks::start(double t) {
+  start_ = t;
+  from_break_ = false;
+  enter(first_after(t));
+}
+
 void Breaks::begin_piece(double t) {
   const std::size_t next = first_after(t);
   from_break_ = next > 0 && same(points_[next - 1].t, t);

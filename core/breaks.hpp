@@ -38,6 +38,8 @@ class Breaks {
   /// Was the breakpoint before the next one at t?
   [[nodiscard]] bool just_passed(double t) const { return next_ > 0 && same(points_[next_ - 1].t, t); }
 
+  /// The run starts at t; functions see t itself, also where a breakpoint is.
+  void start(double t);
   /// A piece begins at t; functions see it from beyond the last breakpoint there.
   void begin_piece(double t);
   /// Continues in the piece that was read from an archive, at t: before a breakpoint there, which has yet to be passed.

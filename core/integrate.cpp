@@ -71,12 +71,14 @@ State Integration::start(const double* y0) {
   double* y = y0_.data();
   reached_ = {t, y};
   report_.t = t;
-  begin_piece();
+  breaks_.start(t);
   if (const State found = initial_checks_.inspect(y); found != State::created) return state_ = found;
   if (consistent_tangent_ && !unless_stopped(consistent_tangent_(t, y))) return state_;
   if (!unless_stopped(manifold_.start(t, y))) return state_;
   emitter_.begin(reached_);
   const bool breaks = breaks_.at(t);
+  if (breaks && !note_values()) return state_;
+  begin_piece();
   if (!emit(breaks) || !start_memory(t, y)) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   if (const State found = initial_checks_.inspect_rates(y, step_->slope(), forward_ * step_->h());
@@ -373,7 +375,7 @@ bool Integration::conclude() {
   if (keeps_last_ && !keep_step_before_jump()) return false;
   if (events_.acts() && !jump()) return false;
   if (!aim_.lands()) return true;
-  if (breaks_.at(reached_.t) && !pass_breakpoint()) return false;
+  if (breaks_.at(reached_.t) && !(note_values() && pass_breakpoint())) return false;
   return t != settings_.tf || end(State::reached_end);
 }
 
@@ -475,9 +477,11 @@ void Integration::begin_piece() {
   aim_.at(breaks_.target());
 }
 
+/// The values of the invariants before a breakpoint.
+bool Integration::note_values() { return unless_stopped(manifold_.note_values(reached_.t, reached_.y)); }
+
 /// Starts again at the point reached, in the next piece, from what the actions return.
 bool Integration::pass_breakpoint() {
-  if (!unless_stopped(manifold_.note_values(reached_.t, reached_.y))) return false;
   discard_step(reached_.y);
   left_ = y0_;
   begin_piece();

@@ -141,6 +141,7 @@ class Integration {
   bool take(Callback& action, Callback& jump);
   bool take_back();
   void begin_piece();
+  [[nodiscard]] bool note_values();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
   bool go_on_from_jump(bool rehold);

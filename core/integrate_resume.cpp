@@ -70,7 +70,7 @@ State Integration::resume(bool anew) {
 bool Integration::start_again() {
   in_step_ = false;
   if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
-  if (breaks_.at(reached_.t)) return pass_breakpoint();
+  if (breaks_.at(reached_.t)) return note_values() && pass_breakpoint();
   discard_step(reached_.y);
   if (!start_memory(reached_.t, reached_.y)) return false;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);

@@ -317,9 +317,13 @@ def test_arguments_of_other_precisions_are_told_apart(tmp_path):
 
 
 def test_labels_of_any_text_come_back(tmp_path):
-    labels = ["\ud800", "ü", "c"]
-    problem(labels=labels).solve().save(tmp_path / "a")
-    assert iv.load(tmp_path / "a")._names.components == labels
+    sol = problem(labels=["\ud800", "ü", "c"], name="a\ud800").solve()
+    sol.save(tmp_path / "a")
+    assert iv.load(tmp_path / "a")._names.components == ["?", "ü", "c"]
+    sol.to_dataframe().to_csv(tmp_path / "a.csv")
+    sol.plot().figure.savefig(tmp_path / "a.svg")
+    with pytest.raises(ValueError, match="labels must differ"):
+        problem(labels=["\ud800", "\ud801", "c"])
 
 
 def test_names_without_an_encoding_are_readable(tmp_path):

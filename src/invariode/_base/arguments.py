@@ -81,7 +81,7 @@ def call_name(fun: object, default: str) -> str:
 
 
 def encodable(name: str) -> str:
-    """A name as the core takes it: with question marks for lone surrogates, which UTF-8 does not have."""
+    """A name as the core and files take it: with question marks for lone surrogates, which UTF-8 does not have."""
     return name.encode(errors="replace").decode()
 
 
@@ -377,6 +377,7 @@ def distinct_labels(labels: object, n: int) -> list[str]:
         raise TypeError(f"labels must be a list of {n} str, got {shown(labels)}")
     if len(names) != n:
         raise ValueError(f"labels must name the {n} components of y0, got {shown(labels)}")
+    names = [encodable(name) for name in names]
     if len(set(names)) < n:
         raise ValueError(f"labels must differ from each other, got {shown(labels)}")
     return names

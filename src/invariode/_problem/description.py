@@ -15,6 +15,7 @@ from .._base.arguments import (
     Array,
     call_name,
     distinct_labels,
+    encodable,
     extra_arguments,
     flag,
     function,
@@ -141,7 +142,7 @@ class Description:
             sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
             second_order=_is_second_order(second_order, called, start),
-            _title=name,
+            _title=None if name is None else encodable(name),
             _labels=named,
             _as_given=given,
             is_plain=is_plain_function(called) and not [one for one in others if one is not None],
@@ -276,7 +277,7 @@ def _is_second_order(given: bool, fun: Any, y0: Array) -> bool:
 def _named(name: str | None, fun: Any) -> str:
     if name is not None and not isinstance(name, str):
         raise TypeError(f"name of the problem must be a str, got {shown(name)}")
-    return call_name(fun, "problem") if name is None else name
+    return call_name(fun, "problem") if name is None else encodable(name)
 
 
 def _checked_events(events: EventsLike) -> list[Any]:
