@@ -148,8 +148,8 @@ def find_invariants(
     Notes
     -----
     Invariants that hold only on part of the space, such as a constraint's manifold, are not found, nor are those that
-    are not polynomials in y. f is evaluated away from the solution; points where it is not finite are left out. The
-    random points come from a fixed seed.
+    are not polynomials in y. f is evaluated away from the solution; points where it is zero or not finite are left out,
+    and nothing is found where nothing moves. The random points come from a fixed seed.
 
     Examples
     --------
