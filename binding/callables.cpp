@@ -315,10 +315,33 @@ Callback Functions::state_valued(nb::handle f, const std::string& name) {
              space_.complex);
 }
 
-Callback Functions::exchangeable(nb::handle f, const std::string& name) {
+Callback Functions::slope(nb::handle f, const std::string& name) {
+  const std::size_t first = owned_.size();
   const Callback callback = state_valued(f, name);
-  exchangeable_ = owned_.empty() ? nullptr : dynamic_cast<PythonFunction*>(owned_.back().get());
+  exchangeable_ = owned_.size() == first ? nullptr : dynamic_cast<PythonFunction*>(owned_.back().get());
+  postpone_overflows_from(first);
   return callback;
+}
+
+void Functions::postpone_overflows_from(std::size_t first) {
+  for (std::size_t i = first; i < owned_.size(); ++i)
+    if (auto* function = dynamic_cast<PythonFunction*>(owned_[i].get())) {
+      function->postpone_overflow();
+      postponing_.push_back(function);
+    }
+}
+
+bool Functions::raise_overflow(double t, double forward) const {
+  for (PythonFunction* function : postponing_)
+    if (forward * (function->overflowed_at() - t) >= 0) {
+      function->raise_overflow();
+      return true;
+    }
+  return false;
+}
+
+void Functions::forget_overflows() const {
+  for (PythonFunction* function : postponing_) function->forget_overflow();
 }
 
 void Functions::lend(nb::object f, nb::tuple args) {
@@ -401,8 +424,12 @@ Callback Functions::product(nb::handle f, const std::string& name) {
 
 Callback Functions::of_sensitivities(nb::handle f, const std::string& name, std::size_t k) {
   const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
-  return add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
-             Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
+  const std::size_t first = owned_.size();
+  const Callback callback =
+      add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
+          Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
+  postpone_overflows_from(first);
+  return callback;
 }
 
 Callback Functions::tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m) {

@@ -148,8 +148,8 @@ class Functions {
 
   /// f(t, y) -> state
   Callback state_valued(nb::handle f, const std::string& name);
-  /// The same, which `lend` can exchange if it is Python's. One for all functions.
-  Callback exchangeable(nb::handle f, const std::string& name);
+  /// f, which `lend` can exchange if it is Python's, and whose overflows are postponed. One for all functions.
+  Callback slope(nb::handle f, const std::string& name);
   /// Puts a Python function and its further arguments in the place of the exchangeable one, which must be Python's.
   void lend(nb::object f, nb::tuple args);
   /// f(t, y) -> number
@@ -179,6 +179,11 @@ class Functions {
   /// f(t, y, c), without args, -> a function that solves
   Preconditioner preconditioner(nb::handle f);
 
+  /// Sets the exception with which f, or the slope of sensitivities, overflowed at t or beyond, seen in the direction
+  /// `forward`. False: there is none.
+  [[nodiscard]] bool raise_overflow(double t, double forward) const;
+  void forget_overflows() const;
+
   [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Any other function of t and one vector or two.
   Callback of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns);
@@ -195,6 +200,7 @@ class Functions {
   int visit(visitproc visit, void* arg) const;
 
  private:
+  void postpone_overflows_from(std::size_t first);
   Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
                bool complex_state);
   Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
@@ -204,8 +210,9 @@ class Functions {
   nb::tuple args_;
   std::vector<double> parameters_;
   std::vector<std::unique_ptr<Callable>> owned_;
-  std::vector<OwnedMotion*> motions_;       // among them
-  PythonFunction* exchangeable_ = nullptr;  // likewise
+  std::vector<OwnedMotion*> motions_;        // among them
+  std::vector<PythonFunction*> postponing_;  // likewise
+  PythonFunction* exchangeable_ = nullptr;   // likewise
   bool native_ = true;
 };
 

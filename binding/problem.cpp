@@ -206,7 +206,7 @@ Weights Tolerances::for_size(std::size_t n) const {
 BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {
   problem_.n = spec.n;
   problem_.complex = spec.complex;
-  if (!spec.fun.is_none()) problem_.f = functions_.exchangeable(spec.fun, "fun(t, y)");
+  if (!spec.fun.is_none()) problem_.f = functions_.slope(spec.fun, "fun(t, y)");
   if (spec.series) problem_.series.emplace().solution = functions_.series(*spec.series);
   if (spec.series && spec.conditions) {
     problem_.series->conditions = functions_.series(*spec.conditions);
@@ -494,6 +494,13 @@ void define_settings(nb::module_& module) {
 }
 
 }  // namespace
+
+bool BoundProblem::raise_overflow(const Integration& ended) const {
+  const Report& report = ended.report();
+  const bool undefined = report.component >= 0 && (report.cause == Cause::not_finite || report.cause == Cause::newton);
+  if (ended.state() != State::start_undefined && !(ended.state() == State::step_failed && undefined)) return false;
+  return functions_.raise_overflow(report.t, ended.forward());
+}
 
 void define_problem(nb::module_& module) {
   define_functions(module);

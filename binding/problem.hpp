@@ -136,6 +136,9 @@ class BoundProblem {
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
   /// Puts a Python function in the place of f, which must be one.
   void lend(nb::object f, nb::tuple args) { functions_.lend(std::move(f), std::move(args)); }
+  /// Whether a run has failed because f overflows wherever it goes on: the exception is set then.
+  [[nodiscard]] bool raise_overflow(const Integration& ended) const;
+  void forget_overflows() const { functions_.forget_overflows(); }
   int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
 
  private:

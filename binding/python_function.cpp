@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cassert>
 #include <cstdio>
+#include <limits>
+#include <utility>
 
 namespace invariode::binding {
 
@@ -52,7 +54,7 @@ bool PythonFunction::call(double t, const double* y, double* out) {
   if (two) parts[1] = array_for(1, y + first * (takes_.complex ? 2 : 1));
   PyObject* result = nullptr;
   if (time != nullptr && parts[0] != nullptr && (!two || parts[1] != nullptr)) result = call_with(time, parts);
-  const bool done = result != nullptr && read(result, out);
+  const bool done = result != nullptr ? read(result, out) : keep_overflow(t, out);
   Py_XDECREF(result);
   Py_XDECREF(time);
   for (std::size_t k = 0; k < (two ? 2 : 1); ++k) {
@@ -62,6 +64,32 @@ bool PythonFunction::call(double t, const double* y, double* out) {
       Py_XDECREF(reinterpret_cast<PyObject*>(parts[k]));
   }
   return done;
+}
+
+/// Instead of the exception that is set. False: it is another one.
+bool PythonFunction::keep_overflow(double t, double* out) {
+  if (!postpones_ || PyErr_ExceptionMatches(PyExc_OverflowError) == 0) return false;
+  PyObject *type = nullptr, *error = nullptr, *traceback = nullptr;
+  PyErr_Fetch(&type, &error, &traceback);
+  PyErr_NormalizeException(&type, &error, &traceback);
+  if (traceback != nullptr) PyException_SetTraceback(error, traceback);
+  Py_XDECREF(type);
+  Py_XDECREF(traceback);
+  overflowed_at_ = t;
+  const nb::object before = std::exchange(overflow_, nb::steal(error));  // is given up at the end
+  std::fill_n(out, returns_.size() * (returns_.complex ? 2 : 1), std::numeric_limits<double>::quiet_NaN());
+  return true;
+}
+
+void PythonFunction::raise_overflow() {
+  assert(overflow_.is_valid());
+  PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(overflow_.ptr())), overflow_.ptr());
+  forget_overflow();
+}
+
+void PythonFunction::forget_overflow() {
+  overflowed_at_ = std::numeric_limits<double>::quiet_NaN();
+  overflow_.reset();
 }
 
 PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts) {

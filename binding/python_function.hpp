@@ -6,6 +6,7 @@
 #include <numpy/ndarraytypes.h>
 
 #include <cstddef>
+#include <limits>
 #include <span>
 #include <string>
 #include <utility>
@@ -17,7 +18,7 @@ namespace invariode::binding {
 
 /// A Python callable as a core callback. y, or its two parts, is handed over in an array that the callee may keep: it
 /// is used again only if nobody else holds it or a view of it. Results are copied at once. The first exception stays
-/// set, and the callback says `stop`.
+/// set, and the callback says `stop`; but see `postpone_overflow`.
 class PythonFunction final : public Callable {
  public:
   PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, Takes takes, Returns returns)
@@ -34,10 +35,16 @@ class PythonFunction final : public Callable {
     const nb::object before = take(std::move(callable));  // is given up at the end, which may run Python code
     std::swap(args_, args);
   }
+  /// From now on an OverflowError, with which Python's `math` says what NumPy says with inf, is no end: the values are
+  /// NaN, and the exception is kept.
+  void postpone_overflow() { postpones_ = true; }
+  /// The time of the call that raised the exception kept last; NaN: none did.
+  [[nodiscard]] double overflowed_at() const { return overflowed_at_; }
+  /// Sets that exception.
+  void raise_overflow();
+  void forget_overflow();
   int visit(visitproc visit, void* arg) const override {
-    Py_VISIT(callable_.ptr());
-    Py_VISIT(args_.ptr());
-    return 0;
+    return visit_all(visit, arg, {callable_, args_, overflow_});
   }
 
  private:
@@ -55,6 +62,7 @@ class PythonFunction final : public Callable {
 
   // None of these throws, but each may end its thread (`in_python`).
   bool call(double t, const double* y, double* out);
+  bool keep_overflow(double t, double* out);
   PyObject* call_with(PyObject* time, PyArrayObject* const* parts);
   PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
   [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
@@ -75,6 +83,9 @@ class PythonFunction final : public Callable {
   std::string name_;
   bool looks_for_signals_ = false;  // a function written in Python does so itself when it is entered
   bool state_first_ = false;        // it takes (y, t), not (t, y)
+  bool postpones_ = false;
+  nb::object overflow_;
+  double overflowed_at_ = std::numeric_limits<double>::quiet_NaN();
   Takes takes_;
   Returns returns_;
   PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way

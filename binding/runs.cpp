@@ -221,8 +221,12 @@ struct StopRequest {
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
                   const nb::object& kept, double every, bool remember = true) {
   DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every));
+  self.bound.forget_overflows();
   const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
-  if (!finished || run.integration().state() == State::interrupted || !driven.tell_the_end()) throw nb::python_error();
+  if (!finished || run.integration().state() == State::interrupted || self.bound.raise_overflow(run.integration()) ||
+      !driven.tell_the_end())
+    throw nb::python_error();
+  self.bound.forget_overflows();
   return finish(run, self.solver, remember);
 }
 
@@ -340,7 +344,10 @@ FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, n
 class Stepper {
  public:
   Stepper(nb::object owner, const ConstVector& y0)
-      : owner_(std::move(owner)), solver_(nb::cast<const BoundSolver&>(owner_).solver), run_(solver_) {
+      : owner_(std::move(owner)),
+        bound_(nb::cast<const BoundSolver&>(owner_).bound),
+        solver_(nb::cast<const BoundSolver&>(owner_).solver),
+        run_(solver_) {
     require_state(y0, solver_.problem().extent().size());
     integration().keep_last_step();
     guarded([&] { integration().start(y0.data()); });
@@ -393,10 +400,11 @@ class Stepper {
       throw;
     }
     busy_ = false;
-    if (integration().state() == State::interrupted) throw nb::python_error();
+    if (integration().state() == State::interrupted || bound_.raise_overflow(integration())) throw nb::python_error();
   }
 
   nb::object owner_;
+  const BoundProblem& bound_;
   const Solver& solver_;
   Run run_;
   bool busy_ = false;

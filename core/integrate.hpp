@@ -76,6 +76,7 @@ class Integration {
   [[nodiscard]] std::int64_t switches() const { return composite_ != nullptr ? composite_->switches() : 0; }
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }
+  [[nodiscard]] double forward() const { return forward_; }  ///< 1, or −1: the run is backwards
   [[nodiscard]] const double* y() const { return reached_.y; }
   /// The results, to be moved out when the run has ended.
   [[nodiscard]] Output& output() { return emitter_.output; }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -209,6 +210,17 @@ def test_f_that_is_not_finite(method, bad):
     assert "component 1" in later.message
     passing = iv.solve_ivp(lambda t, y: [np.log(1e-3 - y[0]) if y[0] < 1e-3 else bad], (0, 1), [0.0], method)
     assert passing.status == 0  # only attempts that went too far were cut
+
+    def overflow():
+        return math.exp(1000)
+
+    same = iv.solve_ivp(lambda t, y: [np.log(1e-3 - y[0]) if y[0] < 1e-3 else overflow()], (0, 1), [0.0], method)
+    np.testing.assert_array_equal(same.y, passing.y)
+    solver = iv.Problem(lambda t, y, last: [1.0 if t <= last else overflow()], (0, 1), [0.0], args=(0.5,)).prepare(method)
+    for last in (0.5, -1.0):
+        with pytest.raises(OverflowError) as caught:  # what f raises wherever the run goes on comes out
+            solver(args=(last,))
+        assert traceback.extract_tb(caught.tb)[-1].name == "overflow"
 
 
 WRONG_RESULTS = [

@@ -359,6 +359,12 @@ class TestCompile:
         with pytest.raises(TypeError, match=r"missing .*'p'; without args it is f\(t, y\)"):
             iv.solve_ivp(iv.compile(lambda t, y, p: (p[0],)), (0, 1), [1.0])
 
+        def sorting(t, y, a, b):
+            return a * np.sort(y) + b
+
+        with pytest.raises(TypeError, match=r"missing .*'b'; with args it is f\(t, y, p\), for numba, as .*numpy.sort"):
+            iv.solve_ivp(iv.compile(sorting), (0, 1), ORBIT, args=(1.0, 2.0))
+
     def test_what_is_compiled_already(self):
         again = iv.compile(iv.compile(numba.njit(kepler)))
         assert again.fun is kepler

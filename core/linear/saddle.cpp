@@ -47,12 +47,12 @@ class Columns {
     u.head(r) = R().triangularView<Eigen::Upper>().transpose().solve(first);
     return qr_.householderQ() * u;
   }
-  /// λ with B λ = u, where u is in the range of B.
+  /// The λ of least norm among those with B λ = u, where u is in the range of B.
   [[nodiscard]] Vector coefficients(const Vector& u) const {
     const Index r = rank();
-    Vector all = Vector::Zero(qr_.cols());
-    all.head(r) = R().triangularView<Eigen::Upper>().solve(Vector((qr_.householderQ().transpose() * u).head(r)));
-    return (qr_.colsPermutation() * all).cwiseQuotient(scale_);
+    const Vector first = Vector(qr_.householderQ().transpose() * u).head(r);
+    if (r < qr_.cols()) return Columns(rows().transpose(), 0).least_norm(first);
+    return (qr_.colsPermutation() * Vector(R().triangularView<Eigen::Upper>().solve(first))).cwiseQuotient(scale_);
   }
   /// An orthonormal basis of what is orthogonal to all columns.
   [[nodiscard]] Dense complement() const {
@@ -62,19 +62,15 @@ class Columns {
 
  private:
   [[nodiscard]] Dense R() const { return qr_.matrixR().topLeftCorner(rank(), rank()); }
+  /// C of full rank with B = Q C.
+  [[nodiscard]] Dense rows() const {
+    const Dense upper = qr_.matrixR().topRows(rank()).triangularView<Eigen::Upper>();
+    return upper * qr_.colsPermutation().transpose() * scale_.asDiagonal();
+  }
 
   Vector scale_;
   Eigen::ColPivHouseholderQR<Dense> qr_;
 };
-
-/// The λ of least norm among those with B λ = u.
-Vector multipliers(const Dense& B, const Columns& columns, const Vector& u, double threshold) {
-  if (columns.rank() == B.cols()) return columns.coefficients(u);
-  Eigen::CompleteOrthogonalDecomposition<Dense> decomposition(B.rows(), B.cols());
-  decomposition.setThreshold(threshold);
-  decomposition.compute(B);
-  return decomposition.solve(u);
-}
 
 /// M = L Lᵀ: with B = L⁻¹Aᵀ and Lᵀ a = L⁻¹ Q + B λ, the second equation is Bᵀ (Lᵀ a) = γ.
 void solve_definite(const Eigen::LLT<Dense>& mass, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
@@ -90,7 +86,7 @@ void solve_definite(const Eigen::LLT<Dense>& mass, const MatrixView& A, const Ve
   found.rank = columns.rank();
   found.pivot = columns.pivot();
   found.a = mass.matrixU().solve(free + u);
-  found.lambda = multipliers(B, columns, u, threshold);
+  found.lambda = columns.coefficients(u);
 }
 
 /// a = a₀ + Z w with A a₀ = γ, A Z = 0, and Zᵀ M Z w = Zᵀ (Q − M a₀).
@@ -115,7 +111,7 @@ void solve_semidefinite(const MatrixView& M, const MatrixView& A, const VectorVi
   }
   found.unique = true;
   found.a = a;
-  found.lambda = multipliers(At, columns, mass * a - Q, threshold);
+  found.lambda = columns.coefficients(mass * a - Q);
 }
 
 }  // namespace

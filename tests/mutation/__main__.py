@@ -119,9 +119,10 @@ def of_package(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
 def of_core(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     chosen = core_mutants.build(ROOT, Path(given.build), given.count, given.seed)
     with package_with("", "") as folder:
-        (extension,) = (folder / "invariode").glob("_core*.so")
-        extension.unlink()
-        extension.symlink_to(next(Path(given.build).glob("build/dev/_core*.so")).resolve())
+        for extension in (folder / "invariode").glob("_core*.so"):
+            extension.unlink()
+        built = next(Path(given.build).glob("build/dev/_core*.so")).resolve()
+        (folder / "invariode" / built.name).symlink_to(built)
         for number, about in enumerate(chosen):
             if given.only and number not in given.only:
                 continue

@@ -209,6 +209,12 @@ class TracedFunction(OnGraph):
         self.how = f"numba, as {why}"
         return None
 
+    def _check_call(self, names: list[str]) -> None:
+        try:
+            super()._check_call(names)
+        except TypeError as error:  # of a function of several arguments, which only tracing takes as they are
+            raise TypeError(f"{error}, for {self.how}") from None
+
     def _untraceable(self, error: TraceError) -> TypeError:
         instead = ', or leave by="trace" out' if self.by == "trace" else ""
         return TypeError(f"compile({self.__name__}): {error}. Change that{instead}")
