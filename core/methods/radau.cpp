@@ -20,11 +20,8 @@ constexpr double fast_rate = 1e-2;  // rate of convergence with which J is kept 
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
 constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
-// An update of so many sizes of a component, in the norm of the error test, leads out of where J is known to hold, and
-// f may not be defined there: a part of it is tried first. Converging iterations on the stiff set have 0.5 at most.
-constexpr double large_update = 1, tried_part = 0.1;
-constexpr double linear_half = 0.5;   // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
-constexpr double least_growth = 1.6;  // of h, where the estimate is nothing but errors of Newton's iteration
+constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
+constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
 constexpr double rate_to_raise = 0.002, rate_to_lower = 0.8;
@@ -65,8 +62,6 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       convergence_(newton_rules(*lowest_)),
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
-  if (solver_.has_matrices())  // others try no part of an update
-    for (std::vector<double>* v : {&update_, &untried_}) v->reserve(residuals_.size());
   provide({&f_, &last_y_, &error_vector_, &gap_, &scratch_});
   if (linear.state) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
@@ -172,8 +167,6 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && tries_parts())
-      if (const auto tried = try_part(size); tried != Newton::Result::converged) return tried;
     update_size_ = update_stages();
     switch (convergence.judge(update_size_)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
@@ -219,39 +212,14 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
-/// The norm of the largest stage.
-double Radau::size_of_residuals() const {
-  MaxNorm size;
-  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm_of_part(residuals_.data() + stage * n()));
-  return size.value();
-}
-
-/// Whether the iteration would converge over a part θ of an update Δ of that size: the next update is then (1 − θ) Δ,
-/// if f is linear, and differs from that by at most 0.9 θ Δ. `failed`: J does not hold there.
-Newton::Result Radau::try_part(double size) {
-  const std::size_t all = stages() * n();
-  const double part = tried_part / size;
-  untried_.assign(increments_.begin(), increments_.begin() + static_cast<std::ptrdiff_t>(all));
-  update_.assign(residuals_.begin(), residuals_.begin() + static_cast<std::ptrdiff_t>(all));
-  for (std::size_t i = 0; i < all; ++i) increments_[i] += part * update_[i];
-  const Outcome outcome = stage_residuals();
-  std::copy(untried_.begin(), untried_.end(), increments_.begin());
-  if (outcome != Outcome::ok) return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
-  bool negligible = false;
-  const Newton::Result solved = solve_part(0, negligible);
-  if (solved != Newton::Result::converged) return solved;
-  for (std::size_t i = 0; i < all; ++i) residuals_[i] -= (1 - part) * update_[i];
-  const bool holds = size_of_residuals() <= Convergence::slowest_rate * tried_part;
-  std::copy(update_.begin(), update_.end(), residuals_.begin());
-  return holds ? Newton::Result::converged : Newton::Result::failed;
-}
-
 /// Adds the updates, which the residuals have become, to Z. Their size.
 double Radau::update_stages() {
   for (std::size_t stage = 0; stage < stages(); ++stage)
     for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.end; ++i) increments_[i] += residuals_[i];
   weigh_first_update();
-  return size_of_residuals();
+  MaxNorm size;
+  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm_of_part(residuals_.data() + stage * n()));
+  return size.value();
 }
 
 /// The error of the attempt. Where a first look would fail it in a step that starts anew, f is taken once more, at

@@ -66,11 +66,8 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Newton::Result iterate(Convergence& convergence);
   Newton::Result solve_part(double tolerance, bool& negligible);
   [[nodiscard]] double norm_of_part(const double* v) const;
-  [[nodiscard]] bool tries_parts() const { return solver_.has_matrices() && part_.first == 0; }
   Outcome stage_residuals();
   double update_stages();
-  [[nodiscard]] double size_of_residuals() const;
-  Newton::Result try_part(double size);
   void weigh_first_update();
   Newton::Result estimate();
   Newton::Result solve_for_error(const double* f);
@@ -92,12 +89,11 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Part part_{};
   Convergence convergence_, sensitivity_convergence_;
   std::vector<double> sensitivity_weight_;
-  std::vector<double> increments_;        // Z_1 … Z_s
-  std::vector<double> polynomial_;        // of the last accepted step, in nested form, 0 at θ = 0
-  std::vector<double> residuals_;         // of the stages; before them h Y', afterwards the updates
-  std::vector<double> update_, untried_;  // the update that is tried in part, and the increments before it
-  std::vector<Matrix> stage_masses_;      // M(t) at the stages
-  std::vector<double> f_;                 // f at (t, y): y' too, unless there is a mass matrix
+  std::vector<double> increments_;    // Z_1 … Z_s
+  std::vector<double> polynomial_;    // of the last accepted step, in nested form, 0 at θ = 0
+  std::vector<double> residuals_;     // of the stages; before them h Y', afterwards the updates
+  std::vector<Matrix> stage_masses_;  // M(t) at the stages
+  std::vector<double> f_;             // f at (t, y): y' too, unless there is a mass matrix
   std::vector<double> gap_, scratch_;
   double residual_ = 0, update_size_ = 0;  // of the last stage before the last update, and that update
   double memory_h_ = 0;                    // signed h of the polynomial; 0 before the first step
