@@ -9,12 +9,13 @@
 namespace invariode {
 namespace {
 
-constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one (the suite's constant)
-constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
-constexpr int look_period = 10;           // steps with one J between two looks at it,
-constexpr double look_growth = 2;         // fewer where a residual has grown so much since the last one
-constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
-constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
+constexpr double rate_memory = 0.9;        // what remains of the last rate in the present one (the suite's constant)
+constexpr double least_first_rate = 1e-3;  // of convergence, by which a first update is judged: see `judge`
+constexpr double large_stiffness = 10;     // c ‖J‖ above which an old Jacobian may do harm
+constexpr int look_period = 10;            // steps with one J between two looks at it,
+constexpr double look_growth = 2;          // fewer where a residual has grown so much since the last one
+constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
+constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
 // Of y in units of the weights, over which what y does to the slopes of S is a difference, ε^{1/4}: it need not be
 // exact, and laws of S are disturbed by roundoff of it.
@@ -39,12 +40,15 @@ void Convergence::begin(double rtol, double roundoff) {
   iteration_ = 0;
 }
 
+/// A first update is judged by the rate from before. That may have been roundoff, where f was linear, and then says
+/// nothing of an update that leads far away, such as into the range of an exponential.
 Convergence::Verdict Convergence::judge(double size) {
   ++iteration_;
   if (!std::isfinite(size)) return Verdict::diverged;
   if (size <= roundoff_) return Verdict::converged;
   if (iteration_ == 1) {
-    if (rate_known_ && size * rate_ / (1 - rate_) <= rules_.first_goal * rtol_) return Verdict::converged;
+    const double rate = std::max(rate_, least_first_rate);
+    if (rate_known_ && size * rate / (1 - rate) <= rules_.first_goal * rtol_) return Verdict::converged;
     if (!rate_known_) rate_ = 0;
   } else if (size > slowest_rate * previous_) {
     // Where f jumps between the iterates, an update far below the error test is no sign of divergence, but of the jump.
