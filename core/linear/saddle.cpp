@@ -51,6 +51,7 @@ class Columns {
   [[nodiscard]] Vector coefficients(const Vector& u) const {
     const Index r = rank();
     const Vector first = Vector(qr_.householderQ().transpose() * u).head(r);
+    if (r == 0) return Vector::Zero(qr_.cols());
     if (r < qr_.cols()) return Columns(rows().transpose(), 0).least_norm(first);
     return (qr_.colsPermutation() * Vector(R().triangularView<Eigen::Upper>().solve(first))).cwiseQuotient(scale_);
   }

@@ -62,7 +62,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       convergence_(newton_rules(*lowest_)),
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
-  provide({&f_, &last_y_, &error_vector_, &gap_, &scratch_});
+  provide({&f_, &end_f_, &last_y_, &error_vector_, &gap_, &scratch_});
   if (linear.state) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
@@ -89,6 +89,7 @@ Outcome Radau::start(double t, const double* y, const Span& span) {
 
 Step::Attempt Radau::attempt(double h, double t1) {
   begin_attempt(h, t1);
+  end_known_ = false;
   if (solver_.begin(h, t_, y(), f_.data()) == Status::stop) return proposal(Newton::Result::stop);
   Newton::Result result = newton_result(solver_.prepare(t1, convergence_));
   if (result != Newton::Result::converged) return proposal(result);
@@ -101,6 +102,7 @@ Step::Attempt Radau::attempt(double h, double t1) {
     for (std::size_t i = 0; i < n(); ++i) candidate_[i] = y_[i] + last_increment()[i];
     result = estimate();
   }
+  if (result == Newton::Result::converged && error_ <= weights_.rtol()) result = look_at_end();
   return proposal(result);
 }
 
@@ -145,7 +147,7 @@ Newton::Result Radau::solve_stages() {
   if (result != Newton::Result::converged || parameters == 0) return result;
   solver_.sensitivity_weights().fill(y(), sensitivity_weight_.data());
   part_ = {states, n(), sensitivity_weight_.data()};
-  const double residual = residual_, update_size = update_size_;  // of the state, for `misled`
+  const double residual = residual_, update_size = update_size_;  // of the state, for `look_at_end`
   const Newton::Result after = iterate(sensitivity_convergence_);
   residual_ = residual;
   update_size_ = update_size;
@@ -299,24 +301,28 @@ double Radau::next_h() const {
   return factor * h_;
 }
 
-/// Whether J is much too large, and updates were too small to show it: f at the end of the step, which is at hand,
-/// tells the residual of the last stage. Projection would add its own; residuals of M y' = f have no scale.
-bool Radau::misled(const double* y1) {
-  if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return false;
-  if (!std::equal(y1, y1 + n(), candidate_.begin())) return false;
+/// `failed` where J is much too large, and updates were too small to show it: f at the end of the step, which is needed
+/// there anyhow unless y is projected, tells what the last stage leaves. Residuals of M y' = f have no scale.
+Newton::Result Radau::look_at_end() {
+  if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
+  const double most = most_left * weights_.rtol();
+  if (residual_ <= most) return Newton::Result::converged;
+  const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
+  if (evaluated != Newton::Result::converged) return evaluated;
+  end_known_ = true;
   const double* last_row = formula_->A_inverse + (stages() - 1) * stages();
-  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = signed_h_ * f_[i];
+  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = signed_h_ * end_f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] -= last_row[j] * Z(j)[i];
   const std::size_t states = solver_.extent().n;
   const double after = max_norm(states, [this](std::size_t i) { return scratch_[i] / weight_[i]; });
-  return left_by(update_size_, after / residual_, after) > most_left * weights_.rtol();
+  return left_by(update_size_, after / residual_, after) > most ? Newton::Result::failed : Newton::Result::converged;
 }
 
 Outcome Radau::accept(const double* y1) {
-  if (const Outcome outcome = solver_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
-  std::swap(f_, scratch_);
-  const bool too_old = misled(y1);
+  if (!end_known_ || !std::equal(y1, y1 + n(), candidate_.begin()))
+    if (const Outcome outcome = solver_.evaluate(t1_, y1, end_f_.data()); outcome != Outcome::ok) return outcome;
+  std::swap(f_, end_f_);
   formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
   if (!slope_.empty()) {
     formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
@@ -325,7 +331,7 @@ Outcome Radau::accept(const double* y1) {
   }
   last_y_.swap(y_);
   commit(y1);
-  if (too_old || (solver_.has_matrices() && convergence_.rate() > fast_rate)) solver_.renew();
+  if (solver_.has_matrices() && convergence_.rate() > fast_rate) solver_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());

@@ -73,7 +73,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Newton::Result solve_for_error(const double* f);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
-  [[nodiscard]] bool misled(const double* y1);
+  Newton::Result look_at_end();
   void choose_order(double h);
   [[nodiscard]] bool may_raise_order() const;
   void lower_order();
@@ -94,6 +94,8 @@ class Radau final : public ImplicitBase<RadauSystems> {
   std::vector<double> residuals_;     // of the stages; before them h Y', afterwards the updates
   std::vector<Matrix> stage_masses_;  // M(t) at the stages
   std::vector<double> f_;             // f at (t, y): y' too, unless there is a mass matrix
+  std::vector<double> end_f_;         // f at (t₁, candidate), where it is known
+  bool end_known_ = false;
   std::vector<double> gap_, scratch_;
   double residual_ = 0, update_size_ = 0;  // of the last stage before the last update, and that update
   double memory_h_ = 0;                    // signed h of the polynomial; 0 before the first step
