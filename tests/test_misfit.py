@@ -220,24 +220,49 @@ def test_evaluations_that_test_jacobians_are_counted_apart(method_code):
 # Iterates far away
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-3])
 @pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass == "any"])
-def test_iterates_stay_where_an_exponential_can_be_evaluated(method, rtol, monkeypatch):
+def test_iterates_may_go_where_an_exponential_overflows(method, monkeypatch):
     """The transistor amplifier with math.exp as it is, which raises from 18 V on; its supply is 6 V."""
     monkeypatch.setattr(stiff_ends, "transistor", lambda v: stiff_ends.SATURATION * math.exp(v / stiff_ends.THERMAL))
     mass, y0 = stiff_ends.AMPLIFIER_MASS, stiff_ends.AMPLIFIER_START
-    sol = iv.solve_ivp(stiff_ends.amplifier, (0, 0.2), y0, method, mass=mass, rtol=rtol, atol=rtol, keep="end")
-    assert sol.success
+    for rtol in (1e-2, 1e-3):
+        sol = iv.solve_ivp(stiff_ends.amplifier, (0, 0.2), y0, method, mass=mass, rtol=rtol, atol=rtol, keep="end")
+        assert sol.success
 
 
-def test_a_jacobian_whose_stiffness_has_gone_is_renewed():
-    """A catalyst decays; the J from before makes Newton's updates in y0 - y1 far too small."""
+def diode(v, saturation):
+    return saturation * (math.exp(v / 0.026) - 1)
 
-    def reaction(t, y):
-        rate = 1e6 * y[2] * (y[0] - y[1])
-        return [-rate, rate - y[1] + 0.2 * math.sin(3 * t), -40 * y[2]]
 
-    rtol = 1e-4
-    sol = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "ode15s", rtol=rtol, atol=rtol)
-    end = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "radau", rtol=1e-10, atol=1e-12)
-    assert np.abs(sol.y[:, -1] - end.y[:, -1]).max() <= 100 * rtol  # 5e7 without a look at J
+def clipper(volts, resistance, capacity, saturation):
+    """A diode between a node and the ground, behind a resistor: where it blocks, f is linear."""
+
+    def f(t, y):
+        return [((volts * math.sin(100 * math.pi * t) - y[0]) / resistance - diode(y[0], saturation)) / capacity]
+
+    return f
+
+
+def rectifier(t, y):
+    """A diode charges a large capacitor, from a node with a small one."""
+    current = diode(y[0] - y[1], 6.08e-15)
+    return [((33.6 * math.sin(100 * math.pi * t) - y[0]) / 3.34 - current) / 4.63e-12, (current - y[1] / 1e4) / 1e-6]
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_diode_starts_to_conduct_or_blocks_within_a_step(method):
+    """Where it starts, the prediction lies where the exponential is huge, and one update with the J of the blocked diode
+    leads far away; that was taken for the solution, since the last iterations had converged at once. Where it blocks, J
+    is much too large, and every update with it too small to show what is left. The sources are 0 at the end."""
+    slow = method == "ode23s"  # which takes many more steps
+    circuits = [(73.6, 1.05, 5.82e-9, 7.3e-11), (32.0, 207.0, 3.15e-11, 2.92e-15), (68.3, 329.0, 3.72e-10, 9.58e-13)]
+    for volts, *rest in circuits:
+        for rtol in (1e-3, 1e-4, 1e-5)[: 1 if slow else 3]:
+            sol = iv.solve_ivp(clipper(volts, *rest), (0, 0.04), [0.0], method, rtol=rtol, atol=1e-3 * rtol)
+            assert sol.success
+            assert -1.01 * volts <= sol.y.min() <= sol.y.max() < 1
+            assert abs(sol.y[0, -1]) < 1000 * rtol * volts
+    exact = iv.solve_ivp(rectifier, (0, 0.04), [0.0, 0.0], "ode15s", rtol=1e-8, atol=1e-10)
+    for rtol in np.geomspace(3e-4, 3e-5, 9)[: 1 if slow else 9]:
+        sol = iv.solve_ivp(rectifier, (0, 0.04), [0.0, 0.0], method, rtol=rtol, atol=1e-3 * rtol)
+        assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < 1000 * rtol * 33.6

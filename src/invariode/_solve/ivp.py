@@ -93,7 +93,8 @@ def solve_ivp(
     Notes
     -----
     A numerical failure does not raise: ``success`` is False and ``message`` gives the reason. Exceptions in your
-    functions propagate unchanged.
+    functions propagate unchanged; an OverflowError of `fun`, with which Python's ``math`` says inf, only if the step
+    cannot be taken with a smaller h either.
 
     References
     ----------
