@@ -216,7 +216,8 @@ def test_f_that_is_not_finite(method, bad):
 
     same = iv.solve_ivp(lambda t, y: [np.log(1e-3 - y[0]) if y[0] < 1e-3 else overflow()], (0, 1), [0.0], method)
     np.testing.assert_array_equal(same.y, passing.y)
-    solver = iv.Problem(lambda t, y, last: [1.0 if t <= last else overflow()], (0, 1), [0.0], args=(0.5,)).prepare(method)
+    ending = iv.Problem(lambda t, y, last: [1.0 if t <= last else overflow()], (0, 1), [0.0], args=(0.5,))
+    solver = ending.prepare(method)
     for last in (0.5, -1.0):
         with pytest.raises(OverflowError) as caught:  # what f raises wherever the run goes on comes out
             solver(args=(last,))

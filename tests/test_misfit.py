@@ -251,9 +251,9 @@ def rectifier(t, y):
 
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_a_diode_starts_to_conduct_or_blocks_within_a_step(method):
-    """Where it starts, the prediction lies where the exponential is huge, and one update with the J of the blocked diode
-    leads far away; that was taken for the solution, since the last iterations had converged at once. Where it blocks, J
-    is much too large, and every update with it too small to show what is left. The sources are 0 at the end."""
+    """Where it starts, the prediction lies where the exponential is huge, and one update with the J of the blocked
+    diode leads far away; that was taken for the solution, since the last iterations had converged at once. Where it
+    blocks, J is much too large, and every update with it too small to show what is left. The sources end at 0."""
     slow = method == "ode23s"  # which takes many more steps
     circuits = [(73.6, 1.05, 5.82e-9, 7.3e-11), (32.0, 207.0, 3.15e-11, 2.92e-15), (68.3, 329.0, 3.72e-10, 9.58e-13)]
     for volts, *rest in circuits:
