@@ -20,6 +20,7 @@ constexpr double fast_rate = 1e-2;  // rate of convergence with which J is kept 
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
 constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
+constexpr double most_unmoved = 0.5;     // of a residual, that an update may leave as it was
 constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
 constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
@@ -63,6 +64,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
   provide({&f_, &end_f_, &last_y_, &error_vector_, &gap_, &scratch_});
+  residual_.resize(solver_.extent().n);
   if (linear.state) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
@@ -147,11 +149,7 @@ Newton::Result Radau::solve_stages() {
   if (result != Newton::Result::converged || parameters == 0) return result;
   solver_.sensitivity_weights().fill(y(), sensitivity_weight_.data());
   part_ = {states, n(), sensitivity_weight_.data()};
-  const double residual = residual_, update_size = update_size_;  // of the state, for `look_at_end`
-  const Newton::Result after = iterate(sensitivity_convergence_);
-  residual_ = residual;
-  update_size_ = update_size;
-  return after;
+  return iterate(sensitivity_convergence_);
 }
 
 Newton::Result Radau::iterate(Convergence& convergence) {
@@ -161,7 +159,7 @@ Newton::Result Radau::iterate(Convergence& convergence) {
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
-    residual_ = norm_of_part(residuals_.data() + (stages() - 1) * n());
+    if (part_.first == 0) std::copy_n(residuals_.data() + (stages() - 1) * n(), part_.end, residual_.data());
     bool negligible = convergence.iterations() > 0;
     const Newton::Result solved = solve_part(tolerance, negligible);
     if (solved != Newton::Result::converged) return solved;
@@ -169,8 +167,7 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    update_size_ = update_stages();
-    switch (convergence.judge(update_size_)) {
+    switch (convergence.judge(update_stages())) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged: return Newton::Result::failed;
       case Convergence::Verdict::go_on: break;
@@ -302,21 +299,27 @@ double Radau::next_h() const {
 }
 
 /// `failed` where J is much too large, and updates were too small to show it: f at the end of the step, which is needed
-/// there anyhow unless y is projected, tells what the last stage leaves. Residuals of M y' = f have no scale.
+/// there anyhow unless y is projected, tells what the last stage leaves, and that the last update has not moved it.
+/// (Roundoff of f times a stiffness leaves a large one too, but another one.) Residuals of M y' = f have no scale.
 Newton::Result Radau::look_at_end() {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
-  const double most = most_left * weights_.rtol();
-  if (residual_ <= most) return Newton::Result::converged;
+  const std::size_t states = solver_.extent().n;
+  const auto size = [&](const std::vector<double>& v) {
+    return max_norm(states, [&](std::size_t i) { return v[i] / weight_[i]; });
+  };
+  const double before = size(residual_), most = most_left * weights_.rtol();
+  if (before <= most) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
   if (evaluated != Newton::Result::converged) return evaluated;
   end_known_ = true;
   const double* last_row = formula_->A_inverse + (stages() - 1) * stages();
-  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = signed_h_ * end_f_[i];
+  for (std::size_t i = 0; i < states; ++i) scratch_[i] = signed_h_ * end_f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
-    for (std::size_t i = 0; i < n(); ++i) scratch_[i] -= last_row[j] * Z(j)[i];
-  const std::size_t states = solver_.extent().n;
-  const double after = max_norm(states, [this](std::size_t i) { return scratch_[i] / weight_[i]; });
-  return left_by(update_size_, after / residual_, after) > most ? Newton::Result::failed : Newton::Result::converged;
+    for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
+  const double after = size(scratch_);
+  for (std::size_t i = 0; i < states; ++i) scratch_[i] -= residual_[i];
+  const bool unmoved = after > most && size(scratch_) <= most_unmoved * before;
+  return unmoved ? Newton::Result::failed : Newton::Result::converged;
 }
 
 Outcome Radau::accept(const double* y1) {

@@ -97,10 +97,10 @@ class Radau final : public ImplicitBase<RadauSystems> {
   std::vector<double> end_f_;         // f at (t₁, candidate), where it is known
   bool end_known_ = false;
   std::vector<double> gap_, scratch_;
-  double residual_ = 0, update_size_ = 0;  // of the last stage before the last update, and that update
-  double memory_h_ = 0;                    // signed h of the polynomial; 0 before the first step
-  double last_h_ = 0, last_error_ = 0;     // |h| and error of the last accepted step; 0: there was none
-  int steps_until_raise_ = 0;              // of the order, at least
+  std::vector<double> residual_;        // of the last stage before the last update
+  double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
+  double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
+  int steps_until_raise_ = 0;           // of the order, at least
 };
 
 }  // namespace invariode
