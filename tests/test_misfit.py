@@ -249,8 +249,18 @@ def rectifier(t, y):
     return [((33.6 * math.sin(100 * math.pi * t) - y[0]) / 3.34 - current) / 4.63e-12, (current - y[1] / 1e4) / 1e-6]
 
 
+def valve(stiffness):
+    """Between two tanks; it opens and closes as the flow does."""
+
+    def f(t, y):
+        flow = stiffness * max(0.0, y[0] - y[1])
+        return [math.cos(t) - flow, flow - y[1]]
+
+    return f
+
+
 @pytest.mark.parametrize("method", IMPLICIT)
-def test_a_diode_starts_to_conduct_or_blocks_within_a_step(method):
+def test_diodes_and_valves_open_and_close_within_a_step(method):
     """Where it starts, the prediction lies where the exponential is huge, and one update with the J of the blocked
     diode leads far away; that was taken for the solution, since the last iterations had converged at once. Where it
     blocks, J is much too large, and every update with it too small to show what is left. The sources end at 0."""
@@ -266,3 +276,10 @@ def test_a_diode_starts_to_conduct_or_blocks_within_a_step(method):
     for rtol in np.geomspace(3e-4, 3e-5, 9)[: 1 if slow else 9]:
         sol = iv.solve_ivp(rectifier, (0, 0.04), [0.0, 0.0], method, rtol=rtol, atol=1e-3 * rtol)
         assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < 1000 * rtol * 33.6
+    for stiffness in (1e5, 1e7):
+        opening = valve(stiffness), (0, 10), [1.0, 1.0]
+        exact = iv.solve_ivp(*opening, "radau", rtol=1e-10, atol=1e-12, keep="end")
+        for rtol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)[: 3 if slow else 5]:
+            sol = iv.solve_ivp(*opening, method, rtol=rtol, atol=1e-3 * rtol, keep="end")
+            allowed = 10 if method == "radau" else 3000  # which looks at the end of every step; f there costs it nothing
+            assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < allowed * rtol
