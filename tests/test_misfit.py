@@ -277,10 +277,9 @@ def test_diodes_and_valves_open_and_close_within_a_step(method):
     for rtol in np.geomspace(3e-4, 3e-5, 9)[: 1 if slow else 9]:
         sol = iv.solve_ivp(rectifier, (0, 0.04), [0.0, 0.0], method, rtol=rtol, atol=1e-3 * rtol)
         assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < 1000 * rtol * 33.6
-    for stiffness in (1e5, 1e7):
-        opening = valve(stiffness), (0, 10), [1.0, 1.0]
-        exact = iv.solve_ivp(*opening, "radau", rtol=1e-10, atol=1e-12, keep="end")
-        for rtol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)[: 3 if slow else 5]:
-            sol = iv.solve_ivp(*opening, method, rtol=rtol, atol=1e-3 * rtol, keep="end")
-            allowed = 10 if method == "radau" else 3000  # radau has f at the end of every step, and looks there
-            assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < allowed * rtol
+    opening = valve(1e5), (0, 10), [1.0, 1.0]
+    exact = iv.solve_ivp(*opening, "radau", rtol=1e-10, atol=1e-12, keep="end")
+    for rtol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)[: 3 if slow else 5]:
+        sol = iv.solve_ivp(*opening, method, rtol=rtol, atol=1e-3 * rtol, keep="end")
+        allowed = 10 if method == "radau" else 1000  # radau has f at the end of every step, and looks there
+        assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < allowed * rtol
