@@ -14,6 +14,7 @@ constexpr double least_first_rate = 1e-3;  // of convergence, by which a first u
 constexpr double large_stiffness = 10;     // c ‖J‖ above which an old Jacobian may do harm
 constexpr int look_period = 10;            // steps with one J between two looks at it,
 constexpr double look_growth = 2;          // fewer where a residual has grown so much since the last one
+constexpr double large_residual = 1;       // of the size of y: a look after later iterations too
 constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
@@ -443,6 +444,7 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
       f_value_(weights.size()),
       residual_(weights.size()),
       sum_(weights.size()),
+      before_(linear.krylov ? 0 : extent().n),
       sensitivity_weight_(linear.state ? weights.size() : 0) {}
 
 void Newton::keep_factors() {
@@ -505,6 +507,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
       return evaluated;
     residual(c, psi, d, 0, n);
     const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
+    if (!matrix_free()) std::copy_n(residual_.begin(), n, before_.begin());
     if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
@@ -519,8 +522,9 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
     switch (convergence_.judge(size)) {
       case Convergence::Verdict::converged:
         if (matrix_free() || mass() != nullptr || noisy() || jacobian_age() == 0) return Result::converged;
-        if (convergence_.iterations() > 1) return judge_by_residuals(size, last, before);
-        return look_due(before) ? look(psi, d, size, before) : Result::converged;
+        if (convergence_.iterations() > 1 && judge_by_residuals(size, last, before) == Result::failed)
+          return Result::failed;
+        return look_due(before) ? look(psi, d, size) : Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
       case Convergence::Verdict::go_on: break;
     }
@@ -589,25 +593,35 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
   return Result::converged;
 }
 
-/// Whether J is tested after a first iteration, whose convergence was judged by an earlier rate. One that is not stiff
-/// cannot be much too large, and the solution is not farther off than its residual.
+/// Whether J is tested where the residual before the last update had that size: after a first iteration, whose
+/// convergence was judged by an earlier rate, now and then; after others where it was larger than y itself. A J of what
+/// is not stiff cannot be much too large, and the solution is not farther off than its residual.
 bool Newton::look_due(double before) {
   if (before <= most_left * weights_.rtol()) return false;
-  if (jacobian_age() % look_period != 0 && before <= look_growth * looked_at_) return false;
-  return stiff(place_.c, place_.w);
+  const bool now = convergence_.iterations() > 1
+                       ? before > large_residual
+                       : jacobian_age() % look_period == 0 || before > look_growth * looked_at_;
+  return now && stiff(place_.c, place_.w);
 }
 
 /// Takes one f, for the residual after an update of that size.
-Newton::Result Newton::look(const double* psi, const double* d, double size, double before) {
+Newton::Result Newton::look(const double* psi, const double* d, double size) {
+  const std::size_t n = extent().n;
+  const auto norm = [n, w = place_.w](const auto& at) {
+    return max_norm(n, [&](std::size_t i) { return at(i) / w[i]; });
+  };
+  const double before = norm([this](std::size_t i) { return before_[i]; });
   looked_at_ = before;
   switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return Result::converged;
     case Outcome::ok: break;
   }
-  residual(place_.c, psi, d, 0, extent().n);
-  const double* w = place_.w;
-  return judge_by_residuals(size, before, max_norm(extent().n, [&](std::size_t i) { return residual_[i] / w[i]; }));
+  residual(place_.c, psi, d, 0, n);
+  const double after = norm([this](std::size_t i) { return residual_[i]; });
+  const double moved = norm([this](std::size_t i) { return residual_[i] - before_[i]; });
+  if (unmoved(before, moved, after, weights_.rtol())) return Result::failed;
+  return judge_by_residuals(size, before, after);
 }
 
 /// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left

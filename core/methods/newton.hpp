@@ -260,6 +260,13 @@ inline double left_by(double size, double rate, double residual) {
 /// How much of that a J from before may leave, in units of rtol. (HIRES at 1e-6 leaves between 5 and 20, and its counts
 /// are published.)
 inline constexpr double most_left = 20;
+/// Whether the last update, with a J that is much too large, was too small to solve anything: it has moved the
+/// residual, which was that large before, by little, and leaves it large. (Roundoff of f times a stiffness leaves a
+/// large one too, but another one.)
+inline bool unmoved(double before, double moved, double after, double rtol) {
+  constexpr double most = 0.5;
+  return after > most_left * rtol && moved <= most * before;
+}
 
 /// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
 /// (Brown & Hindmarsh, 1989, and CVODE's default).
@@ -303,7 +310,7 @@ class Newton : public AgingJacobian {
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
   bool look_due(double before);
-  Result look(const double* psi, const double* d, double size, double before);
+  Result look(const double* psi, const double* d, double size);
   [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
   Result solve_linear(double tolerance, double* b);
   Result look_at_product();
@@ -319,6 +326,7 @@ class Newton : public AgingJacobian {
   std::optional<double> last_c_;  // for which the rate of convergence is known
   double looked_at_ = 0;          // the residual at the last look at this J, in the norm
   std::vector<double> f_value_, residual_, sum_;
+  std::vector<double> before_;              // the residual before the last update; empty: matrix-free
   std::vector<double> sensitivity_weight_;  // of the attempt
 };
 

@@ -20,7 +20,6 @@ constexpr double fast_rate = 1e-2;  // rate of convergence with which J is kept 
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
 constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
-constexpr double most_unmoved = 0.5;     // of a residual, that an update may leave as it was
 constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
 constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
@@ -299,16 +298,15 @@ double Radau::next_h() const {
 }
 
 /// `failed` where J is much too large, and updates were too small to show it: f at the end of the step, which is needed
-/// there anyhow unless y is projected, tells what the last stage leaves, and that the last update has not moved it.
-/// (Roundoff of f times a stiffness leaves a large one too, but another one.) Residuals of M y' = f have no scale.
+/// there anyhow unless y is projected, tells what the last stage leaves. Residuals of M y' = f have no scale.
 Newton::Result Radau::look_at_end() {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
   const std::size_t states = solver_.extent().n;
   const auto size = [&](const std::vector<double>& v) {
     return max_norm(states, [&](std::size_t i) { return v[i] / weight_[i]; });
   };
-  const double before = size(residual_), most = most_left * weights_.rtol();
-  if (before <= most) return Newton::Result::converged;
+  const double before = size(residual_);
+  if (before <= most_left * weights_.rtol()) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
   if (evaluated != Newton::Result::converged) return evaluated;
   end_known_ = true;
@@ -318,8 +316,7 @@ Newton::Result Radau::look_at_end() {
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
   const double after = size(scratch_);
   for (std::size_t i = 0; i < states; ++i) scratch_[i] -= residual_[i];
-  const bool unmoved = after > most && size(scratch_) <= most_unmoved * before;
-  return unmoved ? Newton::Result::failed : Newton::Result::converged;
+  return unmoved(before, size(scratch_), after, weights_.rtol()) ? Newton::Result::failed : Newton::Result::converged;
 }
 
 Outcome Radau::accept(const double* y1) {
