@@ -74,6 +74,11 @@ def outcome(tests: Path, names: list[str], environment: dict[str, str], folder: 
     return "killed"
 
 
+def told(folder: Path) -> str:
+    """The end of what the tests printed."""
+    return (folder / "out.txt").read_text()[-2000:]
+
+
 @contextmanager
 def package_with(file: str, source: str) -> Iterator[Path]:
     """A folder with a package of links, one of its files replaced."""
@@ -123,10 +128,12 @@ def of_core(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
             extension.unlink()
         built = next(Path(given.build).glob("build/dev/_core*.so")).resolve()
         (folder / "invariode" / built.name).symlink_to(built)
+        names = [str(given.tests / f"{name}.py") for name in FAST]
+        if outcome(given.tests, names, {}, folder, given.seconds) == "killed":
+            raise SystemExit(f"the tests fail without a mutant, or take more than {given.seconds} s:\n{told(folder)}")
         for number, about in enumerate(chosen):
             if given.only and number not in given.only:
                 continue
-            names = [str(given.tests / f"{name}.py") for name in FAST]
             yield (
                 f"{number} {about}",
                 outcome(given.tests, names, {core_mutants.VARIABLE: str(number)}, folder, given.seconds),

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import random
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -77,15 +76,26 @@ def candidates(core: Path, seed: int) -> list[tuple[str, int, str]]:
 
 
 def write(root: Path, folder: Path, chosen: dict[int, tuple[str, int, str]]) -> None:
-    """The source files with the chosen changes; what has not changed keeps its time."""
+    """The source files with the chosen changes; what has not changed keeps its time, what is no longer there goes."""
     texts = {file: (root / "core" / file).read_text().split("\n") for file, _, _ in chosen.values()}
     for number, (file, line, kind) in chosen.items():
         texts[file][line] = changed(texts[file][line], kind, number)
+    wanted = {folder / path.relative_to(root): path.read_text() for path in sources(root)}
     for file, lines in texts.items():
         to = folder / "core" / file
-        text = f'#include "mutant.hpp"\n#line 1 "{to}"\n' + "\n".join(lines)
-        if to.read_text() != text:
-            to.write_text(text)
+        wanted[to] = f'#include "mutant.hpp"\n#line 1 "{to}"\n' + "\n".join(lines)
+    wanted[folder / "core" / "mutant.hpp"] = HEADER
+    for path in set(sources(folder)) - set(wanted):
+        path.unlink()
+    for path, text in wanted.items():
+        if not path.exists() or path.read_text() != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+
+
+def sources(root: Path) -> list[Path]:
+    folders = (root / name for name in ("core", "binding"))
+    return [*(path for folder in folders for path in folder.rglob("*.?pp")), root / "CMakeLists.txt"]
 
 
 def build(root: Path, folder: Path, count: int, seed: int) -> list[str]:
@@ -93,11 +103,6 @@ def build(root: Path, folder: Path, count: int, seed: int) -> list[str]:
     that do not compile."""
     waiting = candidates(root / "core", seed)
     chosen = {number: waiting.pop(0) for number in range(count)}
-    if not (folder / "core").exists():
-        for name in ("core", "binding"):
-            shutil.copytree(root / name, folder / name)
-        shutil.copy(root / "CMakeLists.txt", folder)
-        (folder / "core" / "mutant.hpp").write_text(HEADER)
     write(root, folder, chosen)
     place = folder / "build" / "dev"
     if not (place / "build.ninja").exists():
