@@ -67,8 +67,8 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
   Dense dense{
       DenseOutput(extent, m, *mode, raw->evaluate,
                   lower ? std::optional<Bounds>(std::in_place, to_vector(*lower), to_vector(*upper)) : std::nullopt),
-      Weights(rtol, each ? to_vector(*each) : std::vector<double>(extent.n, std::get<double>(threshold)),
-              scale ? to_vector(*scale) : std::vector<double>{}),
+      to_weights(rtol, each ? to_vector(*each) : std::vector<double>(extent.n, std::get<double>(threshold)),
+                 scale ? to_vector(*scale) : std::vector<double>{}),
       complex};
   const std::size_t overhead = Interpolant(extent, m, *mode, raw->evaluate, nullptr, nullptr, nullptr).overhead();
   add_segments(dense, t, y, end, offset, data, overhead, *raw);

@@ -7,6 +7,7 @@
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <stdexcept>
 #include <tuple>
 #include <utility>
@@ -198,9 +199,16 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
 
 }  // namespace
 
+Weights to_weights(double rtol, std::vector<double> threshold, std::vector<double> scale) {
+  const bool valid = rtol > 0 && std::ranges::all_of(threshold, [](double thr) { return thr >= 0; }) &&
+                     std::ranges::all_of(scale, [](double one) { return one > 0; });
+  require(valid, "tolerances are not positive");
+  return {rtol, std::move(threshold), std::move(scale)};
+}
+
 Weights Tolerances::for_size(std::size_t n) const {
   const auto* each = std::get_if<std::vector<double>>(&threshold);
-  return {rtol, each ? *each : std::vector<double>(n, std::get<double>(threshold)), scale};
+  return to_weights(rtol, each ? *each : std::vector<double>(n, std::get<double>(threshold)), scale);
 }
 
 BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {

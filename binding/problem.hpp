@@ -119,6 +119,9 @@ struct Tolerances {
   [[nodiscard]] Weights for_size(std::size_t n) const;
 };
 
+/// Throws std::invalid_argument where rtol and scales are not positive, thresholds not 0 or positive.
+Weights to_weights(double rtol, std::vector<double> threshold, std::vector<double> scale);
+
 /// All that a run can be told, for the loop and for the method.
 struct RunSettings : Settings, MethodOptions {};
 
