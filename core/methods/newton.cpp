@@ -15,6 +15,7 @@ constexpr double large_stiffness = 10;     // c ‖J‖ above which an old Jacob
 constexpr int look_period = 10;            // steps with one J between two looks at it,
 constexpr double look_growth = 2;          // fewer where a residual has grown so much since the last one
 constexpr double large_residual = 1;       // of the size of y: a look after later iterations too
+constexpr double nearly_roundoff = 1e5;    // of ε: a smaller update of y_i says nothing of J (pollution: 1e4)
 constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
@@ -68,6 +69,23 @@ Convergence::Verdict Convergence::judge(double size) {
 void Convergence::settle(double size) {
   rate_ = std::max(rate_memory * rate_, std::min(size / previous_, slowest_rate));
   rate_known_ = true;
+}
+
+void forget_roundoff(const double* update, const double* y, std::span<double> residual) {
+  for (std::size_t i = 0; i < residual.size(); ++i)
+    if (std::abs(update[i]) <= nearly_roundoff * eps * std::abs(y[i])) residual[i] = 0;
+}
+
+bool unmoved(std::span<const double> before, const double* after, const double* w, double rtol) {
+  constexpr double most_unmoved = 0.5;
+  MaxNorm first, left, moved;
+  for (std::size_t i = 0; i < before.size(); ++i) {
+    if (before[i] == 0) continue;
+    first.add(before[i] / w[i]);
+    left.add(after[i] / w[i]);
+    moved.add((after[i] - before[i]) / w[i]);
+  }
+  return left.value() > most_left * rtol && moved.value() <= most_unmoved * first.value();
 }
 
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
@@ -606,22 +624,20 @@ bool Newton::look_due(double before) {
 
 /// Takes one f, for the residual after an update of that size.
 Newton::Result Newton::look(const double* psi, const double* d, double size) {
-  const std::size_t n = extent().n;
-  const auto norm = [n, w = place_.w](const auto& at) {
-    return max_norm(n, [&](std::size_t i) { return at(i) / w[i]; });
+  const auto norm = [n = extent().n, w = place_.w](const std::vector<double>& v) {
+    return max_norm(n, [&](std::size_t i) { return v[i] / w[i]; });
   };
-  const double before = norm([this](std::size_t i) { return before_[i]; });
+  const double before = norm(before_);
   looked_at_ = before;
   switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return Result::converged;
     case Outcome::ok: break;
   }
-  residual(place_.c, psi, d, 0, n);
-  const double after = norm([this](std::size_t i) { return residual_[i]; });
-  const double moved = norm([this](std::size_t i) { return residual_[i] - before_[i]; });
-  if (unmoved(before, moved, after, weights_.rtol())) return Result::failed;
-  return judge_by_residuals(size, before, after);
+  forget_roundoff(residual_.data(), place_.y, before_);
+  residual(place_.c, psi, d, 0, extent().n);
+  if (unmoved(before_, residual_.data(), place_.w, weights_.rtol())) return Result::failed;
+  return judge_by_residuals(size, before, norm(residual_));
 }
 
 /// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left

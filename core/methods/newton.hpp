@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "linear/mass.hpp"
@@ -260,13 +261,12 @@ inline double left_by(double size, double rate, double residual) {
 /// How much of that a J from before may leave, in units of rtol. (HIRES at 1e-6 leaves between 5 and 20, and its counts
 /// are published.)
 inline constexpr double most_left = 20;
-/// Whether the last update, with a J that is much too large, was too small to solve anything: it has moved the
-/// residual, which was that large before, by little, and leaves it large. (Roundoff of f times a stiffness leaves a
-/// large one too, but another one.)
-inline bool unmoved(double before, double moved, double after, double rtol) {
-  constexpr double most = 0.5;
-  return after > most_left * rtol && moved <= most * before;
-}
+/// Leaves out of a residual what says nothing of J: that of components of y whose `update` is hardly more than
+/// roundoff, where it is roundoff of f, times a stiffness.
+void forget_roundoff(const double* update, const double* y, std::span<double> residual);
+/// Whether the last update, with a J that is much too large, was too small to solve anything: of the residual `before`
+/// it, without what is 0 there, it has moved little, and leaves it large.
+bool unmoved(std::span<const double> before, const double* after, const double* w, double rtol);
 
 /// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
 /// (Brown & Hindmarsh, 1989, and CVODE's default).

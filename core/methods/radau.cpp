@@ -301,11 +301,9 @@ double Radau::next_h() const {
 /// there anyhow unless y is projected, tells what the last stage leaves. Residuals of M y' = f have no scale.
 Newton::Result Radau::look_at_end() {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
-  const std::size_t states = solver_.extent().n;
-  const auto size = [&](const std::vector<double>& v) {
-    return max_norm(states, [&](std::size_t i) { return v[i] / weight_[i]; });
-  };
-  const double before = size(residual_);
+  const std::size_t states = solver_.extent().n, last = (stages() - 1) * n();
+  forget_roundoff(residuals_.data() + last, candidate_.data(), residual_);
+  const double before = max_norm(states, [this](std::size_t i) { return residual_[i] / weight_[i]; });
   if (before <= most_left * weights_.rtol()) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
   if (evaluated != Newton::Result::converged) return evaluated;
@@ -314,9 +312,8 @@ Newton::Result Radau::look_at_end() {
   for (std::size_t i = 0; i < states; ++i) scratch_[i] = signed_h_ * end_f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
-  const double after = size(scratch_);
-  for (std::size_t i = 0; i < states; ++i) scratch_[i] -= residual_[i];
-  return unmoved(before, size(scratch_), after, weights_.rtol()) ? Newton::Result::failed : Newton::Result::converged;
+  return unmoved(residual_, scratch_.data(), weight_.data(), weights_.rtol()) ? Newton::Result::failed
+                                                                              : Newton::Result::converged;
 }
 
 Outcome Radau::accept(const double* y1) {
