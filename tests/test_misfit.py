@@ -259,6 +259,12 @@ def valve(stiffness):
     return f
 
 
+def bouncing(t, y):
+    """A ball on a stiff ground that damps."""
+    depth = max(0.0, -y[0])
+    return [y[1], max(0.0, 26675222.931563813 * depth**1.5 * (1 - 0.4634365502056113 * y[1])) - 9.81]
+
+
 @pytest.mark.filterwarnings("ignore:.*fun looks discontinuous")  # where the valve closes it nearly is
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_diodes_and_valves_open_and_close_within_a_step(method):
@@ -283,3 +289,5 @@ def test_diodes_and_valves_open_and_close_within_a_step(method):
         sol = iv.solve_ivp(*opening, method, rtol=rtol, atol=1e-3 * rtol, keep="end")
         allowed = 10 if method == "radau" else 1000  # radau has f at the end of every step, and looks there
         assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < allowed * rtol
+    sol = iv.solve_ivp(bouncing, (0, 1), [0.2, 0.0], method, rtol=1e-3, atol=1e-6)
+    assert np.abs(sol.y[0]).max() < 0.21
