@@ -305,11 +305,26 @@ Status Jacobian::difference(Callback& f, double t, const double* y, const double
     for (const std::size_t j : drowned_) factor_[j] = std::min(std::sqrt(factor_[j]), greatest_factor);
     if (difference_group(f, t, y, slope, drowned_, true) == Status::stop) return Status::stop;
   }
+  adapted_ = false;
   for (std::size_t j = 0; j < matrix_.n(); ++j) {
     const Column& column = columns_[j];
+    const double ratio = std::abs(column.increment / increment(j, y, slope[j], first_factor));
+    adapted_ = adapted_ || ratio > factor_step || ratio * factor_step < 1;
     if (column.change <= small * column.size) factor_[j] = std::min(factor_step * factor_[j], greatest_factor);
     if (column.change > large * column.size) factor_[j] = std::max(factor_[j] / factor_step, least_factor);
   }
+  measure_noise(y, slope);
+  return Status::ok;
+}
+
+Status Jacobian::evaluate_plainly(Callback& f, double t, const double* y, const double* slope) {
+  if (kind_ != Kind::differences) return evaluate(f, t, y, slope);
+  ++count_;
+  adapted_ = false;
+  std::copy(y, y + matrix_.n(), point_.begin());
+  std::fill(factor_.begin(), factor_.end(), first_factor);
+  for (const std::vector<std::size_t>& group : groups_)
+    if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;
   measure_noise(y, slope);
   return Status::ok;
 }
@@ -364,10 +379,13 @@ void Jacobian::widen_increments() {
 }
 
 /// y_j changes by factor · max(|y_j|, atol_j), in the direction in which f moves it; where that has changed nothing at
-/// all, by factor · max(|y_j|, atol_j / rtol).
+/// all, by factor · max(|y_j|, atol_j / rtol), but not beyond the tolerance: there f may have other derivatives.
 double Jacobian::increment(std::size_t j, const double* y, double slope, double factor, bool again) const {
   double scale = std::max(std::abs(y[j]), weights_.absolute_tolerance(j));
-  if (again && columns_[j].change == 0) scale = weights_.at(j, y[j]);
+  if (again && columns_[j].change == 0) {
+    scale = weights_.at(j, y[j]);
+    factor = std::min(factor, std::max(first_factor, weights_.rtol()));
+  }
   const double moved = y[j] + (slope >= 0 ? factor : -factor) * defined_scale(scale, y);
   return box_.turned(j, y[j], moved - y[j]);
 }

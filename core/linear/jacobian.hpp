@@ -88,6 +88,10 @@ class Jacobian {
   [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
   [[nodiscard]] double noise() const { return noise_; }
+  /// Whether columns of the latest differences have increments far from √ε |y_j|, which earlier ones have led to.
+  [[nodiscard]] bool adapted() const { return adapted_; }
+  /// The same as `evaluate`, with those increments; they are adapted anew afterwards.
+  Status evaluate_plainly(Callback& f, double t, const double* y, const double* slope);
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();
   /// Counts and increments; `matrix_state`: the matrix.
@@ -118,7 +122,7 @@ class Jacobian {
   Status difference(Callback& f, double t, const double* y, const double* slope);
   Status difference_group(Callback& f, double t, const double* y, const double* slope,
                           const std::vector<std::size_t>& columns, bool again = false);
-  [[nodiscard]] double increment(std::size_t j, const double* y, double slope, double factor, bool again) const;
+  [[nodiscard]] double increment(std::size_t j, const double* y, double slope, double factor, bool again = false) const;
   [[nodiscard]] double defined_scale(double scale, const double* y) const;
   template <class Visit>
   void for_each_in_column(std::size_t j, Visit&& visit);
@@ -129,6 +133,7 @@ class Jacobian {
   const Weights& weights_;
   std::int64_t count_ = 0;
   double noise_ = 0;
+  bool adapted_ = false;
   double abandoned_complex_steps_ = std::numeric_limits<double>::quiet_NaN();
   std::int64_t enlargements_ = 0;
   bool doubtful_now_ = false;

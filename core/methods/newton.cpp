@@ -76,8 +76,7 @@ void forget_roundoff(const double* update, const double* y, std::span<double> re
     if (std::abs(update[i]) <= nearly_roundoff * eps * std::abs(y[i])) residual[i] = 0;
 }
 
-bool unmoved(std::span<const double> before, const double* after, const double* w, double rtol) {
-  constexpr double most_unmoved = 0.5;
+bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part) {
   MaxNorm first, left, moved;
   for (std::size_t i = 0; i < before.size(); ++i) {
     if (before[i] == 0) continue;
@@ -85,7 +84,7 @@ bool unmoved(std::span<const double> before, const double* after, const double* 
     left.add(after[i] / w[i]);
     moved.add((after[i] - before[i]) / w[i]);
   }
-  return left.value() > most_left * rtol && moved.value() <= most_unmoved * first.value();
+  return left.value() > least && moved.value() <= part * first.value();
 }
 
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
@@ -195,6 +194,8 @@ Status AgingJacobian::take_jacobian(double t, const double* y, const double* slo
   renew_ = false;
   current_ = true;
   age_ = 0;
+  too_large_ = beside_ = false;
+  if (plainly_) return jacobian_.evaluate_plainly(state_f_, t, y, slope);
   if (jacobian_.evaluate(state_f_, t, y, slope) == Status::stop) return Status::stop;
   return slope != nullptr && fit_due(y) ? make_fit(t, y, slope) : Status::ok;
 }
@@ -257,6 +258,7 @@ Status AgingJacobian::take_beside(Callback& f, double t, const double* y) {
   for (std::size_t j = 0; j < n; ++j) point[j] += check_->direction()[j];
   if (f(t, point.data(), slope.data()) == Status::stop) return Status::stop;
   if (!all_finite(slope.data(), n)) return Status::ok;
+  beside_ = true;
   if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
   switch (fit(f, t, point.data(), slope.data(), on_one_side)) {
     case JacobianCheck::Fit::stop: return Status::stop;
@@ -308,7 +310,9 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
 
 bool AgingJacobian::renew_if_old() {
   jacobian_.doubt();
-  return !current_ && renew();
+  if (!current_) return renew();
+  const bool elsewhere = beside_ || jacobian_.adapted();
+  return too_large_ && !plainly_ && elsewhere && (plainly_ = renew());
 }
 
 bool AgingJacobian::renew() {
@@ -330,7 +334,7 @@ void AgingJacobian::renew_if_noise(double c) {
 
 void AgingJacobian::step_accepted() {
   if (free_) free_->forget_failures();
-  current_ = false;
+  current_ = plainly_ = false;
   ++age_;
 }
 
@@ -463,6 +467,7 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
       residual_(weights.size()),
       sum_(weights.size()),
       before_(linear.krylov ? 0 : extent().n),
+      earlier_(before_.size()),
       sensitivity_weight_(linear.state ? weights.size() : 0) {}
 
 void Newton::keep_factors() {
@@ -525,7 +530,10 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
       return evaluated;
     residual(c, psi, d, 0, n);
     const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
-    if (!matrix_free()) std::copy_n(residual_.begin(), n, before_.begin());
+    if (!matrix_free()) {
+      before_.swap(earlier_);
+      std::copy_n(residual_.begin(), n, before_.begin());
+    }
     if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
@@ -542,8 +550,10 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
         if (matrix_free() || mass() != nullptr || noisy() || jacobian_age() == 0) return Result::converged;
         if (convergence_.iterations() > 1 && judge_by_residuals(size, last, before) == Result::failed)
           return Result::failed;
-        return look_due(before) ? look(psi, d, size) : Result::converged;
-      case Convergence::Verdict::diverged: return Result::failed;
+        return look_due(before) ? look(psi, d, size, before) : Result::converged;
+      case Convergence::Verdict::diverged:
+        if (convergence_.iterations() > 1 && unmoved(earlier_, before_.data(), w, 0)) note_too_large();
+        return Result::failed;
       case Convergence::Verdict::go_on: break;
     }
   }
@@ -622,12 +632,8 @@ bool Newton::look_due(double before) {
   return now && stiff(place_.c, place_.w);
 }
 
-/// Takes one f, for the residual after an update of that size.
-Newton::Result Newton::look(const double* psi, const double* d, double size) {
-  const auto norm = [n = extent().n, w = place_.w](const std::vector<double>& v) {
-    return max_norm(n, [&](std::size_t i) { return v[i] / w[i]; });
-  };
-  const double before = norm(before_);
+/// Takes one f, for the residual after an update of that size, before which it had the size `before`.
+Newton::Result Newton::look(const double* psi, const double* d, double size, double before) {
   looked_at_ = before;
   switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
@@ -636,14 +642,20 @@ Newton::Result Newton::look(const double* psi, const double* d, double size) {
   }
   forget_roundoff(residual_.data(), place_.y, before_);
   residual(place_.c, psi, d, 0, extent().n);
-  if (unmoved(before_, residual_.data(), place_.w, weights_.rtol())) return Result::failed;
-  return judge_by_residuals(size, before, norm(residual_));
+  if (unmoved(before_, residual_.data(), place_.w, most_left * weights_.rtol())) {
+    note_too_large();
+    return Result::failed;
+  }
+  const double after = max_norm(extent().n, [this](std::size_t i) { return residual_[i] / place_.w[i]; });
+  return judge_by_residuals(size, before, after);
 }
 
 /// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left
 /// after an update of that size.
-Newton::Result Newton::judge_by_residuals(double size, double last, double residual) const {
-  return left_by(size, residual / last, residual) > most_left * weights_.rtol() ? Result::failed : Result::converged;
+Newton::Result Newton::judge_by_residuals(double size, double last, double residual) {
+  if (left_by(size, residual / last, residual) <= most_left * weights_.rtol()) return Result::converged;
+  note_too_large();
+  return Result::failed;
 }
 
 Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }

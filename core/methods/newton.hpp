@@ -101,12 +101,15 @@ class AgingJacobian {
   void step_accepted();
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.
   bool renew();
-  /// The same after an iteration that failed: a J of the point reached cannot be improved, unless it was undefined.
+  /// The same after an iteration that failed: a J of the point reached cannot be improved, unless it was undefined, or
+  /// is much too large and may be that of a place where f has another derivative.
   bool renew_if_old();
   /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
   void renew_if_noise(double c);
   /// Roundoff in a J of this run has counted: a new one is not better than the old.
   [[nodiscard]] bool noisy() const { return noisy_; }
+  /// Residuals say that updates with J are much too small.
+  void note_too_large() { too_large_ = true; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
   /// It is to be taken anew before the next attempt.
   [[nodiscard]] bool renewal_due() const { return renew_; }
@@ -211,8 +214,11 @@ class AgingJacobian {
   bool noisy_ = false;              // roundoff in a J of this run has counted
   bool current_ = false;            // J is that of the point reached
   bool renew_ = false;
-  bool first_ = true;   // J will be the first one of a start
-  int undefined_ = -1;  // component of f, at the last evaluation
+  bool too_large_ = false;  // the J at hand; it is that
+  bool beside_ = false;     // of a point beside y,
+  bool plainly_ = false;    // or of y itself, or is to be
+  bool first_ = true;       // J will be the first one of a start
+  int undefined_ = -1;      // component of f, at the last evaluation
   int age_ = 0;
 };
 
@@ -264,9 +270,10 @@ inline constexpr double most_left = 20;
 /// Leaves out of a residual what says nothing of J: that of components of y whose `update` is hardly more than
 /// roundoff, where it is roundoff of f, times a stiffness.
 void forget_roundoff(const double* update, const double* y, std::span<double> residual);
+inline constexpr double little = 0.5;  // of a residual
 /// Whether the last update, with a J that is much too large, was too small to solve anything: of the residual `before`
-/// it, without what is 0 there, it has moved little, and leaves it large.
-bool unmoved(std::span<const double> before, const double* after, const double* w, double rtol);
+/// it, without what is 0 there, it has moved no more than that part, and leaves more than `least` in the weights.
+bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part = little);
 
 /// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
 /// (Brown & Hindmarsh, 1989, and CVODE's default).
@@ -310,8 +317,8 @@ class Newton : public AgingJacobian {
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
   bool look_due(double before);
-  Result look(const double* psi, const double* d, double size);
-  [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
+  Result look(const double* psi, const double* d, double size, double before);
+  Result judge_by_residuals(double size, double last, double residual);
   Result solve_linear(double tolerance, double* b);
   Result look_at_product();
   Result solve_columns(double goal, double* b);
@@ -326,7 +333,7 @@ class Newton : public AgingJacobian {
   std::optional<double> last_c_;  // for which the rate of convergence is known
   double looked_at_ = 0;          // the residual at the last look at this J, in the norm
   std::vector<double> f_value_, residual_, sum_;
-  std::vector<double> before_;              // the residual before the last update; empty: matrix-free
+  std::vector<double> before_, earlier_;    // residuals before the last update, and the one before; empty: matrix-free
   std::vector<double> sensitivity_weight_;  // of the attempt
 };
 

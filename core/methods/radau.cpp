@@ -21,6 +21,7 @@ constexpr double smallest_error = 1e-2;  // of the last step, that the predictio
 constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
 constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
+constexpr double nearly_all = 0.9;       // of a residual: what an update is to move in a step in which one has misled
 constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
@@ -63,7 +64,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
   provide({&f_, &end_f_, &last_y_, &error_vector_, &gap_, &scratch_});
-  residual_.resize(solver_.extent().n);
+  for (std::vector<double>* v : {&residual_, &earlier_}) v->resize(solver_.extent().n);
   if (linear.state) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
@@ -80,6 +81,7 @@ void Radau::use(const RadauFormula* formula) {
 
 Outcome Radau::start(double t, const double* y, const Span& span) {
   memory_h_ = last_h_ = 0;
+  misled_ = false;
   steps_until_raise_ = 0;
   use(lowest_);
   solver_.forget();
@@ -158,7 +160,10 @@ Newton::Result Radau::iterate(Convergence& convergence) {
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
-    if (part_.first == 0) std::copy_n(residuals_.data() + (stages() - 1) * n(), part_.end, residual_.data());
+    if (part_.first == 0) {
+      residual_.swap(earlier_);
+      std::copy_n(residuals_.data() + (stages() - 1) * n(), part_.end, residual_.data());
+    }
     bool negligible = convergence.iterations() > 0;
     const Newton::Result solved = solve_part(tolerance, negligible);
     if (solved != Newton::Result::converged) return solved;
@@ -168,7 +173,10 @@ Newton::Result Radau::iterate(Convergence& convergence) {
     }
     switch (convergence.judge(update_stages())) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
-      case Convergence::Verdict::diverged: return Newton::Result::failed;
+      case Convergence::Verdict::diverged:
+        if (part_.first == 0 && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
+          solver_.note_too_large();
+        return Newton::Result::failed;
       case Convergence::Verdict::go_on: break;
     }
   }
@@ -312,8 +320,12 @@ Newton::Result Radau::look_at_end() {
   for (std::size_t i = 0; i < states; ++i) scratch_[i] = signed_h_ * end_f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
-  return unmoved(residual_, scratch_.data(), weight_.data(), weights_.rtol()) ? Newton::Result::failed
-                                                                              : Newton::Result::converged;
+  const double part = misled_ ? nearly_all : little;
+  if (!unmoved(residual_, scratch_.data(), weight_.data(), most_left * weights_.rtol(), part))
+    return Newton::Result::converged;
+  misled_ = true;
+  solver_.note_too_large();
+  return Newton::Result::failed;
 }
 
 Outcome Radau::accept(const double* y1) {
@@ -335,7 +347,7 @@ Outcome Radau::accept(const double* y1) {
   memory_h_ = signed_h_;
   accepted_ = formula_;
   choose_order(h);
-  failed_ = false;
+  failed_ = misled_ = false;
   h_ = h;
   return Outcome::ok;
 }

@@ -96,11 +96,12 @@ class Radau final : public ImplicitBase<RadauSystems> {
   std::vector<double> f_;             // f at (t, y): y' too, unless there is a mass matrix
   std::vector<double> end_f_;         // f at (t₁, candidate), where it is known
   bool end_known_ = false;
+  bool misled_ = false;  // an attempt of this step, by a J that was much too large
   std::vector<double> gap_, scratch_;
-  std::vector<double> residual_;        // of the last stage before the last update
-  double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
-  double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
-  int steps_until_raise_ = 0;           // of the order, at least
+  std::vector<double> residual_, earlier_;  // of the last stage, before the last update and the one before
+  double memory_h_ = 0;                     // signed h of the polynomial; 0 before the first step
+  double last_h_ = 0, last_error_ = 0;      // |h| and error of the last accepted step; 0: there was none
+  int steps_until_raise_ = 0;               // of the order, at least
 };
 
 }  // namespace invariode
