@@ -586,3 +586,13 @@ def test_a_mass_with_entries_that_were_not_there_at_the_start_is_whole():
     problem = MechanicalSystem(mass, lambda t, q, v: np.ones(len(q)), links).problem((0, 1), q, v)
     constant = MechanicalSystem(mass(1.0, q), lambda t, q, v: np.ones(len(q)), links).problem((0, 1), q, v)
     np.testing.assert_allclose(problem.fun(1.0, problem.y0), constant.fun(1.0, constant.y0), rtol=1e-10, atol=1e-10)
+    # One that has them from the start keeps sparse factors where n is large, and is a metric where it is small.
+    for bobs, kind in ((20, np.asarray), (3, scipy.sparse.csc_array)):
+        q, v = tangled(bobs)
+        always, constant = (
+            MechanicalSystem(M, lambda t, q, v: np.ones(len(q)), links).problem((0, 1), q, v)
+            for M in (lambda t, q, kind=kind: kind(mass(1.0, q)), mass(1.0, q))
+        )
+        sol, same = (one.solve("dop853", rtol=1e-3, keep="end") for one in (always, constant))
+        assert bobs == 3 or sol.stats.mechanics["dense"] == 0
+        np.testing.assert_allclose(sol.y, same.y, rtol=1e-9, atol=1e-9)
