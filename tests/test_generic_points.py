@@ -46,6 +46,8 @@ def test_so_is_a_rod_at_rest_without_its_rate():
     at_rest = [1.0, 0, 0, 0]
     assert not iv.check_invariants(pendulum, iv.Invariants(rod, value=0), 0, at_rest).ok
     assert iv.check_invariants(pendulum, iv.Invariants(rod_and_rate, value=[0, 0]), 0, at_rest).ok
+    still = iv.check_invariants(lambda t, y: [0.0], lambda t, y: y + np.sin(t), 0, [1.0])  # there, by itself
+    np.testing.assert_allclose(still.rate, 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
