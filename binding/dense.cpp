@@ -60,7 +60,7 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
   require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
   const auto* each = std::get_if<ConstVector>(&threshold);
   const std::size_t states = 1 + parameters;
-  require(n % states == 0, "a point is not a state with its sensitivities");
+  require(states > 0 && n % states == 0, "a point is not a state with its sensitivities");
   const Extent extent(n / states, parameters);
   require((!each || each->size() == extent.n) && (!scale || scale->size() == extent.n), "weights do not match");
   require(lower.has_value() == upper.has_value() && (!lower || lower->size() == extent.n), "bounds do not match");

@@ -47,6 +47,9 @@ def test_a_segment_is_of_the_size_that_its_extension_reads(method, tmp_path):
     rewritten(tmp_path / "a", claim)
     with pytest.raises(ValueError, match=r"a is damaged: ValueError: segments do not match"):
         iv.load(tmp_path / "a")
+    rewritten(tmp_path / "a", lambda arrays, about: about["dense"].update(parameters=2**64 - 1))
+    with pytest.raises(ValueError, match="a is damaged: ValueError: a point is not a state with its sensitivities"):
+        iv.load(tmp_path / "a")
 
 
 @pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
@@ -90,7 +93,7 @@ def test_no_byte_of_a_memory_does_more_than_spoil_the_solution(tmp_path):
 DAMAGE = {
     "no memory": lambda arrays, about: arrays.pop("memory"),
     "a length": lambda arrays, about: about.update(length=2**62),
-    "a negative length": lambda arrays, about: about.update(length=-1),
+    "a negative interval": lambda arrays, about: about.update(every=-1.0),
     "no token": lambda arrays, about: about.pop("token"),
     "a token elsewhere": lambda arrays, about: about.update(token="../../x/../0000000"),
     "the end": lambda arrays, about: arrays.update(y_end=np.zeros(7)),
@@ -106,6 +109,10 @@ def test_what_a_checkpoint_says_is_seen_to_be_possible(what, tmp_path):
     rewritten(tmp_path / "run", DAMAGE[what])
     with pytest.raises(ValueError, match=r"the file .*run.* is (damaged|shorter)"):
         iv.load(tmp_path / "run", problem())
+    if what == "a length":
+        rewritten(tmp_path / "run", lambda arrays, about: about.update(length=-1))
+        with pytest.raises(ValueError, match="is damaged"):
+            iv.load(tmp_path / "run", problem())
 
 
 # ----------------------------------------------------------------------------------------------------------------------

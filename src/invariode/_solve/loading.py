@@ -132,7 +132,8 @@ def load(
         if kind is CHECKPOINT:
             given, every = source.options.get("checkpoint"), origin.known.about["every"]
             every = given.every if isinstance(given, Checkpoint) else every
-            source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
+            with damage_of(path):
+                source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
         whole = RunOrigin(source, solution.t_end, origin.y, origin.next_h, origin.memory, origin.imposed, checkpoint)
         solution = solution.changed(_origin=whole)
     if problem is not None or listed:
