@@ -312,7 +312,9 @@ bool AgingJacobian::renew_if_old() {
   jacobian_.doubt();
   if (!current_) return renew();
   const bool elsewhere = beside_ || jacobian_.adapted();
-  return too_large_ && !plainly_ && elsewhere && (plainly_ = renew());
+  if (!too_large_ || plainly_ || !elsewhere) return false;
+  plainly_ = renew();
+  return plainly_;
 }
 
 bool AgingJacobian::renew() {
