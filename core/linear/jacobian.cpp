@@ -367,7 +367,8 @@ void Jacobian::matrix_state(Archive& archive) {
 }
 
 void Jacobian::state(Archive& archive) {
-  archive(count_, noise_, factor_, kind_, abandoned_complex_steps_, enlargements_, doubtful_now_, examined_, misfit_);
+  archive(count_, noise_, factor_, adapted_, kind_, abandoned_complex_steps_, enlargements_, doubtful_now_, examined_,
+          misfit_);
   source_.complex_f.state(archive);
   archive.require(kind_ == source_.kind || (source_.kind == Kind::complex_steps && kind_ == Kind::differences));
   archive.require(!examined_ || source_.found_pattern);

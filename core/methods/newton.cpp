@@ -397,7 +397,8 @@ void AgingJacobian::fields(Archive& archive) {
   jacobian_.matrix_state(archive);
   if (free_) free_->state(archive);
   archive(work_.checks, fitting_, misfit_, first_);
-  archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_);
+  archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_,
+          beside_);
 }
 
 LinearWork AgingJacobian::work() const {
