@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp, sin
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,7 @@ from scipy.optimize import brentq
 import invariode as iv
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from sksundae.ida import IDA  # type: ignore[import-untyped]  # scikit-sundae ships no types
-from stiff_contestants import MOST_STEPS, output_times, tolerances
+from stiff_contestants import Outcome, solved_by_ida, tolerances
 
 from stiff import StiffProblem
 
@@ -212,14 +211,6 @@ def akzo(rng: Random) -> StiffProblem:
 KINDS: tuple[Callable[[Random], StiffProblem], ...] = (amplifier, ladder, reactor, grid, akzo)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Error in units of rtol, infinite for a run that failed; evaluations of f."""
-
-    error: float
-    f: int
-
-
 def ours(p: StiffProblem, method: str, given: bool, rtol: float) -> Outcome:
     name = method.partition(",")[0]
     about = {"t_eval": p.times, "mass": p.mass, "jac": p.jac if given else None, **tolerances(p, rtol), **OURS[method]}
@@ -228,15 +219,7 @@ def ours(p: StiffProblem, method: str, given: bool, rtol: float) -> Outcome:
 
 
 def ida(p: StiffProblem, given: bool, rtol: float) -> Outcome:
-    def residual(t: float, y: Array, slope: Array, F: Array) -> None:
-        F[:] = p.mass @ slope - p.fun(t, y)
-
-    def jacobian(t: float, y: Array, slope: Array, F: Array, c: float, J: Array) -> None:
-        J[:] = c * p.mass - p.jac(t, y)
-
-    known = {"jacfn": jacobian} if given else {}
-    solver = IDA(residual, linsolver="dense", max_num_steps=MOST_STEPS, **known, **tolerances(p, rtol))
-    sol = solver.solve(output_times(p), p.y0, p.slope)
+    sol = solved_by_ida(p, rtol, given)
     return Outcome(error(p, sol.y[-len(p.times) :].T, rtol) if sol.success else np.inf, sol.nfev)
 
 

@@ -107,7 +107,12 @@ def cvode(p: StiffProblem, rtol: float) -> Outcome:
 
 
 def ida(p: StiffProblem, rtol: float) -> Outcome:
-    """IDA solves F(t, y, y') = 0; it asks for y' at the start, and for one Jacobian by y and y' together."""
+    return of_sundials(p, solved_by_ida(p, rtol))
+
+
+def solved_by_ida(p: StiffProblem, rtol: float, given: bool = True) -> Any:
+    """IDA solves F(t, y, y') = 0; it asks for y' at the start, and for one Jacobian by y and y' together, which is
+    computed by differences if it is not `given`."""
 
     def residual(t: float, y: Any, slope: Any, F: Any) -> None:
         F[:] = p.mass @ slope - p.fun(t, y)
@@ -115,8 +120,9 @@ def ida(p: StiffProblem, rtol: float) -> Outcome:
     def jacobian(t: float, y: Any, slope: Any, F: Any, c: float, J: Any) -> None:
         J[:] = c * p.mass - p.jac(t, y)
 
-    solver = IDA(residual, jacfn=jacobian, linsolver="dense", max_num_steps=MOST_STEPS, **tolerances(p, rtol))
-    return of_sundials(p, solver.solve(output_times(p), p.y0, p.slope))
+    known = {"jacfn": jacobian} if given else {}
+    solver = IDA(residual, linsolver="dense", max_num_steps=MOST_STEPS, **known, **tolerances(p, rtol))
+    return solver.solve(output_times(p), p.y0, p.slope)
 
 
 def output_times(p: StiffProblem) -> Any:

@@ -180,7 +180,7 @@ class Functions {
   Preconditioner preconditioner(nb::handle f);
 
   /// Sets the exception with which f, or the slope of sensitivities, overflowed at t or beyond, seen in the direction
-  /// `forward`. False: there is none.
+  /// `forward`. False: nothing overflowed.
   [[nodiscard]] bool raise_overflow(double t, double forward) const;
   void forget_overflows() const;
 

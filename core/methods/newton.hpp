@@ -214,9 +214,9 @@ class AgingJacobian {
   bool noisy_ = false;              // roundoff in a J of this run has counted
   bool current_ = false;            // J is that of the point reached
   bool renew_ = false;
-  bool too_large_ = false;  // the J at hand; it is that
-  bool beside_ = false;     // of a point beside y,
-  bool plainly_ = false;    // or of y itself, or is to be
+  bool too_large_ = false;  // residuals say so of the J at hand
+  bool beside_ = false;     // it is that of a point beside y
+  bool plainly_ = false;    // it is, or is to be, that of y, by increments that are not adapted
   bool first_ = true;       // J will be the first one of a start
   int undefined_ = -1;      // component of f, at the last evaluation
   int age_ = 0;

@@ -601,7 +601,7 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
     if t_eval is not None:
         now = output_times(t_eval, origin.t, tf)
         if len(old.t) and len(now) and now[0] == old.t[-1]:
-            now = now[1:]  # it is there already
+            now = now[1:]  # already an output
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
     return now, np.concatenate([now, beyond])

@@ -469,7 +469,7 @@ def _sign_of(value: Callable[[float, Array], Array]) -> Callable[..., float]:
 
 
 def require_possible(problem: Description) -> None:
-    """That there are sensitivities. What there are none for is refused by name."""
+    """Refuses by name what has no sensitivities."""
     if isinstance(problem.fun, SecondOrder) and problem.fun.native:
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
