@@ -280,8 +280,7 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
         whole[name] = np.concatenate([part[name] for part in parts], axis=axis)
     rows = np.cumsum([0, *(len(part["t"]) for part in parts)])
     whole["jumps.row"] += np.repeat(rows[:-1], [len(part["jumps.row"]) for part in parts])
-    options = whole["identity"]["options"]
-    if "end" in (options.get("keep"), options.get("save")):
+    if whole["identity"]["options"].get("keep") == "end":
         whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
         if "S" in whole:
             whole["S"] = state["S_end"][:, :, None]
