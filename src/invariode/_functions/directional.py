@@ -486,7 +486,7 @@ class _Evaluation:
         numbers = [np.concatenate([np.ravel(np.asarray(one)) for one in given])] if given else []
         out: Array | None = None
         if fun.inplace:
-            out = np.full(self._values_of(fun), np.nan, dtype=np.result_type(y, float, *numbers))
+            out = np.full(self._count_values(), np.nan, dtype=np.result_type(y, float, *numbers))
         filled = [] if out is None else [out]
         try:
             returned = fun.fun(t, y.copy(), *filled, *given)
@@ -494,7 +494,7 @@ class _Evaluation:
             returned = fun.fun(t, y.copy(), *filled, *numbers)
         return out if out is not None else np.ravel(np.asarray(returned))
 
-    def _values_of(self, fun: CompiledFunction) -> int:
+    def _count_values(self) -> int:
         if self.m is None:
             raise ValueError(f"{self._name} fills an array: say how many values it has")
         return self.m

@@ -44,7 +44,7 @@ def krylov(
             "linear_solver=GMRES(preconditioner=...), which solves (M - c J) x = b approximately"
         )
     return Krylov(
-        product=_product(given.jac, chosen.jac_product, y0, args, p, exact),
+        product=_product(given.jac, chosen.jac_product, y0, p, exact),
         preconditioner=None if chosen.preconditioner is None else _SetUp(chosen.preconditioner, args, y0),
         dimension=chosen.dimension or 0,
     )
@@ -55,7 +55,7 @@ def is_operator(given: object) -> bool:
     return isinstance(given, LinearOperator)
 
 
-def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]) -> Any:
+def _product(jac: Any, jac_product: Any, y0: Array, p: Array, exact: Callable[[], Any]) -> Any:
     if jac_product is not None:
         if jac is not None:
             raise ValueError("jac and GMRES(jac_product=) say the same: give one of them")

@@ -238,12 +238,12 @@ def _solved(plan: Plan, source: Solved) -> Solution:
     problem = source.problem
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
-        sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
+        sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, found)), plan, found)
         if ended_at_start(plan, found) and sol.success:
             status, message = MESSAGES["terminal_event"]
             sol = sol.changed(status=status, message=message)
     else:
-        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
+        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, []))
     compiled = problem if plan.expansion is None else plan.expansion.problem
     compare(compiled, sol, source.options.get("check", True))
     return concluded(sol, plan.on_failure)
@@ -268,7 +268,7 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
-def _new_checkpoint(plan: Plan, source: Solved, at_start: list[int]) -> Checkpoint | None:
+def _new_checkpoint(plan: Plan, at_start: list[int]) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
         return None

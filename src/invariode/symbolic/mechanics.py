@@ -243,7 +243,7 @@ def lagrangian(
     if mechanism is None:
         _require_regular(words, system)
         system = eliminated(system)
-    laws += form.laws(held, rates, rolled)
+    laws += form.laws(held, rolled)
     shown = [(sympy.Symbol("L"), words.shown(form.lagrangian))]
     shown += [(sympy.Integer(0), words.shown(one)) for one in [*held, *rolled]]
     return Lagrangian(words, system, laws, shown, points, mechanism)
@@ -276,7 +276,7 @@ class Form:
         """∂L/∂q - d/dt ∂L/∂v without its part in v'."""
         return [by_q - self.rate(p) for by_q, p in zip(self.by_q, self.p, strict=True)]
 
-    def laws(self, held: list[Any], rates: list[Any], rolled: list[Any]) -> list[Law]:
+    def laws(self, held: list[Any], rolled: list[Any]) -> list[Law]:
         """Energy and momenta that hold whatever the parameters are."""
         work = _dot(self.forces, self.v) - self.lagrangian.diff(self.words.t)
         steady = [one.diff(self.words.t) for one in held]  # constraints that move do work, and so do

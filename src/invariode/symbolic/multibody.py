@@ -313,7 +313,7 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int, named: Container[str]) 
     laws, mechanism = constrained(words, held, rates[:m], rates[m:], matrix[:n, :n], right[:n])
     form = Form(words, n, words.coded("L", method._L[0]))
     form.forces = [total - own for total, own in zip(right, form.own_forces(), strict=False)]
-    laws += [law for law in form.laws(held, rates[:m], rates[m:]) if law.name not in named]
+    laws += [law for law in form.laws(held, rates[m:]) if law.name not in named]
     return _Made(system, laws, mechanism)
 
 

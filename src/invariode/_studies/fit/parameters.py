@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -18,8 +18,6 @@ from .priors import Prior, PriorLike, check_complex_steps, to_prior
 
 #: Complex increment of the derivatives of ties: its square vanishes against 1.
 _TINY = 1e-40
-
-ParameterLike: TypeAlias = "Parameter | tuple[float | None, float | None]"
 
 
 @public
