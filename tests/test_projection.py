@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import invariode as iv
 from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families, families_and_series
+from invariode._laws.bound import SMALLEST_SCALE
 from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
+
+WEIGHTS = Path(__file__).parents[1] / "core" / "weights.hpp"
 
 
 @dealt(method=METHODS, problem=PROBLEMS)
@@ -69,7 +74,9 @@ def test_units_of_g_do_not_matter(method, problem, factor):
 
 @dealt(method=FAMILIES, small=[0, 1e-307, 1e-290, 1e-251, 1e-249, 1e-100])
 def test_components_near_zero_under_pure_relative_control(method, small):
-    """However small a component is, its complex step does not underflow, and the gradient is right."""
+    """However small a component is, its complex step does not underflow, and the gradient is right: below one size
+    components have no scale, in the core and here."""
+    assert f" smallest_scale = {SMALLEST_SCALE:g};" in WEIGHTS.read_text(encoding="utf-8")
     sol = iv.solve_ivp(
         lambda t, y: [y[1], -y[0]], (0, 1), [1, small], method, rtol=1e-6, atol=0, invariants=lambda t, y: y @ y
     )

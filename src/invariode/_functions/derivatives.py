@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -182,11 +182,18 @@ class Derivatives:
         return takes_complex(values, np.append(t, x), direction, np.append(0.0, direction[1:]))
 
 
-def takes_complex(values: Callable[[Array], Any], x: Array, direction: Array, beside: Array) -> bool:
-    """Whether complex steps give what differences give, along a direction in which everything moves; tried at x and
-    `beside` it, which is given as a direction."""
-    for part in _BESIDE_START:
-        if (found := compared(values, x + part * beside, direction)) is not None:
+def takes_complex(
+    values: Callable[[Array], Any], x: Array, direction: Array, beside: Array, nearer: Sequence[float] = ()
+) -> bool:
+    """Whether complex steps give what differences give, along a direction in which everything moves.
+
+    They are compared at the first point at which the function is defined: at x or `beside` it, which is given as a
+    direction; then on both sides of x at these fractions of `beside`, over the same fractions of the direction.
+    """
+    points = [(part, 1.0) for part in _BESIDE_START]
+    points += [(side * _BESIDE_START[0] * fraction, fraction) for fraction in nearer for side in (1, -1)]
+    for part, length in points:
+        if (found := compared(values, x + part * beside, length * direction)) is not None:
             return bool(found.agree().all())
     return False
 

@@ -32,7 +32,7 @@ from .._functions.compiled import (
     native_parameters,
     to_native,
 )
-from .._functions.derivatives import compared, somewhere
+from .._functions.derivatives import somewhere, takes_complex
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
@@ -424,6 +424,8 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     return fun, at_start
 
 
+#: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
+SMALLEST_SCALE = 1e-250
 #: Fractions of the components' sizes at which g is tried if it is not defined farther away.
 _NEARER = (1e-2, 1e-4, 1e-6)
 
@@ -444,22 +446,17 @@ def _takes_complex(values: Callable[[Array], Any], y: Array, threshold: float | 
     if np.iscomplexobj(y):
         return False
     direction = somewhere(y, _sizes(y, threshold))
-    places = [(0.1, 1.0), (0.0, 1.0)]  # at y itself, that g is not analytic may not show
-    places += [(side * 0.1 * nearer, nearer) for nearer in _NEARER for side in (1, -1)]
-    for beside, part in places:
-        if (found := compared(values, y + beside * direction, part * direction)) is not None:
-            return bool(found.agree().all())
-    return False
+    return takes_complex(values, y, direction, direction, _NEARER)
 
 
 def _sizes(y: Array, threshold: float | Array) -> Array:
-    """The sizes of the components, for increments, as in the core."""
+    """The sizes of the components, for increments: `take_sizes` of the core."""
     size: Array = np.abs(y)
     largest = size.max(initial=0)
-    if largest < 1e-300:
+    if largest < SMALLEST_SCALE:
         largest = 1.0
     size = np.maximum(size, np.minimum(threshold, largest))
-    size[size < 1e-300] = largest  # pure relative control at 0
+    size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
     return size
 
 
