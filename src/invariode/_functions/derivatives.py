@@ -28,7 +28,8 @@ _BESIDE_START = (0.1, 0.0)
 _LARGE = 500
 #: Distance from x at which the pattern is sought, in units of the sizes of the components.
 _BESIDE = (0.0, 0.1, -0.07)
-_GOLDEN = 0.6180339887498949
+#: Its multiples modulo 1 are spread evenly and never repeat.
+GOLDEN = 0.6180339887498949
 
 
 class Forms(NamedTuple):
@@ -273,11 +274,16 @@ def compressed(entries: Array) -> tuple[Array, Array, Array]:
     return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
 
 
+def spread(count: int) -> Array:
+    """Numbers in [0, 1), spread evenly over it: the multiples of the golden ratio modulo 1."""
+    fractions: Array = np.modf(GOLDEN * np.arange(1, count + 1))[0]
+    return fractions
+
+
 def somewhere(x: Array, size: Array | None = None) -> Array:
     """A direction in which every component moves by about its size."""
-    golden = np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]
     size = sizes(x) if size is None else size
-    direction: Array = size * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)
+    direction: Array = size * (0.5 + spread(len(x))) * np.where(np.arange(len(x)) % 2, -1, 1)
     return direction
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._base.arguments import Array, reals
 from .._base.types import MethodName
+from .._functions.derivatives import GOLDEN, spread
 from .._functions.graph.derived import derived
 from .._functions.graph.nodes import in_order
 from .._functions.layout import Parameters, count_of
@@ -15,9 +16,6 @@ from .._problem.methods import Method, find_method
 from .._problem.parameters import Y0, values_of, with_values
 from .._results.solution import Solution
 
-#: By what the velocities of the test differ from those of the solution, in units of the largest; irregular, so that no
-#: function of them is the same by chance.
-_OTHER = 0.6180339887498949
 #: By what a parameter differs with which accelerations may begin to depend on velocities.
 _CHANGE = 1e-3
 
@@ -66,7 +64,8 @@ def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) 
     """At points y (n, n_t), at each of which f is evaluated with two velocities."""
     half, k = len(y) // 2, len(t)
     points = np.concatenate([y, y], axis=1)
-    points[half:, k:] += _OTHER * _irregular(half)[:, None] * _largest(y[half:])
+    # irregular changes of about the size of the largest, so that no function of the velocities is the same by chance
+    points[half:, k:] += GOLDEN * (1 + spread(half))[:, None] * _largest(y[half:])
     slopes = problem.slope(np.concatenate([t, t]), points)
     finite = np.logical_and.reduce(np.isfinite(slopes))  # where it is not, the run says so
     if not np.array_equal(slopes[:half, finite], points[half:, finite]):
@@ -108,8 +107,3 @@ def _largest(velocities: Array) -> Array:
     """The largest component of each, or 1 where all are zero."""
     found = np.abs(velocities).max(axis=0, initial=0)
     return np.where(found > 0, found, 1.0)
-
-
-def _irregular(count: int) -> Array:
-    fractions: Array = np.modf(_OTHER * np.arange(1, count + 1))[0]
-    return 1 + fractions
