@@ -10,6 +10,7 @@ is one linear system for v' and λ.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -212,14 +213,10 @@ class GraphsOfMotion:
             v=v,
             mass=mass if self._mass is None else [[graph.node(one) for one in row] for row in self._mass.tolist()],
             force=values.get("force", []),
-            phi=_kept(phi, kept[: len(phi)]),
-            psi=_kept(psi, kept[len(kept) - len(psi) :]),
+            phi=[*compress(phi, kept)],
+            psi=[*compress(psi, kept[len(kept) - len(psi) :])],
             rates=values.get("kinematics", v),
         )
-
-
-def _kept(values: list[Node], kept: Array) -> list[Node]:
-    return [one for one, stays in zip(values, kept, strict=True) if stays]
 
 
 def _square(values: list[Node], graph: Graph, n: int) -> list[list[Node]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Sequence
+from itertools import compress
 from typing import Any, Literal
 
 import numpy as np
@@ -393,7 +394,7 @@ class MechanicalSystem(HasPoints):
             )
         redundant = redundant_rows(here, there)
         if redundant.any():
-            listed = ", ".join(name for name, left_out in zip(names, redundant, strict=True) if left_out)
+            listed = ", ".join(compress(names, redundant))
             warn(
                 f"redundant constraints are left out: {listed}. The motion is the same; the multipliers reported are "
                 "those of least norm"
@@ -432,8 +433,8 @@ class MechanicalSystem(HasPoints):
         second = {"level": 1, "moves": range(n, size), "metric": mass}
         if not in_levels:
             first, second = {}, {}
-        holonomic = _kept_names(names[: motion.m_phi], motion.kept[: motion.m_phi])
-        others = _kept_names(names[motion.m_phi :], motion.kept[motion.m_phi :])
+        holonomic = [*compress(names[: motion.m_phi], motion.kept)]
+        others = [*compress(names[motion.m_phi :], motion.kept[motion.m_phi :])]
         laws = []
         if holonomic:
             laws.append(_law(motion, "positions", holonomic, first))
@@ -448,10 +449,6 @@ class MechanicalSystem(HasPoints):
                 one = _at_level(one, 2)
             laws.append(one)
         return laws
-
-
-def _kept_names(names: list[str], kept: Array) -> list[str]:
-    return [name for name, stays in zip(names, kept, strict=True) if stays]
 
 
 def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> Invariants:
