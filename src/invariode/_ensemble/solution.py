@@ -22,7 +22,7 @@ from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
-from .._results.saving import OCCURRENCES, apart, together
+from .._results.saving import OCCURRENCES, apart, field_of, together
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
 
@@ -497,10 +497,6 @@ OF_TRAJECTORIES = {
 }
 
 
-def _of_sensitivities(name: str) -> Any:
-    return lambda m: None if m._sensitivities is None else getattr(m._sensitivities, name)
-
-
 def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
     return len(m.events), together(m.events, none_of(m.y_end))
 
@@ -514,9 +510,9 @@ _ENSEMBLE = Kind(
         "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
         "final": Field(bool, of=attrgetter("_final")),
         "labels": Field(list[str] | None, of=attrgetter("_labels")),
-        "parameters": Field(Annotated[list[str], "parameter"] | None, of=_of_sensitivities("names")),
-        "S": Field(None, "trajectory component parameter t", _of_sensitivities("values"), optional=True),
-        "S_end": Field(None, "trajectory component parameter", _of_sensitivities("end"), optional=True),
+        "parameters": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
+        "S": Field(None, "trajectory component parameter t", field_of("_sensitivities", "values"), optional=True),
+        "S_end": Field(None, "trajectory component parameter", field_of("_sensitivities", "end"), optional=True),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from typing import Annotated, Any, TypedDict
 
@@ -45,9 +45,9 @@ class _Dense(TypedDict):
     parameters: int
 
 
-def _of_origin(name: str) -> Any:
-    """A field of the origin, None without one."""
-    return lambda sol: None if sol._origin is None else getattr(sol._origin, name)
+def field_of(part: str, name: str) -> Callable[[Any], Any]:
+    """A field of a part of a result; None without that part."""
+    return lambda sol: None if (found := getattr(sol, part)) is None else getattr(found, name)
 
 
 def _identity(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
@@ -92,11 +92,6 @@ def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
     return None if sol.t_events is None else len(each), together(each, none)
 
 
-def _of_sensitivities(name: str) -> Any:
-    """A field of the sensitivities, None without them."""
-    return lambda sol: None if sol._sensitivities is None else getattr(sol._sensitivities, name)
-
-
 def _of_group(sol: Result) -> None:
     """What a group has or has not."""
 
@@ -126,7 +121,7 @@ OCCURRENCES = {
 RUN = {
     "names": Field(Names, of=lambda sol: vars(sol._names)),
     "invariants": Field(Annotated[list[str], "invariant"], of=lambda sol: sol._invariants.names),
-    "sensitivities": Field(Annotated[list[str], "parameter"] | None, of=_of_sensitivities("names")),
+    "sensitivities": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
     "identity": Field(_Identity | None, GROUP, _identity),  # None: there is nothing to go on with
     "rtol": Field(float, "component?", attrgetter("_rtol"), within=(0, np.finfo(float).max)),
     "atol": Field(float, "component?", attrgetter("_atol"), within=(0, np.finfo(float).max)),
@@ -141,17 +136,17 @@ END = {
     "drift.residual": Field(float, "law", attrgetter("_drift.residual")),
     "drift.distance": Field(float, "law", attrgetter("_drift.distance")),
     "drift.correction": Field(float, "", attrgetter("_drift.correction")),
-    "next_h": Field(float | None, of=_of_origin("next_h"), within=(0, math.inf)),
-    "memory_version": Field(int | None, of=_of_origin("memory_version")),
-    "y_end": Field(None, "component", _of_origin("y"), optional=True),
-    "S_end": Field(None, "component parameter", _of_sensitivities("end"), optional=True),
+    "next_h": Field(float | None, of=field_of("_origin", "next_h"), within=(0, math.inf)),
+    "memory_version": Field(int | None, of=field_of("_origin", "memory_version")),
+    "y_end": Field(None, "component", field_of("_origin", "y"), optional=True),
+    "S_end": Field(None, "component parameter", field_of("_sensitivities", "end"), optional=True),
     "memory": Field(np.uint8, "byte", _memory, optional=True),
 }
 #: and what it has left behind.
 OUTPUT = {
     "t": Field(float, "t"),
     "y": Field(None, "component t"),
-    "S": Field(None, "component parameter t", _of_sensitivities("values"), optional=True),
+    "S": Field(None, "component parameter t", field_of("_sensitivities", "values"), optional=True),
     "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
     "events": Field(Annotated[int, "event"] | None, GROUP, _events),
     **OCCURRENCES,
