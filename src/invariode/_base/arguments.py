@@ -57,6 +57,14 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
     warnings.warn(message, category, stacklevel=level)
 
 
+def raised_in(error: BaseException) -> str:
+    """The file of the code that raised an exception; "" without a traceback."""
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    return "" if last is None else last.tb_frame.f_code.co_filename
+
+
 def warnings_given() -> int:
     """How many warnings this thread has given, or would have given, so far."""
     return _warned.get()

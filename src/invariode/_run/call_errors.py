@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .._base.arguments import PACKAGE, Array, call_name, reals, shown
+from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._functions.graph.function import TracedFunction
 from .._problem.description import Description
@@ -50,10 +50,8 @@ def wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> Valu
 
 def _is_of_the_call(error: TypeError) -> bool:
     """Whether the call itself failed: no function of the user's was entered, in which anything may fail."""
-    last = error.__traceback__
-    while last is not None and last.tb_next is not None:
-        last = last.tb_next
-    return last is None or last.tb_frame.f_code.co_filename.startswith(PACKAGE)
+    file = raised_in(error)
+    return not file or file.startswith(PACKAGE)
 
 
 def _not_taking(problem: Description) -> list[str]:

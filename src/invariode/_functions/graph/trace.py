@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._base.arguments import PACKAGE, call_name
+from ..._base.arguments import PACKAGE, call_name, raised_in
 from ..layout import Arguments, Numbers
 from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
@@ -115,10 +115,7 @@ _UNDEFINED = (ArithmeticError, ValueError, AssertionError, RuntimeError)
 
 def _is_of_user(error: BaseException) -> bool:
     """Whether code of the user's raised it, and neither NumPy nor the tracer."""
-    position = error.__traceback__
-    while position is not None and position.tb_next is not None:
-        position = position.tb_next
-    file = "" if position is None else position.tb_frame.f_code.co_filename
+    file = raised_in(error)
     unlike = (RecursionError, NotImplementedError)
     return not (isinstance(error, unlike) or file.startswith(PACKAGE) or "site-packages" in file)
 
