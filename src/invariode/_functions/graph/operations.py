@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -17,6 +17,14 @@ DOUBLE, INDEX = ir.DoubleType(), ir.IntType(64)
 POINTER = DOUBLE.as_pointer()
 #: The core's solution of a linear system.
 SOLVE = "invariode_solve"
+
+
+def constants(module: Any, kind: Any, numbers: Sequence[float]) -> Any:
+    """An array of constants of one type, in the memory of a module."""
+    table = ir.GlobalVariable(module, ir.ArrayType(kind, len(numbers)), f"table{len(module.globals)}")
+    table.initializer = ir.Constant(table.value_type, [kind(one) for one in numbers])
+    table.global_constant, table.linkage = True, "private"
+    return table
 
 
 class Operations:
@@ -67,9 +75,7 @@ class Operations:
                 flags = ("nsw",)
                 return self.build.add(self.build.mul(k, INDEX(step), flags=flags), INDEX(first), flags=flags)
         kind = DOUBLE if isinstance(first, float) else INDEX
-        table = ir.GlobalVariable(self.module, ir.ArrayType(kind, len(values)), f"table{len(self.module.globals)}")
-        table.initializer = ir.Constant(table.value_type, [kind(one) for one in values])
-        table.global_constant, table.linkage = True, "private"
+        table = constants(self.module, kind, values)
         return self.build.load(self.build.gep(table, [INDEX(0), k], inbounds=True))
 
     def everywhere(self, number: Any) -> Any:
@@ -181,11 +187,7 @@ class Operations:
         """Constants in memory, once."""
         key = tuple(map(bits_of, numbers))
         if key not in self._tables:
-            kind = ir.ArrayType(DOUBLE, len(numbers))
-            table = ir.GlobalVariable(self.module, kind, f"table{len(self.module.globals)}")
-            table.initializer = ir.Constant(kind, [DOUBLE(one) for one in numbers])
-            table.global_constant, table.linkage = True, "private"
-            self._tables[key] = table
+            self._tables[key] = constants(self.module, DOUBLE, numbers)
         return self._tables[key]
 
     def entry_of(self, table: Any, index: Any) -> Any:

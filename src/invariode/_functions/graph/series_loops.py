@@ -16,7 +16,7 @@ from llvmlite import ir
 
 from ..llvm_values import Value
 from .nodes import Node
-from .operations import DOUBLE, INDEX, POINTER
+from .operations import DOUBLE, INDEX, POINTER, constants
 from .recurrences import UNWEIGHTED, Program, Rule, Sum, linear, needs
 from .series_writer import Inverse, SeriesForm, SeriesWriter, inverse_of
 
@@ -246,7 +246,7 @@ class Looped(SeriesWriter):
         if not isinstance(chunk.start, int):
             if neighbours:
                 return self._read(name, self._plus(chunk.start, indices[0]), chunk.width)
-            table = self._index_table([*indices, *[indices[-1]] * _WIDTH])
+            table = constants(self._module, INDEX, [*indices, *[indices[-1]] * _WIDTH])
             at: list[Any] = [
                 self._build.load(self._build.gep(table, [INDEX(0), self._plus(chunk.start, i)], inbounds=True))
                 for i in range(chunk.width)
@@ -268,13 +268,6 @@ class Looped(SeriesWriter):
         if isinstance(index, int):
             return index + more
         return self._build.add(index, INDEX(more), flags=("nsw",)) if more else index
-
-    def _index_table(self, numbers: list[int]) -> Any:
-        kind = ir.ArrayType(INDEX, len(numbers))
-        table = ir.GlobalVariable(self._module, kind, f"table{len(self._module.globals)}")
-        table.initializer = ir.Constant(kind, [INDEX(one) for one in numbers])
-        table.global_constant, table.linkage = True, "private"
-        return table
 
     def _numbers(self, values: list[float], chunk: Chunk) -> Value:
         """Constants."""
