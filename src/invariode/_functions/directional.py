@@ -375,8 +375,7 @@ class _OfGraph:
         """A Python function of t, n numbers and the parameters, made from the graph."""
         if has_llvm():
             return as_python(native(made, self._fun, n, size, len(self._p)), size)
-        formula = made.fun
-        return lambda t, y, p: np.array(formula(t, y, p))
+        return made.fun.array
 
     def transposed(self, t: float, y: Array, w: Array) -> Array:
         """See `Directional.transposed`."""

@@ -140,8 +140,13 @@ def fed(fun: Any, inputs: Sequence[Input]) -> Any:
     if isinstance(fun, SecondOrder):
         return SecondOrder(fed(fun.fun, inputs))
     if is_native(fun):
-        return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
+        return with_tables(fun, inputs)
     return _Fed(fun, inputs)
+
+
+def with_tables(fun: Any, inputs: Sequence[Input]) -> NativeWithInputs:
+    """A function and the tables of its inputs."""
+    return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
 
 
 class _Fed:

@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import EPS, Array, warn
-from .._functions.compiled import NativeWithInputs, is_native
+from .._functions.compiled import is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters
@@ -22,7 +22,7 @@ from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, event_spec
-from .._problem.inputs import fed
+from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
@@ -486,9 +486,7 @@ def _with_inputs(problem: Description) -> Any:
     """f, with its inputs."""
     fun, inputs = problem.fun, problem.inputs
     fun = fun.first_order if isinstance(fun, SecondOrder) else fun
-    if not inputs:
-        return fun
-    return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
+    return with_tables(fun, inputs) if inputs else fun
 
 
 def _is_python(given: Any) -> bool:

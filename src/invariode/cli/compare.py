@@ -38,6 +38,7 @@ from .load import File, load
 from .session import (
     INTERRUPTED,
     PICTURES,
+    Progress,
     clock,
     complete_method,
     count,
@@ -85,9 +86,7 @@ def compare(
         typer.Option("--plot", "-p", metavar="FILE", help="Draw work against precision: .png, .svg or .pdf."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
-    progress: Annotated[
-        bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
-    ] = None,
+    progress: Progress = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the answer.")] = False,
 ) -> None:
     """Is projection worth it here, or is tightening the tolerance cheaper?

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 from rich.console import Console
@@ -31,6 +31,10 @@ RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
 INTERRUPTED = 130
+
+Progress = Annotated[
+    bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
+]
 
 #: Endings of figures, and the packages they need.
 PICTURES: Mapping[str, tuple[str, ...]] = {".png": ("matplotlib",), ".svg": ("matplotlib",), ".pdf": ("matplotlib",)}

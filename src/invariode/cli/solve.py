@@ -32,6 +32,7 @@ from .session import (
     INTERRUPTED,
     PICTURES,
     RTOL,
+    Progress,
     clock,
     complete_method,
     examples,
@@ -76,9 +77,6 @@ CheckpointEvery = Annotated[
     float, typer.Option("--checkpoint-every", metavar="SECONDS", help="Least time between two checkpoints.")
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --checkpoint, if there is one.")]
-Progress = Annotated[
-    bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
-]
 
 
 # The options of the command.

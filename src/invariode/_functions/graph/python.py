@@ -114,6 +114,10 @@ class Formula:
             return self.layout.matrix(found)
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
 
+    def array(self, t: float, y: Any, *args: Any) -> Array:
+        """The same as an array."""
+        return np.array(self(t, y, *args))
+
     def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:
         return _restored, (self.__name__, *as_rows(self.outputs), self.layout, self.parameters)
 

@@ -166,8 +166,7 @@ def _nodes(given: Sequence[Node | bool]) -> list[Node]:
 
 def evaluated(outputs: Sequence[Node]) -> Callable[[float, Array, Array], Array]:
     """Values of a graph as a function of (t, y, p)."""
-    formula = Formula("branch", lambda: outputs, (len(outputs),))
-    return lambda t, y, p: np.array(formula(t, y, p))
+    return Formula("branch", lambda: outputs, (len(outputs),)).array
 
 
 def _jumps(switch: Switch, t: float, y: Array, p: Array) -> bool:
