@@ -16,7 +16,7 @@ from scipy import interpolate
 import invariode as iv
 from invariode._functions.compiled import as_python
 from invariode._functions.graph.python import Formula
-from invariode._functions.graph.trace import Limits, trace
+from invariode._functions.graph.trace import TraceLimits, trace
 from invariode._functions.graph.traced import TraceError
 from invariode._functions.layout import arguments_of
 
@@ -434,10 +434,10 @@ def test_numba_compiles_what_cannot_be_traced():
 @pytest.mark.parametrize(
     ("limits", "why"),
     [
-        (Limits(paths=3), "more than 3 paths"),
-        (Limits(decisions=2), "more than 2 decisions"),
-        (Limits(nodes=10), "or 10 operations"),
-        (Limits(seconds=0.0), r"more than 0.0 s"),
+        (TraceLimits(paths=3), "more than 3 paths"),
+        (TraceLimits(decisions=2), "more than 2 decisions"),
+        (TraceLimits(nodes=10), "or 10 operations"),
+        (TraceLimits(seconds=0.0), r"more than 0.0 s"),
     ],
 )
 def test_each_limit_is_named(limits, why):

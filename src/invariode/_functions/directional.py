@@ -38,7 +38,7 @@ from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of
 _NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
 
 
-class Parameter(Protocol):
+class ParameterPlace(Protocol):
     """A number among the arguments, or an initial value, on which no function depends directly."""
 
     @property
@@ -113,7 +113,7 @@ class Directional:
         self,
         fun: Any,
         args: tuple[Any, ...],
-        names: Sequence[Parameter],
+        names: Sequence[ParameterPlace],
         n: int,
         given: Given | None = None,
         *,
@@ -143,7 +143,7 @@ class Directional:
         #: How derivatives are formed.
         self.how: str = " and ".join(filter(None, ["given" if partly else "", found]))
 
-    def _by_graph(self, fun: Any, args: tuple[Any, ...], names: Sequence[Parameter]) -> _OfGraph | None:
+    def _by_graph(self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> _OfGraph | None:
         traced = _with_graph(fun)
         if traced is None:
             return None
@@ -159,7 +159,7 @@ class Directional:
             return None
         return _OfGraph(exact, traced, places, parameters, self.n, self.m)
 
-    def _require_numbers(self, at: Point, names: Sequence[Parameter]) -> None:
+    def _require_numbers(self, at: Point, names: Sequence[ParameterPlace]) -> None:
         """That integers among the parameters may be other numbers."""
         for one, number in zip(names, self._evaluate.given(names), strict=True):
             if not isinstance(number, (int, np.integer)):
@@ -310,7 +310,7 @@ def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
     return any(place is not None and bool(known[before + place]) for place in places)
 
 
-def _as_floats(args: tuple[Any, ...], names: Sequence[Parameter]) -> dict[int, dict[int, float]]:
+def _as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[int, dict[int, float]]:
     places = [(one.index, one.item) for one in names if one.kind == "args"]
     changes: dict[int, dict[int, float]] = {}
     for (index, item), number in zip(places, numbers_at_places(args, places), strict=True):
@@ -437,7 +437,7 @@ class _Evaluation:
     """F(t, y) with its arguments, or with other values of the parameters."""
 
     def __init__(
-        self, fun: Any, args: tuple[Any, ...], names: Sequence[Parameter], m: int | None, called: str, event: bool
+        self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace], m: int | None, called: str, event: bool
     ) -> None:
         self.args, self._names = args, [one for one in names if one.kind == "args"]
         self._fun, self.m, self._name, self._event = fun, m, called, event
@@ -462,7 +462,7 @@ class _Evaluation:
             return self._of_compiled(inside, t, y, given)
         return np.ravel(np.asarray(inside(t, y.copy(), *given)))
 
-    def given(self, names: Sequence[Parameter]) -> list[Any]:
+    def given(self, names: Sequence[ParameterPlace]) -> list[Any]:
         """The numbers of the parameters as they were given; 0.0 for initial values."""
         own = iter(numbers_at_places(self.args, ((one.index, one.item) for one in names if one.kind == "args")))
         return [next(own) if one.kind == "args" else 0.0 for one in names]

@@ -63,7 +63,7 @@ _OF_ANY: MethodName = "dop853"
 _LEAST_PART = 1e-8
 
 
-class Objective(NamedTuple):
+class CostFunctional(NamedTuple):
     """G + ∫ g dt.
 
     Attributes
@@ -128,27 +128,27 @@ def gradient(
         )
     names = problem.parameters()
     require_possible(problem)
-    objective = _objective(run, dG_dy, dG_dp, t, integrand, len(names))
+    functional = _functional(run, dG_dy, dG_dp, t, integrand, len(names))
     if problem.y0.dtype.kind == "c":
-        return _of_complex(run, problem, objective)
-    return _Adjoint(run, problem, names).gradient(objective)
+        return _of_complex(run, problem, functional)
+    return _Adjoint(run, problem, names).gradient(functional)
 
 
-def _of_complex(run: Forward, problem: Description, objective: Objective) -> Array:
+def _of_complex(run: Forward, problem: Description, functional: CostFunctional) -> Array:
     """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
     initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
-    for one, value in zip(problem.parameters(), objective.direct, strict=True):
+    for one, value in zip(problem.parameters(), functional.direct, strict=True):
         if one.kind == "args" and np.imag(value):
             raise ValueError(f"dG_dp of {one.name} must be real, as G and args are, got {shown(value)}")
     form = real_form(problem, [], both_parts=True)
-    costs = np.empty((2 * len(objective.costs), len(objective.times)))
-    costs[0::2], costs[1::2] = objective.costs.real, -objective.costs.imag
-    integrand = of_pairs(objective.integrand, complex_values=False)
+    costs = np.empty((2 * len(functional.costs), len(functional.times)))
+    costs[0::2], costs[1::2] = functional.costs.real, -functional.costs.imag
+    integrand = of_pairs(functional.integrand, complex_values=False)
     of_parts = _Adjoint(run, form.problem, form.names).gradient(
-        Objective(objective.times, costs, np.zeros(len(form.names)), integrand)
+        CostFunctional(functional.times, costs, np.zeros(len(form.names)), integrand)
     )
     if all(one.kind == "args" for one in form.names):
-        return objective.direct + of_parts
+        return functional.direct + of_parts
     found, place = [], 0
     for one in problem.parameters():
         if one.kind == "args":
@@ -157,7 +157,7 @@ def _of_complex(run: Forward, problem: Description, objective: Objective) -> Arr
         else:
             found.append(complex(of_parts[place], -of_parts[place + 1]))
             place += 2
-    return np.asarray(objective.direct + np.array(found))
+    return np.asarray(functional.direct + np.array(found))
 
 
 class _Adjoint:
@@ -329,18 +329,18 @@ class _Adjoint:
 
     # ------------------------------------------------------------------------------------------------------- backwards
 
-    def gradient(self, objective: Objective) -> Array:
+    def gradient(self, functional: CostFunctional) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
         self._g = g = None
-        self._total = objective.direct.astype(float)
-        if objective.integrand is not None:
-            self._g = g = self._derivatives(objective.integrand, "integrand", m=1, moves_t=False)
+        self._total = functional.direct.astype(float)
+        if functional.integrand is not None:
+            self._g = g = self._derivatives(functional.integrand, "integrand", m=1, moves_t=False)
         t0, tf = self._problem.t_span[0], self._run.t
-        states = self._y(objective.times)
+        states = self._y(functional.times)
         costs: dict[float, Array] = {}
-        for t, cost in zip(objective.times.tolist(), objective.costs.T, strict=True):
+        for t, cost in zip(functional.times.tolist(), functional.costs.T, strict=True):
             costs[t] = costs.get(t, 0) + cost
-        self._sizes = self._sizes_of(objective, states, g) if tf != t0 else np.ones(self.n)
+        self._sizes = self._sizes_of(functional, states, g) if tf != t0 else np.ones(self.n)
         mu = np.zeros(self.n)
         for piece in reversed(self._pieces(t0, tf)):
             mu = self._across(piece, mu, costs)
@@ -428,11 +428,11 @@ class _Adjoint:
         self._total = self._total + beside
         return self._differential(jump.t, jump.before, mu)
 
-    def _sizes_of(self, objective: Objective, states: Array, g: Directional | None) -> Array:
+    def _sizes_of(self, functional: CostFunctional, states: Array, g: Directional | None) -> Array:
         """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
         changes within theirs together."""
         t0, tf = self._problem.t_span[0], self._run.t
-        costs = [*zip(states.T, objective.costs.T, strict=True)]
+        costs = [*zip(states.T, functional.costs.T, strict=True)]
         if g is not None:
             times = [t0, 0.5 * (t0 + tf), tf]
             along = zip(times, self._y(times).T, strict=True)
@@ -576,14 +576,14 @@ def _require_integrand(g: Any, run: Forward) -> None:
             )
 
 
-def _objective(
+def _functional(
     run: Forward,
     dG_dy: ArrayLike | None,
     dG_dp: ArrayLike | None,
     t: ArrayLike | None,
     integrand: Any,
     k: int,
-) -> Objective:
+) -> CostFunctional:
     """As it is given, with shapes checked."""
     sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
@@ -611,4 +611,4 @@ def _objective(
     low, high = sorted((run.problem.t_span[0], run.t))
     if not ((times >= low) & (times <= high)).all():
         raise ValueError(f"t of gradient must be between {low} and {high}, where the solution is, got {shown(t)}")
-    return Objective(times, costs, direct, integrand)
+    return CostFunctional(times, costs, direct, integrand)

@@ -36,7 +36,7 @@ class _Law:
     law : Directional
         The derivatives of r.
     carried : ndarray, (m,)
-        The derivative of the objective with respect to c, for what comes later than the current time.
+        The derivative of the functional with respect to c, for what comes later than the current time.
     """
 
     about: Invariants

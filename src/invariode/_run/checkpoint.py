@@ -51,10 +51,10 @@ class Stored(NamedTuple):
 
     fields: dict[str, Any]  # as those of a solution, without its continuous output,
     parts: list[dict[str, Any]]  # which is in the parts
-    checkpoint: Checkpoint
+    checkpoint: RunFiles
 
 
-class Checkpoint:
+class RunFiles:
     """The files of a run, to be written.
 
     The output is appended and on the disk before the file that tells how much of it counts takes the place of the one
@@ -91,7 +91,7 @@ class Checkpoint:
         self.mechanics = mechanics
 
     @classmethod
-    def of_new_run(cls, path: PathLike, begin: Callable[[Any], Result]) -> Checkpoint:
+    def of_new_run(cls, path: PathLike, begin: Callable[[Any], Result]) -> RunFiles:
         """Files for a run that begins, and the lock on them; `begin` adds to the first part of its output. A ValueError
         where there is a run that has not ended, or something else; a FileNotFoundError where there is no such
         folder, an IsADirectoryError where the path is one."""
@@ -236,7 +236,7 @@ def _read(path: PathLike, state: dict[str, Any]) -> Stored:
     token, length = state["token"], state["length"]
     if not re.fullmatch(rf"[0-9a-f]{{{2 * _TOKEN}}}", token):
         raise unreadable(path, "is damaged: it has no token of a run")
-    checkpoint = Checkpoint(path, token, length, state["sequence"])
+    checkpoint = RunFiles(path, token, length, state["sequence"])
     place, start = checkpoint._output, _head_of(token)
     try:
         file = open(place, "rb")  # noqa: SIM115 - the with statement is below: only this line may miss the file

@@ -49,7 +49,7 @@ from .._results.solution import Solution
 from .adjoint import Forward, gradient
 from .agreement import compare
 from .call_errors import explain, wrong_length
-from .checkpoint import Checkpoint
+from .checkpoint import RunFiles
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
@@ -107,7 +107,7 @@ class RunOrigin:
     next_h: float | None  # None: the method is to choose
     memory: bytes
     imposed: bool = False
-    checkpoint: Checkpoint | None = None
+    checkpoint: RunFiles | None = None
     sectioned: tuple[Sectioned, ...] = ()  # with adjoint="checkpoints": of the run, and of its extensions
     memory_version: int = _core.MEMORY_VERSION
 
@@ -268,11 +268,11 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
-def _new_checkpoint(plan: Plan, at_start: list[int]) -> Checkpoint | None:
+def _new_checkpoint(plan: Plan, at_start: list[int]) -> RunFiles | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
         return None
-    return Checkpoint.of_new_run(plan.checkpoint.path, partial(with_start, plan=plan, found=at_start))
+    return RunFiles.of_new_run(plan.checkpoint.path, partial(with_start, plan=plan, found=at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def _new_checkpoint(plan: Plan, at_start: list[int]) -> Checkpoint | None:
 
 
 def _carried_out(
-    plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
+    plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: RunFiles | None = None
 ) -> Solution:
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
@@ -318,7 +318,7 @@ class Finished:
         source: Solved,
         members: tuple[str, ...],
         plan_of_run: Callable[[], Plan] | None = None,
-        checkpoint: Checkpoint | None = None,
+        checkpoint: RunFiles | None = None,
     ) -> None:
         self.run = run
         self.general = plan  # what it shares with all runs of its kind, if it is not its own plan
@@ -422,7 +422,7 @@ def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
     return None if work is None else {"derivatives": dict(fun.derivatives)} | work
 
 
-def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Solved, part: _core.Run) -> None:
+def _keep(checkpoint: RunFiles, core: _core.Solver, plan: Plan, source: Solved, part: _core.Run) -> None:
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return

@@ -28,7 +28,7 @@ from .tables import Table, is_table
 from .traced import _UNARY, TracedArray, cells_of, has_traced, is_complex, number, wrapped
 
 
-class Limits(NamedTuple):
+class TraceLimits(NamedTuple):
     """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds."""
 
     paths: int = 512
@@ -63,7 +63,7 @@ def trace(
     second: int = 0,
     inplace: int = 0,
     is_complex: bool = False,
-    limits: Limits | None = None,
+    limits: TraceLimits | None = None,
 ) -> Traced:
     """The graph of a function of (t, y, *args).
 
@@ -81,7 +81,7 @@ def trace(
         How many values the function writes to an argument after these; 0: it returns them.
     is_complex : bool, default False
         The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
-    limits : Limits, optional
+    limits : TraceLimits, optional
         Beyond them it is refused.
 
     Returns
@@ -93,7 +93,8 @@ def trace(
     TraceError
         It cannot be traced: the message names the line and the reason.
     """
-    given = (fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits(), is_complex)
+    args, limits = Arguments([]) if args is None else args, limits or TraceLimits()
+    given = (fun, n - second, second, args, inplace, limits, is_complex)
     found = _Run(*given).traced(alone=True)
     if found is not None:
         return found
@@ -130,7 +131,7 @@ class _Run:
         second: int,
         args: Arguments,
         inplace: int,
-        limits: Limits,
+        limits: TraceLimits,
         is_complex: bool,
         selections: bool = False,
     ) -> None:
