@@ -62,14 +62,14 @@ def terminate() -> None:
     ids=["exit", "exit 0", "kill", "terminate"],
 )
 def test_a_row_that_ends_its_process_fails_alone(end, monkeypatch):
-    crews = []
-    start = worker_processes._Crew._start
-    monkeypatch.setattr(worker_processes._Crew, "_start", lambda self: crews.append(self) or start(self))
+    pools = []
+    start = worker_processes._Workers._start
+    monkeypatch.setattr(worker_processes._Workers, "_start", lambda self: pools.append(self) or start(self))
     fatal = {3, 4, 399}
     found = outcomes(partial(dying_at, fatal, end), 400, 2)
     assert found == [(i, "died" if i in fatal else "solved") for i in range(400)]
     if end is not terminate:  # executors end workers by SIGTERM too: who was the first has to be found
-        assert len(crews) <= 1 + 2 * len(fatal)
+        assert len(pools) <= 1 + 2 * len(fatal)
 
 
 def killed_once(folder: Path, i: int) -> tuple[int, bytes]:

@@ -1,7 +1,7 @@
 """The progress bar, the same for runs, ensembles and commands: drawn by rich, in notebooks as HTML.
 
-A bar is drawn when it is told something and by nobody else: a run of native code need not share the interpreter with a
-thread that draws, and no process is forked beside one.
+A bar is drawn when it receives something new, by whoever reports that: a run of native code need not share the
+interpreter with a thread that draws, and no process is forked beside one.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., N
         return
     with _drawn(what, total) as update:
 
-        def told(done: float, of: str = what) -> None:
+        def report(done: float, of: str = what) -> None:
             update(completed=done, description=of)
 
-        yield told
+        yield report
 
 
 @contextmanager

@@ -56,7 +56,7 @@ class Outcomes:
     def __getstate__(self) -> dict[str, Any]:
         """Counts are sent as small integers, since they are most of the data that a worker returns."""
         largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
-        error = None if self.error is None else (self.error[0], travelling(self.error[1]))
+        error = None if self.error is None else (self.error[0], picklable(self.error[1]))
         return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1)), "error": error}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -126,7 +126,7 @@ def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
     return EnsembleEvents(trajectory[order], t[order], y[order])
 
 
-def travelling(error: BaseException | None) -> BaseException | None:
+def picklable(error: BaseException | None) -> BaseException | None:
     """An exception that can be pickled, with its traceback, which cannot, as a note."""
     if error is None or error.__traceback__ is None:
         return error

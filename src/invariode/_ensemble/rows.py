@@ -21,7 +21,7 @@ from .._results.sensitivities import states_and_sensitivities
 from .._run.call_errors import wrong_length
 from .._run.plan import Plan, solver
 from .._run.second_order import fits_any_args
-from .outcomes import Outcomes, in_order, travelling
+from .outcomes import Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
@@ -246,7 +246,7 @@ class _Outcome:
     error: BaseException | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "error": travelling(self.error)}
+        return {**self.__dict__, "error": picklable(self.error)}
 
 
 def _solve_one(task: Task, i: int) -> _Outcome:

@@ -420,8 +420,10 @@ def _require_same(path: Any, group: Any, layout: Layout, size: int | None, seed:
         differing.append("seed")
         theirs["seed"], ours["seed"] = held["seed"], seed
     if differing:
-        told = "; ".join(f"{key} is {theirs.get(key)!r} there and {ours.get(key)!r} now" for key in differing)
-        raise ValueError(f"the store belongs to another problem: {told}. Solve the same one, or give another name")
+        differences = "; ".join(f"{key} is {theirs.get(key)!r} there and {ours.get(key)!r} now" for key in differing)
+        raise ValueError(
+            f"the store belongs to another problem: {differences}. Solve the same one, or give another name"
+        )
 
 
 def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:

@@ -85,20 +85,20 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
     with tempfile.TemporaryDirectory(prefix="invariode-", ignore_cleanup_errors=True) as folder:
         while left:
             # If it is not clear which row is fatal, one worker shows it.
-            crew: _Crew[T] = _Crew(context, _Work(solve, folder, at), left, 1 if fruitless else workers)
+            pool: _Workers[T] = _Workers(context, _Work(solve, folder, at), left, 1 if fruitless else workers)
             solved = 0
-            with closing(crew.outcomes()) as found:
+            with closing(pool.outcomes()) as found:
                 for outcomes in found:
                     solved += len(outcomes)
                     yield outcomes
-            fatal = crew.fatal_rows()
+            fatal = pool.fatal_rows()
             fruitless = 0 if solved or fatal else fruitless + 1
             if fruitless == MOST_DEATHS:
                 raise RuntimeError(NOTHING_SOLVED)
             if hopeless := sorted(fatal & tried):
                 yield [died(i) for i in hopeless]
             tried |= fatal
-            for chunk in crew.lost:
+            for chunk in pool.lost:
                 left.extendleft(_what_is_left(chunk, fatal, hopeless))
 
 
@@ -133,7 +133,7 @@ def _require_picklable(solve: Callable[[int], Any]) -> None:
 # In the parent
 
 
-class _Crew(Generic[T]):
+class _Workers(Generic[T]):
     """An executor, which works until everything is solved or one of its processes dies; then all of them end.
 
     Attributes
@@ -171,7 +171,7 @@ class _Crew(Generic[T]):
             raise
 
     def _solved(self) -> list[Path]:
-        """The outcomes of chunks that are solved, after some waiting; those of a crew that is broken are lost."""
+        """The outcomes of chunks that are solved, after some waiting; those of an executor that is broken are lost."""
         files = []
         for future in wait(self._given, LISTENING, FIRST_COMPLETED).done:
             chunk = self._given.pop(future)

@@ -415,9 +415,9 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
             raise TypeError(f"{name} has the signature {fun._sig}, expected {wanted}")
         address = int(fun.address)
     elif _is_low_level(fun):
-        told = "".join(fun.signature.replace("const", "").split())
+        given = "".join(fun.signature.replace("const", "").split())
         plain = "double(double,double*,double*)" if event else "void(double,double*,double*,double*)"
-        if told != plain:
+        if given != plain:
             raise TypeError(f"{name} has the signature {fun.signature}, expected {wanted}")
         capsule, _, user_data = fun
         if user_data is not None:

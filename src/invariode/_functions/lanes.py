@@ -75,7 +75,7 @@ def choose_lanes(
 ) -> Lanes:
     """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
     by what they are called in reasons (`Plan.in_lanes`). `series` has the code of the
-    Taylor coefficients in so many lanes, if the method takes them, and makes it if it is told to."""
+    Taylor coefficients in so many lanes, if the method takes them, and makes it if that is requested."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:
         return Lanes(reason=obstacle)

@@ -360,8 +360,8 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     constant = not callable(metric)
     at_start = metric if constant else real_numbers(what, metric(t, y.copy(), *args))
     if at_start.shape not in ((k,), (k, k)):
-        told = "must have shape" if constant else "returned another shape than"
-        raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), since {k} components move; got {at_start.shape}")
+        verb = "must have shape" if constant else "returned another shape than"
+        raise ValueError(f"{what} {verb} ({k},) or ({k}, {k}), since {k} components move; got {at_start.shape}")
     if constant:
         return np.ascontiguousarray(metric, dtype=float).ravel(), at_start.size
     return to_native(what, metric, len(y), at_start.size, p), at_start.size
@@ -410,12 +410,12 @@ def _same(a: Any, b: Any) -> bool:
 def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
     """A native g as the core takes it, and its values at (t, y). Machine code cannot say how many there are, the
     Python function that it was made from can."""
-    told = [len(known) for known in (one.names, one.value) if known is not None]
-    if not told and isinstance(one.fun, CompiledFunction) and not one.fun.inplace:
-        told = [np.size(one.fun.at(t, y, parameters=p))]
-    if not told:
+    counts = [len(known) for known in (one.names, one.value) if known is not None]
+    if not counts and isinstance(one.fun, CompiledFunction) and not one.fun.inplace:
+        counts = [np.size(one.fun.at(t, y, parameters=p))]
+    if not counts:
         raise ValueError(f"invariant {name} is compiled: pass value= or names= so that its number of values is known")
-    m = max(told)
+    m = max(counts)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
     alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
     at_start = alone.residual(np.array([t]), y[:, None])[:, 0]

@@ -335,14 +335,14 @@ class MechanicalSystem(HasPoints):
             )
         self._n_q = n_q
         given = {"constraints": self.constraints, "velocity_constraints": self.velocity_constraints}
-        told = {name: one for name, one in given.items() if isinstance(one, Invariants)}
+        invariants = {name: one for name, one in given.items() if isinstance(one, Invariants)}
         functions = Functions(
             mass=self.mass,
             force=self.force,
             kinematics=self.kinematics,
             jacobian=self.jacobian,
             **{name: one.fun if isinstance(one, Invariants) else one for name, one in given.items()},
-            counts={name: len(one.names) for name, one in told.items() if one.names},
+            counts={name: len(one.names) for name, one in invariants.items() if one.names},
         )
         motion = Motion(functions, start)
         mass = motion.mass(start)

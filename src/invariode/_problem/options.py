@@ -748,7 +748,7 @@ def refused(name: str) -> TypeError:
 
 
 def unknown_option(name: str, known: Iterable[str], text: str = "unknown option") -> TypeError:
-    """The error for a name that nothing has; one of an earlier version is told what replaces it."""
+    """The error for a name that nothing has; for one of an earlier version it names what replaces it."""
     hint = f": give {_REPLACED[name]}" if name in _REPLACED else meant(name, known)
     return TypeError(f"{text} {name!r}{hint}")
 

@@ -309,7 +309,7 @@ def _examined(sol: Solution, problem: Description) -> Solution:
 
 
 class Finished:
-    """A run of the core that has ended, and what is to be told of it, which is put together when somebody asks."""
+    """A run of the core that has ended, and what is reported of it, which is put together when somebody asks."""
 
     def __init__(
         self,
@@ -446,14 +446,14 @@ def _integrated(
     """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
     every = 0.0 if plan.checkpoint is None else plan.checkpoint.every
     with ExitStack() as around:
-        told = request = None
+        report = request = None
         if plan.progress:
-            told = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
+            report = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
-            return core.resume(*resumed, told, request, keep, every)
-        return core.integrate(plan.start, told, request, keep, every)
+            return core.resume(*resumed, report, request, keep, every)
+        return core.integrate(plan.start, report, request, keep, every)
 
 
 def _solution(finished: Finished) -> Solution:
@@ -508,7 +508,7 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
     """How the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
     given = {"traced" if is_derived(one.jac) else "given" for one in plan.bound.specs if not isinstance(one.jac, str)}
-    return {kind for told in run.derivatives for kind in (given if told == "given" else {told})}
+    return {kind for one in run.derivatives for kind in (given if one == "given" else {one})}
 
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:

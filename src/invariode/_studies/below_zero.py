@@ -19,8 +19,8 @@ class BelowZero(NamedTuple):
     component: int
     value: float
 
-    def told(self, label: str) -> str:
-        """In words, as a finding."""
+    def in_words(self, label: str) -> str:
+        """A sentence about it."""
         return f"{label} falls to {self.value:.1e}, where a more accurate solution stays above 0"
 
 

@@ -90,10 +90,10 @@ def _print_below_zero(
     found = below_zero(problem.y0, lowest.values, accurate.values, atol)
     if found is None:
         return
-    told = found.told(problem.labels[found.component])
+    finding = found.in_words(problem.labels[found.component])
     console.print(
         Text(
-            f"With rtol {rtol:g} and atol {atol:g} {told}: if it cannot be negative, give the problem nonnegative=.",
+            f"With rtol {rtol:g} and atol {atol:g} {finding}: if it cannot be negative, give the problem nonnegative=.",
             style="yellow",
         )
     )

@@ -111,8 +111,8 @@ def compare(
         problem = load(file)
         methods = _methods(problem, named)
         shown = Console(stderr=True).is_terminal if progress is None else progress
-        with in_passing(), bar(shown, "reference", len(methods) * len(rtols)) as told:
-            truth, rows = _all(problem, methods, rtols, atol_ratio, limit, told)
+        with in_passing(), bar(shown, "reference", len(methods) * len(rtols)) as report:
+            truth, rows = _all(problem, methods, rtols, atol_ratio, limit, report)
     _print_all(console, problem, rows, truth, limit, quiet)
     if plot is not None:
         from .._studies.work_precision import draw
@@ -180,7 +180,7 @@ def _all(
     rtols: Sequence[float],
     ratio: float,
     limit: float,
-    told: Callable[..., None] | None,
+    report: Callable[..., None] | None,
 ) -> tuple[Reference, list[Row]]:
     try:
         truth = reference(problem, ratio, limit)
@@ -191,8 +191,8 @@ def _all(
         names: list[str] = [method.name for method in methods]
         for row in compare_runs(problem, names, rtols, ratio, limit, truth):
             rows.append(row)
-            if told:
-                told(len(rtols) * names.index(row.method) + rtols.index(row.rtol) + 1, row.method)
+            if report:
+                report(len(rtols) * names.index(row.method) + rtols.index(row.rtol) + 1, row.method)
     except KeyboardInterrupt:
         done = f"{len(rows)} of {len(methods) * len(rtols)} comparisons"
         raise stop(f"Interrupted after {done}; nothing was written. Try --method and --decades.", INTERRUPTED) from None
@@ -275,8 +275,9 @@ def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -
     methods = list(dict.fromkeys(row.method for row, _, _ in found))
     labels = problem.labels
     label = labels[low.component]
-    told = low.told(label)
-    console.print(Text(f"{', '.join(methods)}: {told} ({row.method}, {way}, rtol {power(row.rtol)}).", style="yellow"))
+    finding = low.in_words(label)
+    example = f"{row.method}, {way}, rtol {power(row.rtol)}"
+    console.print(Text(f"{', '.join(methods)}: {finding} ({example}).", style="yellow"))
     console.print(Text("If it cannot be negative, give the problem nonnegative=.", style="yellow"))
     console.print()
 

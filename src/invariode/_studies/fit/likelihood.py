@@ -14,7 +14,7 @@ from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .experiment import Experiment
-from .outcomes import Failed
+from .failed import Failed
 from .parameters import Parameter, Space, to_parameters
 from .simulation import Simulation
 

@@ -16,8 +16,8 @@ from ..._base.public import public
 from ..._base.suggestions import meant
 from ..._results.solution import Solution
 from . import picture
+from .failed import Failed
 from .likelihood import Model
-from .outcomes import Failed
 from .prediction import Prediction
 from .profile import Profile, Scale, profile
 from .search import Found

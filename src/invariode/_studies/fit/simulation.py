@@ -25,7 +25,7 @@ from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..._solve.problem import Problem
 from .experiment import Experiment, Series
-from .outcomes import Failed
+from .failed import Failed
 from .steady import SteadyStates
 
 

@@ -15,7 +15,7 @@ from ..._functions.layout import with_numbers
 from ..._problem.inputs import fed
 from ..._problem.parameters import ParameterName
 from ..._solve.problem import Problem
-from .outcomes import Failed
+from .failed import Failed
 
 #: Points at which totals are sought, in parts of the sizes of y: a total is constant along f at all of them.
 _BESIDE = (0.0, 0.3, -0.2, 0.7)

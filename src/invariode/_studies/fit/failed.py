@@ -1,4 +1,4 @@
-"""Results that may not be there."""
+"""Why a trial of a fit has no value."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from typing import NamedTuple
 
 
 class Failed(NamedTuple):
-    """Why the model has no value for a trial."""
+    """What stands in place of the model's values."""
 
     reason: str
