@@ -94,11 +94,36 @@ def room_of(name):
     return 1 + ROOMS.index(parts[1]) if len(parts) > 1 and parts[1] in ROOMS else 0
 
 
-def test_rooms_import_downwards_only():
+def words_of_the_map():
+    """The words of each entry of CONTRIBUTING's map: of folders, and of the files beside them under "."."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Where things are")[2].split("```")[1]
+    words = {}
+    for line in text.strip().splitlines():
+        if top := re.match(r"\S+/", line):
+            base, entry = top[0], "."
+        elif inner := re.match(r"  (\S+)", line):
+            entry = inner[1] if inner[1].endswith("/") else "."
+        words.setdefault((base, entry), set()).update(re.findall(r"\w+", line))
+    return words
+
+
+def not_in_the_map():
+    """The files of the package, of the core and of the binding whose names their entries lack."""
+    words = words_of_the_map()
+    for base, ending in (("core/", ".?pp"), ("binding/", ".?pp"), ("src/invariode/", ".py")):
+        for path in sorted((ROOT / base).rglob(f"*{ending}")):
+            entry, *inside = path.relative_to(ROOT / base).parts
+            known = words.get((base, f"{entry}/" if inside else "."), set())
+            if path.stem not in known | {"__init__", "__main__"}:
+                yield str(path.relative_to(ROOT))
+
+
+def test_rooms_import_downwards_only_and_the_map_has_their_files():
     climbs = {(name, used) for name, path in SOURCES for used in imported(name, path) if room_of(used) < room_of(name)}
     assert climbs == set()
     assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == {*ROOMS} - {"_core"}
     assert all(ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) for room in ROOMS[:-1])
+    assert [*not_in_the_map()] == []
 
 
 def test_the_package_imports_numpy_alone():
