@@ -177,7 +177,7 @@ def currents(size: int) -> tuple[Array, Array]:
 
 BODIES = [1.0, 0.0, -0.5, 0.9, -0.5, -0.9, 0.0, 0.7, -0.6, -0.35, 0.6, -0.35]
 #: How many lanes each instruction set has.
-SETS = {name: width for name, width, _ in _core.instruction_sets()}
+SETS = dict(_core.instruction_sets())
 
 CASES = [
     Case("Lotka–Volterra", lotka_volterra, 10.0, populations, 10000),

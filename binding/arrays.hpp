@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "buffer.hpp"
+#include "require.hpp"
 
 namespace nb = nanobind;
 
@@ -28,11 +29,6 @@ using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::dev
 using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using ConstOffsets = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstIndices = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-/// What is handed over may come from a file or from a user's function: throws unless it is right.
-inline void require(bool right, const char* what) {
-  if (!right) throw std::invalid_argument(what);
-}
 
 inline std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
 

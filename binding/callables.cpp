@@ -12,7 +12,6 @@
 #include <tuple>
 #include <utility>
 
-#include "arrays.hpp"
 #include "interpreter.hpp"
 #include "linear/solve.hpp"
 #include "manifolds.hpp"
@@ -132,21 +131,6 @@ class NativeSeries final : public Callable {
   const double* p_;
 };
 
-/// Compressed columns of an n × n matrix, as whoever reads them takes for granted.
-void require_columns(const ConstIndices& starts, const ConstIndices& rows, const ConstVector& values, std::size_t n) {
-  require(starts.size() == n + 1 && rows.size() == values.size(), "the lengths of a sparse matrix do not match");
-  const auto count = static_cast<int>(rows.size());
-  require(starts.data()[0] == 0 && starts.data()[n] == count, "the columns of a sparse matrix do not match its values");
-  for (std::size_t j = 0; j < n; ++j) {
-    const int begin = starts.data()[j], end = starts.data()[j + 1];
-    require(begin <= end && end <= count, "the columns of a sparse matrix overlap");
-    for (int p = begin; p < end; ++p)
-      require(rows.data()[p] >= 0 && rows.data()[p] < static_cast<int>(n) &&
-                  (p == begin || rows.data()[p - 1] < rows.data()[p]),
-              "the rows of a sparse matrix are not ascending or out of range");
-  }
-}
-
 /// What act(), which calls Python, comes to: an exception stays set.
 template <class Act>
 Status reported(Act act) noexcept {
@@ -230,10 +214,34 @@ class PythonPreconditioner final : public Callable {
 
 }  // namespace
 
+Columns read_columns(nb::handle given, std::size_t rows, std::optional<std::size_t> columns) {
+  Columns read = nb::cast<Columns>(given);
+  const auto& [starts, indices, values] = read;
+  const std::size_t n = columns.value_or(std::max<std::size_t>(starts.size(), 1) - 1);
+  const auto count = static_cast<int>(indices.size());
+  bool right =
+      starts.size() == n + 1 && values.size() == indices.size() && starts.data()[0] == 0 && starts.data()[n] == count;
+  for (std::size_t j = 0; right && j < n; ++j) {
+    const int begin = starts.data()[j], end = starts.data()[j + 1];
+    right = begin <= end && end <= count;
+    for (int p = begin; right && p < end; ++p)
+      right = indices.data()[p] >= 0 && indices.data()[p] < static_cast<int>(rows) &&
+              (p == begin || indices.data()[p - 1] < indices.data()[p]);
+  }
+  require(right, "a sparse matrix does not consist of compressed columns");
+  return read;
+}
+
+Eigen::SparseMatrix<double> read_sparse(nb::handle given, std::size_t rows, std::optional<std::size_t> columns) {
+  const auto [starts, indices, values] = read_columns(given, rows, columns);
+  return Eigen::Map<const Eigen::SparseMatrix<double>>(
+      static_cast<Eigen::Index>(rows), static_cast<Eigen::Index>(starts.size()) - 1,
+      static_cast<Eigen::Index>(values.size()), starts.data(), indices.data(), values.data());
+}
+
 void read_matrix(nb::handle values, Matrix& out) {
   if (out.structure.kind == Structure::Kind::sparse) {
-    const auto [starts, rows, entries] = nb::cast<std::tuple<ConstIndices, ConstIndices, ConstVector>>(values);
-    require_columns(starts, rows, entries, out.n());
+    const auto [starts, rows, entries] = read_columns(values, out.n(), out.n());
     out.starts.assign(starts.data(), starts.data() + starts.size());
     out.rows.assign(rows.data(), rows.data() + rows.size());
     out.values.assign(entries.data(), entries.data() + entries.size());
@@ -345,7 +353,7 @@ void Functions::forget_overflows() const {
 }
 
 void Functions::lend(nb::object f, nb::tuple args) {
-  if (exchangeable_ == nullptr) throw std::invalid_argument("f is no Python function, and cannot be exchanged");
+  require(exchangeable_ != nullptr, "f is no Python function, and cannot be exchanged");
   exchangeable_->exchange(std::move(f), std::move(args));
 }
 
@@ -482,7 +490,7 @@ void define_inputs(nb::module_& module) {
           "at",
           [](const PiecewisePolynomial& self, double t) {
             double value = 0;
-            if (self.size() != 1) throw std::invalid_argument("there are several functions");
+            require(self.size() == 1, "there are several functions");
             self.evaluate(t, &value);
             return value;
           },

@@ -3,14 +3,18 @@
 
 #include <nanobind/nanobind.h>
 
+#include <Eigen/SparseCore>
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
+#include <tuple>
 #include <vector>
 
+#include "arrays.hpp"
 #include "callback.hpp"
 #include "functions/piecewise_polynomial.hpp"
 #include "linear/matrix.hpp"
@@ -215,6 +219,14 @@ class Functions {
   PythonFunction* exchangeable_ = nullptr;   // likewise
   bool native_ = true;
 };
+
+/// A sparse matrix as compressed columns: where each of them starts, and its end; rows, ascending in each; values.
+using Columns = std::tuple<ConstIndices, ConstIndices, ConstVector>;
+/// Those of a matrix of so many rows, and columns if their number is known. Throws std::invalid_argument unless they
+/// are.
+Columns read_columns(nb::handle given, std::size_t rows, std::optional<std::size_t> columns = std::nullopt);
+Eigen::SparseMatrix<double> read_sparse(nb::handle given, std::size_t rows,
+                                        std::optional<std::size_t> columns = std::nullopt);
 
 /// Reads values in the matrix's layout: a float64 array, for a sparse one (starts, rows, values). Throws
 /// std::invalid_argument where they do not fit it.

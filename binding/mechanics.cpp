@@ -10,7 +10,6 @@
 #include <tuple>
 #include <utility>
 
-#include "arrays.hpp"
 #include "linear/saddle.hpp"
 
 namespace invariode::binding {
@@ -30,25 +29,6 @@ Eigen::Map<const Eigen::VectorXd> to_eigen(const ConstVector& a) {
 
 Vector to_numpy(const Eigen::VectorXd& a) {
   return to_array<Vector>(std::vector<double>(a.begin(), a.end()), static_cast<std::size_t>(a.size()));
-}
-
-using Columns = std::tuple<ConstIndices, ConstIndices, ConstVector>;  // starts, rows, values
-
-SparseMatrix to_sparse(const nb::object& given, std::size_t rows, std::size_t columns) {
-  const auto [starts, indices, values] = nb::cast<Columns>(given);
-  const auto count = static_cast<int>(indices.size());
-  bool right = starts.size() == columns + 1 && values.size() == indices.size() && starts.data()[0] == 0 &&
-               starts.data()[columns] == count;
-  for (std::size_t j = 0; right && j < columns; ++j) {
-    const int begin = starts.data()[j], end = starts.data()[j + 1];
-    right = begin <= end && end <= count;
-    for (int p = begin; right && p < end; ++p)
-      right = indices.data()[p] >= 0 && indices.data()[p] < static_cast<int>(rows) &&
-              (p == begin || indices.data()[p - 1] < indices.data()[p]);
-  }
-  if (!right) throw std::invalid_argument("a sparse matrix does not consist of compressed columns");
-  return Eigen::Map<const SparseMatrix>(static_cast<Eigen::Index>(rows), static_cast<Eigen::Index>(columns), count,
-                                        starts.data(), indices.data(), values.data());
 }
 
 nb::tuple to_columns(const SparseMatrix& A) {
@@ -165,7 +145,7 @@ class BoundDifferentiable {
   }
   /// Of (t, x) as pairs of reals, as such.
   [[nodiscard]] Vector complex_value(const ConstVector& z) {
-    if (!complex_ || z.size() != 2 * (1 + function_.n())) throw std::invalid_argument("no complex form, or no such z");
+    require(complex_ && z.size() == 2 * (1 + function_.n()), "no complex form, or no such z");
     std::vector<double> out(2 * function_.m());
     rethrow(complex_(z.data()[0], z.data(), out.data()));
     return to_array<Vector>(std::move(out), 2 * function_.m());
@@ -177,7 +157,7 @@ class BoundDifferentiable {
     return filled([&](double* out) { return function_.curvature(t, point(x), dt, point(dx), out); });
   }
   [[nodiscard]] nb::tuple jacobian(double t, const ConstVector& x, const nb::object& pattern) {
-    SparseColumns columns(to_sparse(pattern, function_.m(), function_.n()), 0);
+    SparseColumns columns(read_sparse(pattern, function_.m(), function_.n()), 0);
     std::vector<double> size(function_.n());
     fill_sizes(point(x), size.size(), size.data());
     rethrow(function_.jacobian(t, x.data(), size.data(), columns));
@@ -188,7 +168,7 @@ class BoundDifferentiable {
 
  private:
   [[nodiscard]] const double* point(const ConstVector& x) const {
-    if (x.size() != function_.n()) throw std::invalid_argument("x has not the size that the function takes");
+    require(x.size() == function_.n(), "x has not the size that the function takes");
     return x.data();
   }
   template <class Fill>
@@ -237,7 +217,7 @@ class BoundMotion {
     return spec.n_q + spec.n_v;
   }
   const double* state(const ConstVector& y) const {
-    if (y.size() != motion_.size()) throw std::invalid_argument("y has not the size of (q, v)");
+    require(y.size() == motion_.size(), "y has not the size of (q, v)");
     return y.data();
   }
 
@@ -301,11 +281,11 @@ void define_system(nb::module_& module) {
                                      m_psi,
                                      std::move(functions),
                                      writes_named(mass_writes),
-                                     to_sparse(mass, n_v, n_v),
+                                     read_sparse(mass, n_v, n_v),
                                      jacobian_entries,
-                                     to_sparse(phi, m_phi, n_q),
-                                     to_sparse(psi, m_psi, n_q + n_v),
-                                     to_sparse(kinematics, map, n_q + n_v),
+                                     read_sparse(phi, m_phi, n_q),
+                                     read_sparse(psi, m_psi, n_q + n_v),
+                                     read_sparse(kinematics, map, n_q + n_v),
                                      std::vector<char>(kept.begin(), kept.end()),
                                      sparse,
                                      dependent};

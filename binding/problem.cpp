@@ -12,7 +12,6 @@
 #include <tuple>
 #include <utility>
 
-#include "arrays.hpp"
 #include "mechanics.hpp"
 #include "run/names.hpp"
 
@@ -99,19 +98,6 @@ Breakpoint make_breakpoint(const BreakpointSpec& spec, Functions& functions) {
   return {.t = spec.t, .action = functions.state_valued(spec.action, "the action at a breakpoint"), .jump = {}};
 }
 
-Mass::Basis read_basis(const nb::object& basis, std::size_t n) {
-  const auto [starts, rows, values] = nb::cast<std::tuple<ConstIndices, ConstIndices, ConstVector>>(basis);
-  bool right = starts.size() > 0 && rows.size() == values.size();
-  for (std::size_t j = 0; right && j + 1 < starts.size(); ++j) right = starts.data()[j] <= starts.data()[j + 1];
-  right = right && starts.data()[0] == 0 && starts.data()[starts.size() - 1] == static_cast<int>(rows.size());
-  for (std::size_t p = 0; right && p < rows.size(); ++p)
-    right = rows.data()[p] >= 0 && rows.data()[p] < static_cast<int>(n);
-  if (!right) throw std::invalid_argument("null_basis does not consist of compressed columns of length n");
-  return Eigen::Map<const Mass::Basis>(static_cast<Eigen::Index>(n), static_cast<Eigen::Index>(starts.size()) - 1,
-                                       static_cast<Eigen::Index>(values.size()), starts.data(), rows.data(),
-                                       values.data());
-}
-
 Lapack read_lapack(const nb::object& capsules) {
   Lapack lapack;
   const auto take = [&](const char* name, auto*& routine) {
@@ -167,7 +153,7 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
     function = functions.matrix(spec.mass);
   else
     read_matrix(spec.mass, mass);
-  linear.mass.emplace(std::move(mass), function, read_basis(spec.null_basis, spec.structure.n));
+  linear.mass.emplace(std::move(mass), function, read_sparse(spec.null_basis, spec.structure.n));
   return linear;
 }
 

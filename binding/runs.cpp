@@ -427,7 +427,7 @@ LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
   LaneForm form;
   for (const lanes::Instructions* one : lanes::instructions())
     if (one->name == name) form.instructions = one;
-  if (form.instructions == nullptr) throw std::invalid_argument("this processor has no instructions named " + name);
+  require(form.instructions != nullptr, "this processor has no instructions named " + name);
   form.f = called();
   if (problem.series) form.series = {reinterpret_cast<lanes::SeriesFunction*>(address()), nullptr};
   if (problem.variations) form.slope = called();
@@ -449,7 +449,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
                                                const std::optional<ConstMatrix>& tolerances) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
-    if (!one->bound.native()) throw std::invalid_argument("functions of an ensemble on threads must be native");
+    require(one->bound.native(), "functions of an ensemble on threads must be native");
     solvers.push_back(&one->solver);
   }
   if (parameters.shape(0) != y0.shape(0))
@@ -554,12 +554,12 @@ void define_ensemble(nb::module_& module) {
   module.def(
       "instruction_sets",
       [] {
-        std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
+        std::vector<std::pair<std::string, std::size_t>> sets;
         for (const lanes::Instructions* one : lanes::instructions())
-          sets.emplace_back(std::string(one->name), one->lanes, one->bits);
+          sets.emplace_back(std::string(one->name), one->lanes);
         return sets;
       },
-      "(name, lanes, bits of a register) of each that this processor has, the best first.");
+      "(name, lanes) of each that this processor has, the best first.");
 }
 
 void define_other_runs(nb::class_<BoundSolver>& solver) {

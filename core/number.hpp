@@ -32,6 +32,15 @@ constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
 constexpr std::uint64_t bits_of_one = std::uint64_t{1023} << 52U;
 constexpr std::uint64_t bits_of_two52 = std::uint64_t{0x433} << 52U;  // 2^52: its low word is an integer's
 
+/// log₂ x of a normal x > 0, to 0.005, the same on every processor.
+template <class Real>
+INVARIODE_EACH Real rough_log2(const Real& x) {
+  constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
+  const Real f = on_bits(x, [](auto word) { return (word & mantissa_bits) | bits_of_one; }) - Real(1);
+  const Real exponent = on_bits(x, [](auto word) { return (word >> 52U) | bits_of_two52; }) - Real(0x1p52 + 1023);
+  return exponent + f * (Real(1 + parabola) - parabola * f);
+}
+
 /// std::max(a, b), std::min(a, b): the first where they do not compare.
 template <class Real>
 Real larger(const Real& a, const Real& b) {

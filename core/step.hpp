@@ -81,7 +81,7 @@ class Step : public StepReport, public Archived {
   [[nodiscard]] virtual Interpolate interpolate() const = 0;
   virtual Status extension(double* data) = 0;
   [[nodiscard]] virtual std::size_t extension_size() const = 0;
-  [[nodiscard]] virtual std::size_t max_extension_size() const = 0;
+  [[nodiscard]] virtual std::size_t max_extension_size() const { return extension_size(); }
   /// Whether these doubles are the coefficients of θ^0 … θ^degree, (degree + 1, n).
   [[nodiscard]] virtual bool extends_by_powers() const { return false; }
   /// Its degree, in this step and at most: the most roots that a linear event function has inside a step.

@@ -218,7 +218,7 @@ def in_lanes(form, width, y, p):
     return found
 
 
-@pytest.mark.parametrize("width", sorted({width for _, width, _ in _core.instruction_sets()}))
+@pytest.mark.parametrize("width", sorted({width for _, width in _core.instruction_sets()}))
 def test_lanes_have_the_bits_of_one_number(width):
     random = np.random.default_rng(5)
     edges = [one for rows in EDGES.values() for one, _ in rows]

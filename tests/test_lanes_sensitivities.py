@@ -16,7 +16,7 @@ pytest.importorskip("numba")
 pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")  # failing trajectories are in the tests
 
 SIZE = 40
-SETS = [name for name, _, _ in _core.instruction_sets()]
+SETS = [name for name, _ in _core.instruction_sets()]
 PAIRS = [name for name, method in METHODS.items() if method.stages]
 COUNTS = ("steps", "failed", "nfev", "ng", "ngjac", "nfev_check", "projections")
 

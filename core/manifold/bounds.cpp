@@ -4,15 +4,16 @@
 #include <cassert>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 #include <utility>
+
+#include "require.hpp"
 
 namespace invariode {
 
 Bounds::Bounds(const std::vector<double>& lower, const std::vector<double>& upper) : n_(lower.size()) {
-  if (upper.size() != n_) throw std::invalid_argument("lower and upper bounds differ in length");
+  require(upper.size() == n_, "lower and upper bounds differ in length");
   for (std::size_t i = 0; i < n_; ++i) {
-    if (!(lower[i] <= upper[i])) throw std::invalid_argument("a lower bound is above its upper bound, or NaN");
+    require(lower[i] <= upper[i], "a lower bound is above its upper bound, or NaN");
     if (std::isfinite(lower[i]) || std::isfinite(upper[i])) intervals_.push_back({i, lower[i], upper[i]});
   }
 }

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <stdexcept>
+
+#include "require.hpp"
 
 namespace invariode {
 namespace {
@@ -17,7 +18,7 @@ constexpr double nearly_dependent = 0.01;
 std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
   std::vector<char> mask(n, block.moves.empty() ? 1 : 0);
   for (const std::size_t j : block.moves) {
-    if (j >= n) throw std::invalid_argument("an invariant may move components that the state does not have");
+    require(j < n, "an invariant may move components that the state does not have");
     mask[j] = 1;
   }
   return mask;
@@ -60,7 +61,7 @@ Levels::Level& Levels::level_of(const InvariantBlock& block) {
   }
   for (Level& known : levels_) {
     if (known.number != block.level) continue;
-    if (known.moves != mask) throw std::invalid_argument("invariants of one level may move different components");
+    require(known.moves == mask, "invariants of one level may move different components");
     return known;
   }
   Level& level = levels_.emplace_back(Level{block.level, std::move(mask), {}, {}, {}});

@@ -98,9 +98,7 @@ bool OneSided::find_violations(const double* y, bool& joined) {
 
 void OneSided::measure_correction(const double* y, Projected& did) const {
   const std::span<const double> w = projector_.linearization().weights;
-  MaxNorm moved;
-  for (std::size_t i = 0; i < candidate_.size(); ++i) moved.add((candidate_[i] - y[i]) / w[i]);
-  did.correction = moved.value();
+  did.correction = max_norm(candidate_.size(), [&](std::size_t i) { return (candidate_[i] - y[i]) / w[i]; });
 }
 
 void OneSided::commit() {

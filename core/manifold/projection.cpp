@@ -101,9 +101,7 @@ Projected Projector::project(double t, const double* from, double* y) {
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
     if (levels_ && settled()) break;
   }
-  MaxNorm moved;
-  for (std::size_t i = 0; i < w_.size(); ++i) moved.add((original_[i] - y[i]) / w_[i]);
-  did.correction = moved.value();
+  did.correction = max_norm(w_.size(), [&](std::size_t i) { return (original_[i] - y[i]) / w_[i]; });
   if (!std::isfinite(did.correction)) did.outcome = Outcome::not_finite;
   if (did.outcome == Outcome::ok && (doubtful || crossed_zero(y))) did.outcome = measure_after(t, y);
   return did;
@@ -280,9 +278,8 @@ bool Projector::crossed_zero(const double* y) const {
 /// By what factor a distance may be wrong that is judged by the gradients of the last linearization: these change by
 /// (1 + d)³ at most over a distance of d sizes of the components, if g is made of powers to the third.
 double Projector::doubt(const double* y) const {
-  MaxNorm moved;
-  for (std::size_t i = 0; i < w_.size(); ++i) moved.add((y[i] - point_[i]) / std::min(w_[i], linearized_w_[i]));
-  const double factor = 1 + moved.value();
+  const auto moved = [&](std::size_t i) { return (y[i] - point_[i]) / std::min(w_[i], linearized_w_[i]); };
+  const double factor = 1 + max_norm(w_.size(), moved);
   return factor * factor * factor;
 }
 
@@ -528,9 +525,7 @@ void Projector::release_all() {
 
 /// Whether the latest correction was so small that what it leaves is roundoff.
 bool Projector::settled() const {
-  MaxNorm moved;
-  for (std::size_t i = 0; i < w_.size(); ++i) moved.add(delta_[i] / w_[i]);
-  return moved.value() <= last_correction;
+  return max_norm(w_.size(), [this](std::size_t i) { return delta_[i] / w_[i]; }) <= last_correction;
 }
 
 double Projector::pivot_threshold() const {

@@ -127,7 +127,6 @@ class NystromStep final : public Step {
 
   [[nodiscard]] Interpolate interpolate() const override { return in_turn<runge_kutta::nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
-  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
     bool sound = true;

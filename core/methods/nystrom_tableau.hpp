@@ -86,23 +86,6 @@ constexpr double nystrom_defect(const std::array<std::array<double, S>, S>& A, c
   return worst;
 }
 
-/// Weights at θ, or their derivatives with respect to θ, of an extension with these coefficients.
-template <std::size_t S, std::size_t D>
-constexpr std::array<double, S> nested_weights(const std::array<std::array<double, D>, S>& B, double theta,
-                                               bool derivative = false) {
-  std::array<double, S> w{};
-  for (std::size_t k = 0; k < S; ++k) {
-    double value = B[k][D - 1], slope = 0;
-    for (std::size_t j = D - 1; j-- > 0;) {
-      const double factor = j % 2 == 0 ? 1 - theta : theta;
-      slope = factor * slope + (j % 2 == 0 ? -1 : 1) * value;
-      value = B[k][j] + factor * value;
-    }
-    w[k] = derivative ? value + theta * slope : theta * value;
-  }
-  return w;
-}
-
 /// True where a tableau is what it says. Every condition that a misprint in one coefficient breaks is tested.
 template <std::size_t S, std::size_t D, std::size_t X>
 constexpr bool consistent(const NystromTableau<S, D, X>& T, double roundoff) {

@@ -22,7 +22,6 @@ class OrderTwo : public ImplicitBase<Newton> {
   Outcome accept(const double* y1) final;
   void state(Archive& archive) override;
 
-  [[nodiscard]] std::size_t max_extension_size() const final { return extension_size(); }
   [[nodiscard]] int order() const final { return formula_order; }
 
  protected:

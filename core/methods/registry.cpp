@@ -91,42 +91,38 @@ std::unique_ptr<Step> make_taylor(const Method&, Callback& f, const Weights& wei
   return std::make_unique<Taylor>(f, weights, *series, given.projected);
 }
 
-/// The row of the pair T, number I of the pairs.
-template <const auto& T, std::size_t I>
-constexpr Method row() {
+/// What the tableau of a pair says.
+template <const auto& T>
+constexpr Method of_pair(const char* family, decltype(Method::make) make) {
   Method method{.name = T.name,
                 .summary = T.summary,
-                .family = "explicit Runge-Kutta pair",
+                .family = family,
                 .source = T.source,
-                .scipy_name = T.scipy_name,
                 .min_order = T.order,
                 .order = T.order,
                 .extension_order = T.extension_order,
                 .stages = static_cast<int>(T.stages) - 1,
                 .extra = static_cast<int>(T.all_stages - T.stages),
                 .iterations = T.iterations,
-                .refine = T.refine,
-                .make = make_pair<I>};
+                .make = make};
   if (T.last_in_error()) method.options[0] = "fsal";  // else f(t₁, y₁) is evaluated in any case
+  return method;
+}
+
+/// The row of the pair T, number I of the pairs.
+template <const auto& T, std::size_t I>
+constexpr Method row() {
+  Method method = of_pair<T>("explicit Runge-Kutta pair", make_pair<I>);
+  method.scipy_name = T.scipy_name;
+  method.refine = T.refine;
   return method;
 }
 
 /// The same of the pair T for second-order systems.
 template <const auto& T, std::size_t I>
 constexpr Method nystrom_row() {
-  Method method{.name = T.name,
-                .summary = T.summary,
-                .family = "Runge-Kutta-Nystrom pair, for y'' = f(t, y)",
-                .source = T.source,
-                .min_order = T.order,
-                .order = T.order,
-                .extension_order = T.extension_order,
-                .stages = static_cast<int>(T.stages) - 1,
-                .extra = static_cast<int>(T.all_stages - T.stages),
-                .iterations = T.iterations,
-                .equations = Equations::second_order,
-                .make = make_nystrom<I>};
-  if (T.last_in_error()) method.options[0] = "fsal";
+  Method method = of_pair<T>("Runge-Kutta-Nystrom pair, for y'' = f(t, y)", make_nystrom<I>);
+  method.equations = Equations::second_order;
   return method;
 }
 

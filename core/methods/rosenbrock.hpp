@@ -28,7 +28,6 @@ class Rosenbrock final : public ImplicitBase<AgingJacobian> {
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return 3 * n(); }
-  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return formula_order; }
   Status extension(double* data) override;
 

@@ -123,7 +123,6 @@ class RungeKuttaStep final : public Step {
 
   [[nodiscard]] Interpolate interpolate() const override { return in_turn<nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
-  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
     bool sound = true;

@@ -145,17 +145,17 @@ constexpr double order_defect(const std::array<std::array<double, S>, S>& A, con
   return worst;
 }
 
-/// Weights of the continuous extension at θ, or of its derivative with respect to θ.
-template <std::size_t S, std::size_t D, std::size_t X>
-constexpr std::array<double, S + X> extension_weights(const Tableau<S, D, X>& T, double theta,
-                                                      bool derivative = false) {
-  std::array<double, S + X> w{};
-  for (std::size_t k = 0; k < S + X; ++k) {
-    double value = T.B[k][D - 1], slope = 0;
+/// Weights at θ, or their derivatives with respect to θ, of a continuous extension with these coefficients.
+template <std::size_t S, std::size_t D>
+constexpr std::array<double, S> nested_weights(const std::array<std::array<double, D>, S>& B, double theta,
+                                               bool derivative = false) {
+  std::array<double, S> w{};
+  for (std::size_t k = 0; k < S; ++k) {
+    double value = B[k][D - 1], slope = 0;
     for (std::size_t j = D - 1; j-- > 0;) {
       const double factor = j % 2 == 0 ? 1 - theta : theta;
       slope = factor * slope + (j % 2 == 0 ? -1 : 1) * value;
-      value = T.B[k][j] + factor * value;
+      value = B[k][j] + factor * value;
     }
     w[k] = derivative ? value + theta * slope : theta * value;
   }
@@ -186,11 +186,11 @@ constexpr bool consistent(const Tableau<S, D, X>& T, double roundoff = tableau_r
   if (!reaches(T.order, T.b()) || !reaches(T.error_order, T.lower(T.E))) return false;
   if (T.crude_order > 0 && !reaches(T.crude_order, T.lower(T.crude))) return false;
   for (const double theta : {0.25, 0.5, 0.75, 1.0})
-    if (!reaches(T.extension_order, extension_weights(T, theta), theta)) return false;
+    if (!reaches(T.extension_order, nested_weights(T.B, theta), theta)) return false;
 
-  const auto end = extension_weights(T, 1);
-  const auto slope0 = extension_weights(T, 0, true);
-  const auto slope1 = extension_weights(T, 1, true);
+  const auto end = nested_weights(T.B, 1);
+  const auto slope0 = nested_weights(T.B, 0, true);
+  const auto slope1 = nested_weights(T.B, 1, true);
   for (std::size_t k = 0; k < S + X; ++k) {
     if (!close(end[k], T.b()[k])) return false;
     if (!close(slope0[k], k == 0 ? 1 : 0) || !close(slope1[k], k == S - 1 ? 1 : 0)) return false;

@@ -39,7 +39,6 @@ class Taylor final : public Step {
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return (order_ + 1) * n(); }
-  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] bool extends_by_powers() const override { return true; }
   [[nodiscard]] int degree() const override { return order(); }
   Status extension(double* data) override;

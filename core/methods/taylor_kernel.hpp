@@ -50,16 +50,6 @@ inline constexpr auto reciprocals = [] {
 inline constexpr double smallest_normal = std::numeric_limits<double>::min(), largest_power = 0x1p1023;
 inline constexpr double bias = 1023;  // of exponents
 
-/// log₂ x of a normal x > 0, to 0.005. (h = 2^{−log₂ x / k} is the same on every processor, and to a thousandth what it
-/// would be.)
-template <class Real>
-INVARIODE_EACH Real logarithm(const Real& x) {
-  constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
-  const Real f = on_bits(x, [](auto word) { return (word & mantissa_bits) | bits_of_one; }) - Real(1);
-  const Real exponent = on_bits(x, [](auto word) { return (word >> 52U) | bits_of_two52; }) - Real(0x1p52 + bias);
-  return exponent + f * (Real(1 + parabola) - parabola * f);
-}
-
 /// 2^x, to 2e-4, of an x for which it is a normal number.
 template <class Real>
 INVARIODE_EACH Real power_of_two(const Real& x) {
@@ -101,7 +91,7 @@ INVARIODE_SHARED Real rate_of_last_two(const Real* c, std::size_t n, std::size_t
     if (k + 2 == order) seen = choose(seen < Real(1), Real(2), seen);
     const Real size = norm(c + k * n, n, inverse_weight);
     const Real now = choose(size < Real(smallest_normal), seen, smaller(seen + Real(1), Real(2)));
-    rate = choose(seen < now, larger(rate, reciprocals[k] * logarithm(size)), rate);
+    rate = choose(seen < now, larger(rate, reciprocals[k] * rough_log2(size)), rate);
     seen = now;
   }
   return rate;
@@ -119,7 +109,7 @@ INVARIODE_EACH Real reach(const Real* c, std::size_t n, std::size_t order, const
     last = larger(last, absolute(last_row[i]) * inverse_weight[i]);
     before = larger(before, absolute(row_before[i]) * inverse_weight[i]);
   }
-  Real rate = larger(reciprocals[order] * logarithm(last), reciprocals[order - 1] * logarithm(before));
+  Real rate = larger(reciprocals[order] * rough_log2(last), reciprocals[order - 1] * rough_log2(before));
   constexpr double infinity = std::numeric_limits<double>::infinity();
   if (any(smaller(last, before) < Real(smallest_normal))) rate = rate_of_last_two(c, n, order, inverse_weight);
   const Real length = larger(factor * unit * power_of_two(Real(0) - rate), Real(smallest_normal));

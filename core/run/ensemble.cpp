@@ -5,12 +5,12 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 #include <string_view>
 #include <utility>
 
 #include "manifold/harm.hpp"
 #include "manifold/thresholds.hpp"
+#include "require.hpp"
 #include "run/lanes/worker.hpp"
 #include "run/threads.hpp"
 #include "run/watch.hpp"
@@ -33,9 +33,6 @@ std::int64_t uncounted_starts(const Solver& solver, const Run& run) {
 }
 
 void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
-  const auto require = [](bool right, const char* what) {
-    if (!right) throw std::invalid_argument(what);
-  };
   require(!solvers.empty(), "an ensemble needs at least one solver");
   require(ensemble.size < std::numeric_limits<std::uint32_t>::max(), "too many trajectories");
   const Problem& first = solvers.front()->problem();

@@ -7,6 +7,7 @@
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
 #include "manifold/slope.hpp"
+#include "require.hpp"
 
 namespace invariode {
 namespace {
@@ -59,7 +60,7 @@ std::optional<ImposedPoints> impose(const Problem& problem, const Weights& weigh
 }
 
 std::optional<PointExamination> examine(const Problem& problem, const Weights& weights, double t, const double* y) {
-  if (!problem.f) throw std::invalid_argument("only an f conserves invariants: the problem has none");
+  require(static_cast<bool>(problem.f), "only an f conserves invariants: the problem has none");
   Invariants g = bound(problem, weights);
   ExplicitSlope slope(problem.f, problem.f_error);
   Guard guard(g, weights, slope, 0);
@@ -102,7 +103,7 @@ std::optional<ConsistentStart> consistent_start(const Problem& problem, const We
 
 std::optional<Matrix> jacobian_at(const Problem& problem, const Weights& weights, double t, const double* y) {
   require_sizes(problem, weights);
-  if (!problem.f || !problem.linear) throw std::invalid_argument("the problem does not say what its Jacobian is");
+  require(problem.f && problem.linear, "the problem does not say what its Jacobian is");
   Callback f = problem.f;
   Jacobian jacobian = make_jacobian(problem, weights);
   std::vector<double> slope(problem.n);
@@ -112,7 +113,7 @@ std::optional<Matrix> jacobian_at(const Problem& problem, const Weights& weights
 }
 
 std::optional<FoundPattern> sparsity(const Problem& problem, double t, const double* y, const PatternSearch& search) {
-  if (!problem.f) throw std::invalid_argument("a pattern is found from f: the problem has none");
+  require(static_cast<bool>(problem.f), "a pattern is found from f: the problem has none");
   Callback f = problem.f;
   FoundPattern found;
   bool stopped = false;

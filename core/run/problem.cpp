@@ -1,15 +1,12 @@
 #include "run/problem.hpp"
 
-#include <stdexcept>
 #include <string>
 #include <utility>
 
+#include "require.hpp"
+
 namespace invariode {
 namespace {
-
-void require(bool right, const std::string& what) {
-  if (!right) throw std::invalid_argument(what);
-}
 
 void require_settings(const Settings& settings) {
   require(settings.hmax > 0 || settings.t0 == settings.tf, "max_step must be positive: infinity for no cap");

@@ -581,9 +581,9 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.
     """
 
-def instruction_sets() -> list[tuple[str, int, int]]:
+def instruction_sets() -> list[tuple[str, int]]:
     """
-    (name, lanes, bits of a register) of each that this processor has, the best first.
+    (name, lanes) of each that this processor has, the best first.
     """
 
 class StopRequest:

@@ -85,7 +85,7 @@ void check_intruders(const T& table) {
 template <class T>
 void check_order_is_sharp(const T& table) {
   const double roundoff = roundoff_of(table);
-  const auto middle = extension_weights(table, 0.5);
+  const auto middle = nested_weights(table.B, 0.5);
   CHECK(order_defect(table.A, table.b(), table.order) < roundoff);
   CHECK(order_defect(table.A, table.b(), table.order + 1) > broken);
   CHECK(order_defect(table.A, table.lower(table.E), table.error_order) < roundoff);

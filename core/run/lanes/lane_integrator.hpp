@@ -416,7 +416,7 @@ struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
 
 template <int W, bool Alone>
 constexpr Instructions instructions(std::string_view name) {
-  return {name, W, std::size_t{native} * 64, KernelTable<W, Alone, runge_kutta::Pairs>::kernels};
+  return {name, W, KernelTable<W, Alone, runge_kutta::Pairs>::kernels};
 }
 
 }  // namespace invariode::lanes::INVARIODE_LANES

@@ -51,12 +51,7 @@ class LaneTaylor {
         slope_(take<W>(host, job.n)) {}
 
   [[nodiscard]] static std::size_t degree(const Job& job) { return job.order; }
-  /// Σ c_k θ^k, as `power_series` of a single run has it.
-  static void evaluate_extension(const P* c, std::size_t size, std::size_t n, const P& theta, P* out) {
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[size - n + i];
-    for (std::size_t k = size - n; k > 0; k -= n)
-      for (std::size_t i = 0; i < n; ++i) out[i] = c[k - n + i] + theta * out[i];
-  }
+  static constexpr auto evaluate_extension = power_series<P>;
 
   /// |h| of the first steps, as `Taylor::start` chooses it. Sets where f or its series is not defined.
   P start(const P& t0, const P* y, const P* p, M& undefined) {

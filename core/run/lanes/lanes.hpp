@@ -220,7 +220,6 @@ struct Kernel {
 struct Instructions {
   std::string_view name;
   std::size_t lanes;  ///< trajectories side by side of Runge-Kutta pairs
-  std::size_t bits;   ///< of a vector register
   std::span<const Kernel> kernels;
 
   /// Null unless the method is a Runge-Kutta pair, or Taylor series.

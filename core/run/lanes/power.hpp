@@ -59,15 +59,6 @@ Pack<W> first_inverse_root(const Pack<W>& x) {
   return on_bits(root, [](auto word) { return word << 32; });
 }
 
-/// ln x to 0.006
-template <int W>
-Pack<W> rough_logarithm(const Pack<W>& x) {
-  constexpr double parabola = 0.3436;  // log₂(1 + f) ≈ f + 0.3436 f (1 − f)
-  const Pack<W> f = on_bits(x, [](auto word) { return (word & mantissa_bits) | bits_of_one; }) - Pack<W>(1);
-  const Pack<W> exponent = on_bits(x, [](auto word) { return (word >> 52) | bits_of_two52; }) - Pack<W>(0x1p52 + 1023);
-  return std::numbers::ln2 * (exponent + f + parabola * f * (Pack<W>(1) - f));
-}
-
 /// x − y^Q of y of ten bits near x^(1/Q), but for a rounding error of its own. y^Q is exact for Q ≤ 5. Otherwise it is
 /// the product of two exact powers, which are cut in two so that the product of their heads, of 26 bits each, is exact.
 template <int Q, int W>
@@ -100,7 +91,7 @@ void split_root(const Pack<W>& x, Pack<W>& short_part, Pack<W>& rest) {
   const P u = residual<Q>(x, y) / power<Q>(y), u2 = u * u, u4 = u2 * u2;
   const auto c = [](int k) { return binomial(Q, k); };
   const P tail = (P(c(2)) + c(3) * u) + (P(c(4)) + c(5) * u) * u2 + ((P(c(6)) + c(7) * u) + c(8) * u2) * u4;
-  const P exponent_is_rounded = excess_of_exponent(Q) * rough_logarithm(x);
+  const P exponent_is_rounded = std::numbers::ln2 * excess_of_exponent(Q) * rough_log2(x);
   short_part = y;
   rest = y * ((1.0 / Q) * u + (u2 * tail + exponent_is_rounded));
 }

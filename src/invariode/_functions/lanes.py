@@ -83,7 +83,7 @@ def choose_lanes(
     for called, one in made.items():
         if one is None:
             return Lanes(reason=f"{called} is not made by invariode.compile, or has inputs")
-    name = next(name for name, *_ in _core.instruction_sets() if FORCED in (None, name))
+    name = next(name for name, _ in _core.instruction_sets() if FORCED in (None, name))
     width = solver.lanes(name)
     expansion: list[MachineCode] = []
     if series is not None:
