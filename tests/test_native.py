@@ -183,6 +183,13 @@ def test_a_compiled_invariant_says_how_many_values_it_has(by):
     np.testing.assert_array_equal(alone.y, expected.y)
     assert len(alone.drift().names) == 2
 
+    def overwriting(t, y):
+        y *= 2.0
+        return (y[1] * y[1] + y[2] * y[2]) / 4
+
+    y = iv.ode45(lambda t, y: [1.0, y[2], -y[1]], (0, 1), [0, 1, 0], invariants=iv.compile(overwriting, by=by)).y
+    np.testing.assert_allclose(y[1, -1] ** 2 + y[2, -1] ** 2, 1, rtol=1e-12)
+
 
 def test_a_compiled_invariant_that_is_not_analytic_has_differences():
     held = iv.Invariants(iv.compile(lambda t, y: abs(y[0] * y[3] - y[1] * y[2]), by="numba"), names=["momentum"])
@@ -229,11 +236,24 @@ class TestCompile:
             out[0] = -y[0]
             out[1] = -2 * y[1]
 
+        def scaled(t, y):
+            y *= 2.0
+            return -y[0] / 2, -y[1]
+
+        def shifted(t, y):
+            y += np.array([1.0, 1.0])
+            return 1 - y[0], 2 - 2 * y[1]
+
+        def sliced(t, y):
+            y[:] *= 2.0
+            return -y[0] / 2, -y[1]
+
         forms = [
             iv.compile(lambda t, y: (-y[0], -2 * y[1])),
             iv.compile(lambda t, y: [-y[0], -2 * y[1]]),
             iv.compile(lambda t, y: -y * np.array([1.0, 2.0])),
             iv.compile(filled, inplace=True),
+            *(iv.compile(one, by="numba") for one in (scaled, shifted, sliced)),
         ]
         for form in forms:
             sol = iv.solve_ivp(form, (0, 1), [1, 1], rtol=1e-8)
@@ -322,6 +342,28 @@ class TestCompile:
         sol = iv.solve_ivp(iv.compile(lambda t, y: (y[np.argmax(y[:0])], 1.0)), (0, 1), [1.0, 1.0])
         assert sol.status == -1
         assert "component 0 is NaN or infinite" in sol.message
+        # an index beyond an array, as the function itself raises it; where only some values lead there it is NaN
+        beyond = r"compile\(compiled\), at t = 0\.0: index {} is out of bounds for axis 0 with size {}\..*correct the ind"
+        for by in ("auto", "numba"):
+            osc, wrong = (iv.compile(one, by=by) for one in (lambda t, y: (y[1], -y[0]), lambda t, y: (y[0], y[5])))
+            by_p = iv.compile(lambda t, y, p: (y[1], -p[3] * y[0]), by=by)
+            matrix = iv.compile(lambda t, y: ((0.0, 1.0), (-1.0, y[9])), by=by)
+            first = iv.Event(lambda t, y: y[0] - 0.8, action=wrong)
+            named = iv.Invariants(iv.compile(lambda t, y: y[0] - y[2], by=by), names="difference")
+            for call, where in (
+                (lambda one=wrong: iv.solve_ivp(one, (0, 1), [1.0, 0.0]), ("fun", 5, 2)),
+                (lambda one=by_p: iv.solve_ivp(one, (0, 1), [1.0, 0.0], args=(np.ones(2),)), ("fun", 3, 2)),
+                (lambda f=osc, one=matrix: iv.ode15s(f, (0, 1), [1.0, 0.0], jac=one), ("jac", 9, 2)),
+                (lambda f=osc, one=first: iv.ode45(f, (0, 1), [1.0, 0.0], events=one), ("action of event event", 5, 2)),
+                (lambda f=osc, one=named: iv.ode45(f, (0, 1), [1.0, 0.0], invariants=one), ("difference", 2, 2)),
+            ):
+                with pytest.raises(IndexError, match=f"{where[0]}, {beyond.format(*where[1:])}"):
+                    call()
+            failed = iv.solve_ensemble(wrong, (0, 1), np.ones((1, 2)), workers=1, on_failure="return")
+            assert failed.messages[0].startswith("IndexError: fun, compile(compiled), at t = 0.0: index 5")
+            late = iv.solve_ivp(iv.compile(lambda t, y: (y[int(t * 4)], y[1]), by=by), (0, 1), [1.0, 1.0])
+            assert late.status == -1
+            assert late.t[-1] == pytest.approx(0.5)
 
     def test_an_output_not_filled_cannot_be_evaluated(self):
         def half(t, y, out):

@@ -18,7 +18,7 @@ from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .._run.call_errors import wrong_length
+from .._run.call_errors import error_at_start
 from .._run.plan import Plan, solver
 from .._run.second_order import fits_any_args
 from .outcomes import Outcomes, in_order, picklable
@@ -198,19 +198,20 @@ def _require_constants(task: Task, p: Array, rows: Array) -> None:
         raise ValueError(f"args of a compiled ensemble: {objection}. Compile one function for each, or pass floats")
 
 
-def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError]:
-    """Trajectories whose f returns a wrong number of values, for which a single solve raises."""
+def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError | IndexError]:
+    """Trajectories whose f returns a wrong number of values, or one of whose functions has an index beyond an array,
+    for which a single solve raises."""
     args = task.args
     errors = (
-        (i, wrong_length(task.problem, task.y0[i], args if isinstance(args, tuple) else tuple(args[i])))
+        (i, error_at_start(failure.state, task.problem, task.y0[i], args if isinstance(args, tuple) else tuple(args[i])))
         for i, failure in failures
-        if failure.state == "start_undefined"
+        if failure.state.endswith("_undefined")
     )
     return {i: error for i, error in errors if error is not None}
 
 
 def _messages(
-    task: Task, plan: Plan, failures: Failures, misshapen: Mapping[int, ValueError], states: Array
+    task: Task, plan: Plan, failures: Failures, misshapen: Mapping[int, Exception], states: Array
 ) -> dict[int, str]:
     """Why trajectories failed, in their order."""
     messages: dict[int, str] = {}

@@ -411,8 +411,11 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     """A native g as the core takes it, and its values at (t, y). Machine code cannot say how many there are, the
     Python function that it was made from can."""
     counts = [len(known) for known in (one.names, one.value) if known is not None]
-    if not counts and isinstance(one.fun, CompiledFunction) and not one.fun.inplace:
-        counts = [np.size(one.fun.at(t, y, parameters=p))]
+    compiled = one.fun if isinstance(one.fun, CompiledFunction) else None
+    if not counts and compiled is not None and not compiled.inplace:
+        if error := compiled.index_error(f"invariant {name}", t, y, p):
+            raise error
+        counts = [np.size(compiled.value_at(t, y, p))]
     if not counts:
         raise ValueError(f"invariant {name} is compiled: pass value= or names= so that its number of values is known")
     m = max(counts)
@@ -420,6 +423,8 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
     at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
     if not all(map(math.isfinite, at_start.tolist())):
+        if compiled is not None and (error := compiled.index_error(f"invariant {name}", t, y, p)):
+            raise error
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
     return fun, at_start
 

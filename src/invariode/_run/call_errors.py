@@ -10,8 +10,10 @@ import numpy as np
 
 from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
-from .._functions.graph.function import TracedFunction
 from .._problem.description import Description
+
+#: The functions of a problem that are called with its inputs too.
+_FED = ("fun", "jac")
 
 
 def explain(error: TypeError | ValueError, problem: Description) -> None:
@@ -28,18 +30,32 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
 
 
-def wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
-    """What to tell of a compiled f that returns, at this start, more or fewer values than there are components: in the
-    run they are NaN. None: it is not that."""
+def error_at_start(
+    state: str, problem: Description, y0: Array, args: tuple[Any, ...]
+) -> ValueError | IndexError | None:
+    """What to raise in place of a failure whose cause is that a compiled function is NaN: in its code nothing is
+    raised. The Python functions it was made of are called at the start of the run. `state`: how that ended."""
+    wanted = "the action" if state == "action_undefined" else ""
+    for name, fun in _functions(problem):
+        if isinstance(fun, CompiledFunction) and name.startswith(wanted):
+            t0 = problem.t_span[0]
+            fed = [one(t0) for one in problem.inputs] if name in _FED else []
+            error = fun.index_error(name, t0, y0, native_parameters((*fed, *args), [fun]))
+            if error is not None:
+                return error
+    return _wrong_length(problem, y0, args) if state == "start_undefined" else None
+
+
+def _wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
+    """That a compiled f returns, at this start, more or fewer values than there are components: in the run they are
+    NaN. None: it is not that."""
     fun, n = problem.fun, reals(y0)
     if not isinstance(fun, CompiledFunction) or fun.inplace:
         return None
     t0 = problem.t_span[0]
     parameters = native_parameters((*(one(t0) for one in problem.inputs), *args), [fun])
     try:
-        is_complex = isinstance(fun, TracedFunction) and fun.is_complex
-        start = y0.copy() if is_complex else y0.view(float)
-        returned = np.size(fun.at(t0, start, parameters=parameters)) * (2 if is_complex else 1)
+        returned = np.size(fun.value_at(t0, y0, parameters)) * (2 if fun.is_complex else 1)
     except Exception:  # whatever the user's code raises: there NaN is right
         return None
     if returned == n:
@@ -56,11 +72,10 @@ def _is_of_the_call(error: TypeError) -> bool:
 
 def _not_taking(problem: Description) -> list[str]:
     """The functions that do not take what they are called with."""
-    fed = {"fun", "jac"}
     return [
         name
         for name, fun in _functions(problem)
-        if not takes(fun, [*(problem.inputs if name in fed else ()), *problem.args])
+        if not takes(fun, [*(problem.inputs if name in _FED else ()), *problem.args])
     ]
 
 

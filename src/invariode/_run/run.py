@@ -48,7 +48,7 @@ from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .adjoint import Forward, gradient
 from .agreement import compare
-from .call_errors import explain, wrong_length
+from .call_errors import error_at_start, explain
 from .checkpoint import RunFiles
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
@@ -387,11 +387,10 @@ def _require_start(finished: Finished) -> None:
     run = finished.run
     if run.state in MESSAGES:
         return
-    if exception := finished.plan.exception(run):
-        raise exception
     problem = finished.source.problem
-    if run.state == "start_undefined" and (error := wrong_length(problem, problem.y0, problem.args)):
-        raise error
+    error = error_at_start(run.state, problem, problem.y0, problem.args)
+    if exception := error or finished.plan.exception(run):
+        raise exception
 
 
 def _warn(finished: Finished) -> None:
