@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import pickle
@@ -287,6 +288,15 @@ def test_a_path_is_text(path, tmp_path):
     for use in (sol.save, iv.load, iv.EnsembleSolution.load):
         with pytest.raises(TypeError, match="path must be a str or path-like, got "):
             use(path)
+        for name, why in (("", "it is empty"), ("a\ud800.npz", "a lone surrogate"), ("a\0", "a null character")):
+            with pytest.raises(ValueError, match=f"path = .* is not a name of a file: .*{why}"):
+                use(name)
+    for name, value in (("t", [1.0, 2.0]), ("y", None)):
+        with pytest.raises(ValueError, match=r"save: t is .* arrays of shapes \(k,\) and \(3, k\)"):
+            sol.changed(**{name: value}).save(tmp_path / "a")
+    del sol["t"]
+    with pytest.raises(ValueError, match="save: the solution has no t any more"):
+        sol.save(tmp_path / "a")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
@@ -308,6 +318,22 @@ def test_fields_that_the_user_has_added_are_kept(tmp_path):
     assert "check" not in again
     again.save(tmp_path / "b")
     assert iv.load(tmp_path / "b").notes == sol.notes
+    many = iv.solve_ensemble(
+        lambda t, y: [y[1], -y[0]],
+        (0, 1),
+        [[1.0, 0.0]],
+        workers=1,
+        invariants=iv.Invariants(lambda t, y: y @ y, names="energy"),
+        events=iv.Event(lambda t, y: y[0] - 0.9, name="down"),
+    )
+    many.author, many.mask, many.check, many.large = "E. Hairer", sol.mask, sol.check, 10**5000
+    with pytest.warns(UserWarning, match=r"save keeps numbers, .* leaves out the fields 'check', 'large'"):
+        many.save(tmp_path / "m")
+    again = iv.EnsembleSolution.load(tmp_path / "m")
+    assert again.author == "E. Hairer"
+    np.testing.assert_array_equal(again.mask, sol.mask)
+    assert again[0].drift().names == many[0].drift().names == ["energy"]
+    assert again[0]._names == many[0]._names
 
 
 def test_arguments_of_other_precisions_are_told_apart(tmp_path):
@@ -321,6 +347,22 @@ def test_arguments_of_other_precisions_are_told_apart(tmp_path):
     assert iv.load(tmp_path / "a", given(0.5)).extend(4).success
     with pytest.raises(ValueError, match="args"):
         iv.load(tmp_path / "a", given(np.longdouble(0.5) + np.finfo(np.longdouble).eps))
+
+    def unused(t, y, a):
+        return [-y[0], -y[1], 0.0]
+
+    problem(unused, args=(10**5000,)).solve().save(tmp_path / "b")
+    assert iv.load(tmp_path / "b", problem(unused, args=(10**5000,))).extend(4).success
+    with pytest.raises(ValueError, match="args: .*an integer of 16610 bits"):
+        iv.load(tmp_path / "b", problem(unused, args=(10**5000 + 1,)))
+    inside: list = []
+    inside.append(inside)
+    for wrong in (inside, functools.reduce(lambda one, _: [one], range(1000), 0)):
+        with pytest.raises(ValueError, match="nested in more than 50 levels, or contains itself: .* Flatten it"):
+            problem(unused, args=(wrong,)).solve().save(tmp_path / "c")
+        with pytest.raises(ValueError, match="nested in more than 50 levels"):
+            problem(unused, args=(wrong,)).solve(checkpoint=tmp_path / "c")
+    assert [one.name for one in tmp_path.iterdir() if one.name.startswith("c.output")] == []
 
 
 def test_labels_of_any_text_come_back(tmp_path):

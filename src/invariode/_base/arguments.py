@@ -29,6 +29,9 @@ RTOL, ATOL = 1e-3, 1e-6
 #: The largest number that the core's `int` holds.
 LARGEST_INT = 2**31 - 1
 
+#: Integers of this many bits are not written out: Python refuses to, and to read them, from 4300 digits on.
+LONGEST_INT = 4096
+
 #: The same for its counts.
 LARGEST_COUNT = 2**63 - 1
 
@@ -123,7 +126,7 @@ class _Shown(reprlib.Repr):
 
     def repr_int(self, x: int, level: int) -> str:
         """Python refuses to write out integers of thousands of digits."""
-        return super().repr_int(x, level) if x.bit_length() < 4096 else f"an integer of {x.bit_length()} bits"
+        return super().repr_int(x, level) if x.bit_length() < LONGEST_INT else f"an integer of {x.bit_length()} bits"
 
 
 shown = _Shown().repr
@@ -167,6 +170,12 @@ def path(name: str, value: object) -> str:
     if not isinstance(text, str):
         decode = ": decode it, os.fsdecode" if isinstance(text, bytes) else ""
         raise TypeError(f"{name} must be a str or path-like, got {shown(value)}{decode}")
+    try:
+        wrong = "it is empty" if not text else "it has a null character" if b"\0" in os.fsencode(text) else ""
+    except UnicodeEncodeError as error:
+        wrong = f"the file system has no {shown(text[error.start])}, a lone surrogate"
+    if wrong:
+        raise ValueError(f"{name} = {shown(text)} is not a name of a file: {wrong}. Give another name")
     return text
 
 

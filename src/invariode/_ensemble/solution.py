@@ -22,7 +22,7 @@ from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
-from .._results.saving import OCCURRENCES, apart, field_of, together
+from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
 
@@ -310,7 +310,7 @@ class EnsembleSolution:
 
     def _trajectory(self, i: int) -> Solution:
         """One trajectory as the result of a single solve: without steps and dense output, which are not kept."""
-        about = self._trajectories or Trajectories.unknown(len(self.events), self.value.shape[1])
+        about = _about(self)
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         stats = self._stats_of(i)
@@ -443,7 +443,8 @@ class EnsembleSolution:
         return ensemble_to_dataframe(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes all arrays to one file, from which `EnsembleSolution.load` makes an equal result.
+        """Writes all arrays to one file, from which `EnsembleSolution.load` makes an equal result, with the fields
+        that you have added (numbers, text, lists, dicts, arrays); a warning names those that it cannot keep.
 
         Parameters
         ----------
@@ -472,15 +473,20 @@ class EnsembleSolution:
         with damage_of(path):
             labels, names = found["labels"], found["parameters"]
             named = None if labels is None else distinct_labels(labels, found["y_end"].shape[1])
-            return cls(**{
+            about = Trajectories.unknown(len(found["event_names"]), 0)
+            about.name, about.events, about.laws = found["name"], found["event_names"], found["invariants"]
+            made = cls(**{
                 **{name: one for name, one in found.items() if name in cls.__annotations__},
                 "stats": EnsembleStats(**under("stats", found)),
                 "events": [EnsembleEvents(**one) for one in apart(under("events", found), found["events"])],
                 "messages": {int(i): text for i, text in found["messages"].items()},
+                "_trajectories": about,
                 "_final": found["final"],
                 "_labels": named,
                 "_sensitivities": names and EnsembleSensitivities(names, found["S"], found["S_end"]),
             })  # fmt: skip
+            vars(made).update(restored(found))
+        return made
 
 
 #: The arrays with a row for each trajectory, in files and in stores.
@@ -497,6 +503,15 @@ OF_TRAJECTORIES = {
 }
 
 
+def _about(m: EnsembleSolution) -> Trajectories:
+    return m._trajectories or Trajectories.unknown(len(m.events), m.value.shape[1])
+
+
+def _added(m: EnsembleSolution) -> tuple[dict[str, Any], dict[str, Array]]:
+    own = {field.name for field in dataclasses.fields(EnsembleSolution)}
+    return kept({name: value for name, value in vars(m).items() if name not in own})
+
+
 def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
     return len(m.events), together(m.events, none_of(m.y_end))
 
@@ -510,6 +525,10 @@ _ENSEMBLE = Kind(
         "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
         "final": Field(bool, of=attrgetter("_final")),
         "labels": Field(list[str] | None, of=attrgetter("_labels")),
+        "name": Field(str, of=lambda m: _about(m).name),
+        "event_names": Field(Annotated[list[str], "event"], of=lambda m: _about(m).events),
+        "invariants": Field(Annotated[list[str], "invariant"], of=lambda m: _about(m).laws),
+        "added": Field(dict[str, Any], GROUP, _added),
         "parameters": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
         "S": Field(None, "trajectory component parameter t", field_of("_sensitivities", "values"), optional=True),
         "S_end": Field(None, "trajectory component parameter", field_of("_sensitivities", "end"), optional=True),

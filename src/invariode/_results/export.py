@@ -14,7 +14,7 @@ from .._base.extras import extra
 from .._base.formats import write
 from .._base.public import version
 from .result import Result
-from .saving import SOLUTION
+from .saving import SOLUTION, require_whole
 from .sensitivities import named
 
 if TYPE_CHECKING:  # an extra, imported when it is used
@@ -79,9 +79,12 @@ class Exports(Result):
 
         Raises
         ------
+        ValueError
+            Fields are missing, or t and y do not fit each other.
         OSError
             The file cannot be written.
         """
+        require_whole(self)
         write(path, SOLUTION, SOLUTION.taken(self))
 
 

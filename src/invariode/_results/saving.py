@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
-from .._base.arguments import Array, shown, warn
+from .._base.arguments import LONGEST_INT, Array, shown, warn
 from .._base.formats import GROUP, Field, Kind
 from .result import Names, Result, Stats
 
@@ -161,12 +161,18 @@ OUTPUT = {
 
 
 def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The fields that the user has added, by name: the value in JSON's types, or the number of an array."""
+    """The fields that the user has added."""
+    own = {field.name for field in dataclasses.fields(Result)}
+    return kept({name: value for name, value in sol.items() if name not in own})
+
+
+def kept(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Fields that the user has added, by name: the value in JSON's types, or the number of an array. A warning names
+    those that files cannot hold."""
     added: dict[str, Any] = {}
     arrays: dict[str, Array] = {}
     left_out: list[str] = []
-    for name in sol.keys() - {field.name for field in dataclasses.fields(Result)}:
-        value = sol[name]
+    for name, value in fields.items():
         if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biufc":
             added[name] = {"array": str(len(arrays))}
             arrays[str(len(arrays))] = np.asarray(value)
@@ -179,9 +185,29 @@ def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
     return added, arrays
 
 
+def restored(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The reverse, of the fields of a file."""
+    held = fields["added"].items()
+    return {name: fields[f"added.{one['array']}"] if "array" in one else one["value"] for name, one in held}
+
+
+def require_whole(sol: Result) -> None:
+    """That the user has neither deleted fields nor given t and y values that are no outputs."""
+    missing = {field.name for field in dataclasses.fields(Result) if not field.name.startswith("_")} - sol.keys()
+    if missing:
+        raise ValueError(f"save: the solution has no {', '.join(sorted(missing))} any more: put back what was deleted")
+    t, y, n = sol.t, sol.y, sol._names.size
+    outputs = len(t) if isinstance(t, np.ndarray) and t.ndim == 1 else -1
+    if not isinstance(y, np.ndarray) or y.shape != (n, outputs):
+        t_is, y_is = (f"an array of shape {np.shape(one)}" if isinstance(one, np.ndarray) else shown(one) for one in (t, y))
+        raise ValueError(f"save: t is {t_is} and y is {y_is}: they must be arrays of shapes (k,) and ({n}, k)")
+
+
 def _is_plain(value: Any, depth: int = 0) -> bool:
     """Whether JSON gives the same value back."""
-    if value is None or type(value) in (bool, int, float, str):
+    if type(value) is int:
+        return value.bit_length() < LONGEST_INT
+    if value is None or type(value) in (bool, float, str):
         return True
     if depth == _DEEPEST:
         return False

@@ -132,11 +132,12 @@ class RunFiles:
         """Adds the output of a part of the run, and what it takes to go on behind it."""
         self._require_untouched()
         if self._begin is None:
-            self._append(_PART, part)
+            data = self._packed(_PART, part)
         else:
+            data = self._packed(_FIRST_PART, self._begin(part))  # before there is a file: it may raise
             self._create()
-            self._append(_FIRST_PART, self._begin(part))
             self._begin = None
+        self._append(data)
         self._sequence += 1
         own = {"token": self._token, "sequence": self._sequence, "writer": _writer()}
         state = CHECKPOINT.taken(part, **own, length=self._length, running=running)
@@ -175,8 +176,10 @@ class RunFiles:
             if temporary.fullmatch(one.name) or (found and found[1] not in mine and _carries(one, found[1])):
                 one.unlink(missing_ok=True)
 
-    def _append(self, kind: Kind, part: Result) -> None:
-        data = packed(kind, kind.taken(part, token=self._token))
+    def _packed(self, kind: Kind, part: Result) -> memoryview:
+        return packed(kind, kind.taken(part, token=self._token))
+
+    def _append(self, data: memoryview) -> None:
         with open(self._output, "r+b") as file:
             file.truncate(self._length)  # what a process has left that was killed
             file.seek(self._length)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from .._base.arguments import Array, call_name, shown
+from .._base.arguments import LONGEST_INT, Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction
 from .._problem.breakpoints import to_breakpoints
@@ -22,6 +22,9 @@ from .code import digest, digest_of_code, parts_of_array
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
 
+#: How deep lists and dicts may be nested.
+_DEEPEST = 50
+
 #: Options of who looks at a run, which it goes on without.
 _OF_THE_SESSION = frozenset({"progress", "on_interrupt", "on_failure", "checkpoint"})
 
@@ -33,11 +36,18 @@ _SAME = 1e-9
 # Values and code
 
 
-def in_words(value: Any, *, code: bool = True) -> Any:
+def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
     """What `value` is, as JSON can hold it: equal for what is written alike, in another process too. Of a function its
-    code, or only that it is one."""
+    code, or only that it is one. `depth`: how many lists and dicts it is in."""
+    if depth > _DEEPEST:
+        raise ValueError(
+            f"a list or dict among the arguments of the problem is nested in more than {_DEEPEST} levels, or contains "
+            "itself: what is saved cannot tell it from another. Flatten it, or let the functions refer to it otherwise"
+        )
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, int) and value.bit_length() >= LONGEST_INT:
+        return f"{shown(value)} {digest([hex(value).encode()])}"
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, (float, complex, np.number)):  # the last has digits that the others lack
@@ -53,9 +63,9 @@ def in_words(value: Any, *, code: bool = True) -> Any:
             return f"array {value.shape} {digest(parts_of_array(value))}"
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): in_words(one, code=code) for name, one in value.items()}
+        return {str(name): in_words(one, code=code, depth=depth + 1) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [in_words(one, code=code) for one in value]
+        return [in_words(one, code=code, depth=depth + 1) for one in value]
     if callable(value) and not code:
         return "function"
     number, own = digest_of_code(value), getattr(value, "__dict__", None)
@@ -63,7 +73,7 @@ def in_words(value: Any, *, code: bool = True) -> Any:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
         return f"{call_name(value, 'function')} ({number}{', libm' * libm})"
     if type(value).__module__.partition(".")[0] == "invariode" and own is not None:
-        about = {name: in_words(one, code=code) for name, one in own.items() if not name.startswith("_")}
+        about = {name: in_words(one, code=code, depth=depth + 1) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
 

@@ -23,7 +23,7 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, checked
 from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
-from .._results.saving import OUTCOME, SOLUTION, apart
+from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .._run.checkpoint import CHECKPOINT, read_checkpoint
@@ -262,8 +262,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
         steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
         t_end=fields["t_end"],
     )
-    for name, held in fields["added"].items():
-        solution[name] = fields[f"added.{held['array']}"] if "array" in held else held["value"]
+    solution.update(restored(fields))
     return solution
 
 
