@@ -353,6 +353,15 @@ class TestStore:
         solve("native", store=tmp_path / "out.zarr", chunk=6)
         with pytest.raises(FileExistsError, match="resume=True"):
             solve("native", store=tmp_path / "out.zarr", chunk=6)
+        (tmp_path / "file").touch()
+        for path in (tmp_path / "file", tmp_path / "file" / "out"):
+            with pytest.raises(FileExistsError, match=r"store: .*file is a file, where a folder should be"):
+                solve("native", store=path, chunk=6)
+        for wrong in (3, b"out", [tmp_path]):
+            with pytest.raises(TypeError, match=r"store must be a path, a URL or a store of zarr, got "):
+                solve("native", store=wrong, chunk=6)
+        with pytest.raises(ValueError, match="store = '' is not a name of a file"):
+            solve("native", store="", chunk=6)
 
     @pytest.mark.parametrize(
         ("changed", "told"),

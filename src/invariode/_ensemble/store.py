@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array
+from .._base import arguments
+from .._base.arguments import Array, shown
 from .._base.extras import extra
 from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
@@ -464,16 +465,25 @@ def _zarr() -> Any:
 def _opened(path: Any, mode: str) -> Any:
     """The group; None if nothing is there."""
     zarr = _zarr()
+    if isinstance(path, (str, os.PathLike)):
+        arguments.path("store", path)
     try:
         return zarr.open_group(path, mode=mode, zarr_format=_ZARR_FORMAT, use_consolidated=False)
     except FileNotFoundError:
         return None
+    except TypeError as error:
+        raise TypeError(
+            f"store must be a path, a URL or a store of zarr, got {shown(path)}: give the name of a folder"
+        ) from error
 
 
 def _folder(path: Any) -> Path | None:
     """Where a store is, if that is a folder of this machine."""
     if not isinstance(path, (str, os.PathLike)) or "://" in os.fspath(path):
         return None
-    folder = Path(os.path.realpath(path))
+    folder = Path(os.path.realpath(arguments.path("store", path)))
+    for one in (folder, *folder.parents):
+        if one.exists() and not one.is_dir():
+            raise FileExistsError(f"store: {one} is a file, where a folder should be: give another name")
     folder.parent.mkdir(parents=True, exist_ok=True)
     return folder
