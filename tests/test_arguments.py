@@ -331,6 +331,12 @@ class TestProblemsDoNotChange:
     def test_a_fourth_argument_by_position_is_refused_by_the_name_that_users_know(self):
         with pytest.raises(TypeError, match=r"^Problem takes fun, t_span and y0 by position .* got \(1,\) as a fourth"):
             iv.Problem(decay, (0, 1), [1, 2], (1,))
+        missing = r"^Problem\(\) missing {} required positional arguments: .*'t_span'(,|) and 'y0'"
+        for given, count in (((), 3), ((decay,), 2)):
+            with pytest.raises(TypeError, match=missing.format(count)):
+                iv.Problem(*given)
+        with pytest.raises(TypeError, match=r"^Problem\.replace\(\) takes 1 positional argument"):
+            iv.Problem(decay, (0, 1), [1, 2]).replace([1, 0])
 
 
 MATRICES = {
@@ -450,8 +456,15 @@ HUGE = 10**5000
 
 #: Calls that raised errors of NumPy, of Python or of the binding.
 RAW = {
-    "masked y0": (lambda: iv.Problem(decay, (0, 1), np.ma.masked_equal([1.0, 2.0], 2)), "y0 has masked entries"),
-    "masked t_eval": (lambda: iv.ode45(decay, (0, 1), [1], t_eval=np.ma.masked_equal([0, 1], 1)), "t_eval has masked"),
+    "masked y0": (
+        (lambda: iv.Problem(decay, (0, 1), np.ma.masked_equal([1.0, 2.0], 2)), "y0 has masked entries"),
+        (lambda: iv.solve_ensemble(decay, (0, 1), [[1.0]], args=np.ma.masked_equal([[1.0]], 1)), "args has masked"),
+        (lambda: iv.solve_ensemble(decay, (0, 1), [[1.0]], args=[np.ma.masked_equal([1.0], 1)]), "a row of args has"),
+    ),
+    "masked t_eval": (
+        (lambda: iv.ode45(decay, (0, 1), [1], t_eval=np.ma.masked_equal([0, 1], 1)), "t_eval has masked"),
+        (lambda: iv.ode45(decay, (0, 1), [1], dense_output=True).sol(np.ma.masked_equal([0.0, 1.0], 1)), "t has masked"),
+    ),
     "masked mass": (lambda: iv.ode15s(decay, (0, 1), [1], mass=np.ma.masked_equal([[1]], 1)), "mass has masked"),
     "masked bounds": (lambda: iv.ode45(decay, (0, 1), [1], bounds=(np.ma.masked_equal([0], 0), 1)), "has masked"),
     "masked first_step": (lambda: iv.ode45(decay, (0, 1), [1], first_step=np.ma.masked), "first_step must be a real"),
@@ -488,11 +501,16 @@ RAW = {
     "span": (lambda: iv.find_invariants(decay, (0, float("inf")), [1]), "t_span must be finite"),
     **{
         f"odeint {name}": (lambda name=name: iv.odeint(decay, [1.0], [0, 1], tfirst=True, **{name: np.ones(2)}), name)
-        for name in ("full_output", "ml", "mu", "ixpr", "mxstep", "mxhnil", "mxordn", "mxords", "hmin")
+        for name in ("full_output", "ml", "mu", "ixpr", "mxstep", "mxhnil", "mxordn", "mxords")
     },
     "odeint tfirst": (
         lambda: iv.odeint(decay, [1.0], [0, 1], tfirst=np.ones(2)),
         "tfirst must be an integer or a flag",
+    ),
+    "odeint hmin": (
+        (lambda: iv.odeint(decay, [1.0], [0, 1], tfirst=True, hmin=np.ones(2)), "hmin"),
+        (lambda: iv.odeint(decay, [1.0], [0, 1], tfirst=True, hmax=-1), "^hmax must be positive.*, got -1"),
+        (lambda: iv.odeint(decay, [1.0], [0, 1], tfirst=True, h0=-1.0), "^h0 must be positive.*, got -1"),
     ),
     "odeint printmessg": (lambda: iv.odeint(decay, [1], [0, 1], tfirst=1, printmessg="no"), "printmessg must be"),
     "odeint y0": (lambda: iv.odeint(decay, [1, [2, 3]], [0, 1], tfirst=1), "y0 must be a number or an array"),
@@ -501,6 +519,7 @@ RAW = {
 
 @pytest.mark.parametrize("name", RAW)
 def test_errors_are_in_our_own_words(name):
-    call, message = RAW[name]
-    with pytest.raises((TypeError, ValueError), match=message):
-        call()
+    several = RAW[name] if isinstance(RAW[name][0], tuple) else (RAW[name],)
+    for call, message in several:
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()

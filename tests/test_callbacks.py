@@ -249,6 +249,9 @@ def test_wrong_values_are_said_to_be_those_of_f(returned, options):
     """Wherever they are read: in the core, and before it in the test for second-order equations."""
     with pytest.raises((TypeError, ValueError), match=r"fun\(t, y\) return"):
         iv.solve_ivp(lambda t, y: returned, (0, 1), [1, 1], **options)
+    if returned is None:
+        with pytest.raises(ValueError, match=r"fun\(t, y\) returned None \(is a `return` missing\?\)"):
+            iv.solve_ivp(lambda t, y: returned, (0, 1), [1, 1], vectorized=True, **options)
 
 
 def test_complex_values_in_a_real_problem_say_what_to_do():

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, extra_arguments, flag, items, numbers, positive_integer, shown
+from .._base.arguments import Array, as_array, extra_arguments, flag, items, numbers, positive_integer, shown
 from .._base.progress import bar
 from .._base.types import MethodName
 from .._problem.description import Description
@@ -161,7 +161,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
     if args is None or isinstance(args, tuple):
         return np.atleast_2d(states), extra_arguments(args) or problem.args
-    extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else np.asarray(args)
+    extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else as_array("args", args)
     if isinstance(extra, list) and len(set(map(len, extra))) > 1:
         raise ValueError(f"rows of args must be of one length, got lengths {sorted(set(map(len, extra)))}")
     if isinstance(extra, np.ndarray) and extra.ndim != 2:
@@ -177,7 +177,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
 
 def _row_of_arguments(row: Any) -> tuple[Any, ...]:
     if isinstance(row, np.ndarray) and row.ndim > 0:
-        return tuple(row.tolist())
+        return tuple(as_array("a row of args", row).tolist())
     if isinstance(row, Sequence) and not isinstance(row, str):
         return tuple(row)
     raise _no_rows(f"{shown(row)} as a row")

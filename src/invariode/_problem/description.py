@@ -287,6 +287,8 @@ def _checked_events(events: EventsLike) -> list[Any]:
     return listed
 
 
+#: In Python's own messages ("missing 2 required positional arguments") the class is the one that users know.
+Description.__init__.__qualname__, Description.replace.__qualname__ = "Problem", "Problem.replace"
 #: That of `__init__`, since `__new__` only refuses a fourth argument by position.
 _OWN = inspect.signature(Description.__init__)
 Description.__signature__ = _OWN.replace(parameters=[*_OWN.parameters.values()][1:])  # type: ignore[attr-defined]  # ours

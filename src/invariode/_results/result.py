@@ -347,7 +347,7 @@ class DenseSolution:
         self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
 
     def __call__(self, t: ArrayLike) -> Array:
-        times = t if isinstance(t, np.ndarray) and t.dtype == float else real_numbers("t", t)
+        times = t if type(t) is np.ndarray and t.dtype == float else real_numbers("t", t)
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         g = self._invariants

@@ -132,6 +132,7 @@ def one_column(fun: Any) -> Any:
 
     @functools.wraps(fun)
     def alone(t: float, y: Any, *args: Any) -> Any:
-        return np.asanyarray(fun(t, y[:, None], *args)).ravel()
+        returned = fun(t, y[:, None], *args)
+        return None if returned is None else np.asanyarray(returned).ravel()
 
     return alone

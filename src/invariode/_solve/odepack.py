@@ -262,7 +262,7 @@ def _call(
     options: Options = {
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
-        "max_step": number("hmax", hmax) or np.inf,
+        "max_step": _size("hmax", hmax) or np.inf,
         "keep": "all" if full else "outputs",
         **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}, texts),
     }
@@ -273,11 +273,19 @@ def _call(
         prints=_switch("printmessg", printmessg),
         most=positive_integer("mxstep", mxstep) if _integer("mxstep", mxstep) else 0,
         bands=None if ml is None and mu is None else (_count("ml", ml), _count("mu", mu)),
-        first_step=number("h0", h0),
+        first_step=_size("h0", h0),
         method=chosen,
         options=options,
         warnings=texts,
     )
+
+
+def _size(name: str, value: Any) -> float:
+    """Of a step; 0: the method's own choice."""
+    found = number(name, value)
+    if found < 0:
+        raise ValueError(f"{name} must be positive, or 0 to leave the choice to the method, got {shown(value)}")
+    return found
 
 
 def _problem(
