@@ -353,12 +353,12 @@ def test_arguments_of_other_precisions_are_told_apart(tmp_path):
 
     problem(unused, args=(10**5000,)).solve().save(tmp_path / "b")
     assert iv.load(tmp_path / "b", problem(unused, args=(10**5000,))).extend(4).success
-    with pytest.raises(ValueError, match="args: .*an integer of 16610 bits"):
+    with pytest.raises(ValueError, match=r"args: .*an integer of 16610 bits"):
         iv.load(tmp_path / "b", problem(unused, args=(10**5000 + 1,)))
     inside: list = []
     inside.append(inside)
     for wrong in (inside, functools.reduce(lambda one, _: [one], range(1000), 0)):
-        with pytest.raises(ValueError, match="nested in more than 50 levels, or contains itself: .* Flatten it"):
+        with pytest.raises(ValueError, match=r"nested in more than 50 levels, or contains itself: .* Flatten it"):
             problem(unused, args=(wrong,)).solve().save(tmp_path / "c")
         with pytest.raises(ValueError, match="nested in more than 50 levels"):
             problem(unused, args=(wrong,)).solve(checkpoint=tmp_path / "c")

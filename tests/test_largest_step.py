@@ -76,6 +76,8 @@ def test_odeint_has_no_limit_either():
     limited = iv.odeint(lambda y, t: [1.0], [0.0], SPAN, hmax=TENTH, full_output=True)[1]
     free = iv.odeint(lambda y, t: [1.0], [0.0], SPAN, full_output=True)[1]
     assert free["nst"][-1] < limited["nst"][-1]
+    landing = iv.ode45(drift, (0, 2.09), [0.0], max_step=1.0, first_step=1.0, refine=1)
+    np.testing.assert_array_equal(landing.t, [0, 1, 2.09])  # to land, a step may be a tenth longer
 
 
 @pytest.mark.parametrize("wrong", ["third", "", "Tenth"])

@@ -201,9 +201,12 @@ def _require_constants(task: Task, p: Array, rows: Array) -> None:
 def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError | IndexError]:
     """Trajectories whose f returns a wrong number of values, or one of whose functions has an index beyond an array,
     for which a single solve raises."""
-    args = task.args
+
+    def args(i: int) -> tuple[Any, ...]:
+        return task.args if isinstance(task.args, tuple) else tuple(task.args[i])
+
     errors = (
-        (i, error_at_start(failure.state, task.problem, task.y0[i], args if isinstance(args, tuple) else tuple(args[i])))
+        (i, error_at_start(failure.state, task.problem, task.y0[i], args(i)))
         for i, failure in failures
         if failure.state.endswith("_undefined")
     )

@@ -32,14 +32,15 @@ def compile(
         like that, or numba compiles it, ``f(t, y, p)`` with all numbers in p of shape (k,). It returns a number, a
         tuple, a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or with its rows one after the other;
         complex values for complex y.
-        If it raises, the values are NaN, 'cannot be evaluated here'; an IndexError at the start of a run is raised. If it is already compiled by numba or by this
-        function, its Python function is used.
+        If it raises, the values are NaN, 'cannot be evaluated here'; an IndexError at the start of a run is raised. If
+        it is already compiled by numba or by this function, its Python function is used.
     by : {"auto", "trace", "numba"}, default "auto"
         "trace": functions of numbers and of NumPy's arrays, with helpers, methods, loops whose counts are known, and
         branches on values; anything else is an error that names the line. "numba": the part of Python that numba
         compiles, loops until convergence included; a list or array of the wrong length is NaN, as is what uses an index
-        beyond an array, and a function that writes to y or p gets copies of them in each call. "auto": by numba if it cannot be traced. ``how`` of the
-        result says which it was.
+        beyond an array (but functions of ``numba.njit`` that it calls test indices only with ``boundscheck=True``), and
+        a function that writes to y or p gets copies of them in each call. "auto": by numba if it cannot be traced.
+        ``how`` of the result says which it was.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"

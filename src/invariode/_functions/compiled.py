@@ -139,7 +139,7 @@ class CompiledFunction:
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
-        self._made: dict[tuple[Any, ...], _core.Native] = {}
+        self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None

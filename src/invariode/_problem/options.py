@@ -152,8 +152,9 @@ class StepSizeOptions(TypedDict, total=False):
         Option(
             math.inf,
             "float or 'tenth'",
-            "Largest step. 'tenth' is a tenth of the interval: the rule of MATLAB's codes, and the default of the "
-            "functions that have their names, such as `ode45`.",
+            "Largest step; one that lands on the end or a breakpoint may be up to a tenth longer. 'tenth' is a tenth "
+            "of the interval: the rule of MATLAB's codes, and the default of the functions that have their names, such "
+            "as `ode45`.",
             _largest_step,
         ),
     ]

@@ -196,11 +196,11 @@ def require_whole(sol: Result) -> None:
     missing = {field.name for field in dataclasses.fields(Result) if not field.name.startswith("_")} - sol.keys()
     if missing:
         raise ValueError(f"save: the solution has no {', '.join(sorted(missing))} any more: put back what was deleted")
-    t, y, n = sol.t, sol.y, sol._names.size
+    t, y, n = sol["t"], sol["y"], sol._names.size
     outputs = len(t) if isinstance(t, np.ndarray) and t.ndim == 1 else -1
     if not isinstance(y, np.ndarray) or y.shape != (n, outputs):
-        t_is, y_is = (f"an array of shape {np.shape(one)}" if isinstance(one, np.ndarray) else shown(one) for one in (t, y))
-        raise ValueError(f"save: t is {t_is} and y is {y_is}: they must be arrays of shapes (k,) and ({n}, k)")
+        given = [f"an array of shape {one.shape}" if isinstance(one, np.ndarray) else shown(one) for one in (t, y)]
+        raise ValueError(f"save: t is {given[0]} and y is {given[1]}: they must be arrays of shapes (k,) and ({n}, k)")
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:

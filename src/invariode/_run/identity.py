@@ -73,7 +73,8 @@ def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
         return f"{call_name(value, 'function')} ({number}{', libm' * libm})"
     if type(value).__module__.partition(".")[0] == "invariode" and own is not None:
-        about = {name: in_words(one, code=code, depth=depth + 1) for name, one in own.items() if not name.startswith("_")}
+        public = {name: one for name, one in own.items() if not name.startswith("_")}
+        about = {name: in_words(one, code=code, depth=depth + 1) for name, one in public.items()}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
 

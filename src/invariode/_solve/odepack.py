@@ -143,7 +143,7 @@ def odeint(
     h0 : float, default 0
         Size of the first step; 0: chosen from f(y0, t0).
     hmax : float, default 0
-        Largest step; 0: limited only by the tolerances.
+        Largest step; 0: limited only by the tolerances. One that lands on the end may be up to a tenth longer.
     mxstep : int, default 0
         Maximum number of steps between two output times; 0 means no limit.
     mxordn, mxords : int, default 12 and 5
