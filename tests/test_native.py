@@ -278,6 +278,8 @@ class TestCompile:
         fun = iv.compile(lambda t, y, a: (y[1], -a * y[0]), by="numba")
         with pytest.raises(TypeError, match=r"f\(t, y, p\), p an array of 1: p\[0\] is the first"):
             iv.solve_ivp(fun, (0, 1), [1.0, 0.0], args=(3.0,))
+        with pytest.raises(TypeError, match=r"left to numba, as .* IndexError: index 5 is out"):
+            iv.solve_ivp(iv.compile(lambda t, y, a: (a * y[0], y[5])), (0, 1), [1.0, 0.0], args=(3.0,))
         with pytest.raises(TypeError, match=r"compile takes a function f\(t, y\)"):
             iv.compile(3)
 
@@ -359,6 +361,11 @@ class TestCompile:
             ):
                 with pytest.raises(IndexError, match=f"{where[0]}, {beyond.format(*where[1:])}"):
                     call()
+            second = iv.SecondOrder(iv.compile(lambda t, q: (-q[3],), by=by))
+            with pytest.raises(
+                IndexError, match=r"fun, compile\(.*\), at t = 0\.0: index 3 is out of bounds .* size 1\."
+            ):
+                iv.solve_ivp(second, (0, 1), [1.0, 0.0], "rkn64")
             failed = iv.solve_ensemble(wrong, (0, 1), np.ones((1, 2)), workers=1, on_failure="return")
             assert failed.messages[0].startswith("IndexError: fun, compile(compiled), at t = 0.0: index 5")
             late = iv.solve_ivp(iv.compile(lambda t, y: (y[int(t * 4)], y[1]), by=by), (0, 1), [1.0, 1.0])

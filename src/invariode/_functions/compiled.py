@@ -167,11 +167,8 @@ class CompiledFunction:
         try:
             self.value_at(t, y, parameters)
         except IndexError as error:
-            further = f" and {len(parameters)} numbers in args" if len(parameters) else ""
-            found = IndexError(
-                f"{name}, {self!r}, at t = {t}: {error}. It is called with {len(y)} components of y{further}: correct "
-                "the index"
-            )
+            sizes = f"y has size {len(y)}" + (f", args together {len(parameters)}" if len(parameters) else "")
+            found = IndexError(f"{name}, {self!r}, at t = {t}: {error}. {sizes}: correct the index")
             found.__cause__ = error
             return found
         except Exception:  # whatever else the user's code raises: there NaN is right

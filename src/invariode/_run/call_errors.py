@@ -10,6 +10,7 @@ import numpy as np
 
 from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
+from .._functions.second_order import SecondOrder
 from .._problem.description import Description
 
 #: The functions of a problem that are called with its inputs too.
@@ -35,12 +36,13 @@ def error_at_start(
 ) -> ValueError | IndexError | None:
     """What to raise in place of a failure whose cause is that a compiled function is NaN: in its code nothing is
     raised. The Python functions it was made of are called at the start of the run. `state`: how that ended."""
-    wanted = "the action" if state == "action_undefined" else ""
+    t0, wanted = problem.t_span[0], "the action" if state == "action_undefined" else ""
     for name, fun in _functions(problem):
+        second_order = isinstance(fun, SecondOrder)
+        fun, y = (fun.fun, y0[: len(y0) // 2]) if second_order else (fun, y0)
         if isinstance(fun, CompiledFunction) and name.startswith(wanted):
-            t0 = problem.t_span[0]
             fed = [one(t0) for one in problem.inputs] if name in _FED else []
-            error = fun.index_error(name, t0, y0, native_parameters((*fed, *args), [fun]))
+            error = fun.index_error(name, t0, y, native_parameters((*fed, *args), [fun]))
             if error is not None:
                 return error
     return _wrong_length(problem, y0, args) if state == "start_undefined" else None

@@ -215,6 +215,10 @@ class TracedFunction(OnGraph):
         except TypeError as error:  # of a function of several arguments, which only tracing takes as they are
             raise TypeError(f"{error}, for {self.how}") from None
 
+    def _cannot_compile(self, error: Exception, parameters: int = 0) -> TypeError:
+        text = str(super()._cannot_compile(error, parameters))
+        return TypeError(text if self.how == "numba" else f"{text}\nIt was left to {self.how}")
+
     def _untraceable(self, error: TraceError) -> TypeError:
         instead = ', or leave by="trace" out' if self.by == "trace" else ""
         return TypeError(f"compile({self.__name__}): {error}. Change that{instead}")
