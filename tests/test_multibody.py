@@ -129,18 +129,44 @@ def test_of_rows_that_depend_on_each_other_only_here_those_that_are_needed_here_
     assert np.abs(sol.y[:4, -1] - np.tile(alone.y[:2, -1], 2)).max() < 20 * 1e-7
 
 
-def test_a_redundant_constraint_that_becomes_independent_fails_the_run():
-    def rail(t, q):
-        return np.array([q[1], q[1] + np.where(np.real(q[0]) > 1, (q[0] - 1) ** 3, 0)])
+def test_a_redundant_constraint_that_becomes_independent_ends_the_run_there(tmp_path):
+    """Also where it holds again at the end, whatever is kept, and in ensembles."""
 
-    system = MechanicalSystem([1, 1], lambda t, q, v: [0, 0], rail)
-    with pytest.warns(UserWarning, match="left out: constraint 2"):
-        problem = system.problem((0, 3), [0, 0], [1, 0])
-    sol = problem.solve("ode45", rtol=1e-6, atol=1e-6)
-    assert sol.status == -2
-    assert sol.message.startswith("Constraint 2 depended on the others at the start")
-    with pytest.warns(UserWarning, match="left out: constraint 2"):
-        assert system.problem((0, 0.9), [0, 0], [1, 0]).solve("ode45").success
+    def problem(bend, tf):
+        system = MechanicalSystem([1, 1], lambda t, q, v: [0, 0], lambda t, q: np.array([q[1], q[1] + bend(q[0])]))
+        with pytest.warns(UserWarning, match="left out: constraint 2"):
+            return system.problem((0, tf), [0, 0], [1, 0])
+
+    def rail(x):
+        return np.where(np.real(x) > 1, (x - 1) ** 3, 0)
+
+    def bump(x):
+        return np.where((np.real(x) > 1) & (np.real(x) < 2), ((x - 1) * (x - 2)) ** 3, 0)
+
+    seen: list[float] = []
+    tight, fine = {"rtol": 1e-6, "atol": 1e-6}, {"max_step": 0.05}
+    for bent, options in ((rail, tight | fine), (bump, fine), (bump, fine | {"t_eval": [1.0, 2.5]})):
+        sol = problem(bent, 3).solve("ode45", **options)
+        assert sol.status == -2
+        assert 1 < sol.t_end < 1.5
+        assert sol.t[-1] <= sol.t_end
+        assert sol.message.startswith("Constraint 2 depended on the others at the start")
+        assert f"at t = {sol.t_end:.6g} " in sol.message
+        rows = [[0, 0, 1, 0], [0, 0, 0.1, 0], [1.5, 0, 1, 0]]  # the last one starts where it does not hold
+        for workers in (1, 2):
+            how = {"workers": workers, "on_failure": "return", **options}
+            many = problem(bent, 3).solve_ensemble(rows, "ode45", **how)
+            assert many.status.tolist() == [-2, 0, -2]
+            assert many.t_end[0] == sol.t_end
+            assert many.messages[0] == sol.message
+        stored = problem(bent, 3).solve_ensemble(rows, "ode45", store=tmp_path / f"{len(seen)}", **how)
+        assert stored.failed.tolist() == [0, 2]
+        seen.append(sol.t_end)
+    stopped = problem(rail, 3).solve("ode45", callback=lambda t, y: seen.append(t) or t > 0.5, **fine)
+    assert (stopped.status, stopped.t_end) == (2, seen[-1])
+    sol = problem(rail, 0.9).solve("ode45", **fine)
+    assert sol.success
+    assert sol.extend(3).status == -2
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -319,7 +319,8 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
     size, n = task.y0.shape
     times, m = plan.settings.times, len(plan.bound)
     k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
-    why = _own_to_each(plan) or "functions are in Python"
+    watched = None if plan.watch is None else "constraints that are left out as redundant are watched in Python"
+    why = _own_to_each(plan) or watched or "functions are in Python"
     return Outcomes(
         y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
         S=np.full((size, n, k, count), np.nan, dtype=task.y0.dtype),

@@ -23,9 +23,10 @@ from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from types import BuiltinFunctionType, FunctionType, MappingProxyType, MethodType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, call_name, shown
@@ -33,11 +34,29 @@ from .._base.extras import extra
 from .first_order import FirstOrderForm
 from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
+Callback: TypeAlias = Callable[[float, Array], object] | None
+"""The user's ``callback(t, y)``, which stops a run by returning True."""
+
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
 
 #: Longer tuples, with values of one type, are stored by a loop, which compiles faster.
 _UNROLLED = 32
+
+
+class Watch(Protocol):
+    """What sees each accepted step of a run, as its callback, and may end the run for what the run does not see.
+
+    Attributes
+    ----------
+    objection : str or None
+        What speaks against the solution, in words.
+    """
+
+    objection: str | None
+
+    def __call__(self, t: float, y: Array) -> bool:
+        """Whether the run is to stop."""
 
 
 class CoreFunction:
@@ -50,9 +69,10 @@ class CoreFunction:
     #: The user's functions that it calls.
     functions: Sequence[Any] = ()
 
-    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
-        """What speaks against the solution (t, y) of y' = this function that the run itself does not see, in words.
-        `weights`: the tolerances of y, of its shape."""
+    def watch(
+        self, t0: float, y0: Array, args: tuple[Any, ...], rtol: ArrayLike, atol: ArrayLike, callback: Callback
+    ) -> Watch | None:
+        """The watch on a run of y' = this function from (t0, y0), which calls the user's callback; or None."""
         return None
 
     def on_graph(self) -> CompiledFunction | None:

@@ -8,10 +8,11 @@ from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array
-from .._functions.compiled import CompiledFunction, CoreFunction, is_native, native_parameters, to_native
+from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_native, native_parameters, to_native
 from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
 from .._functions.graph.function import TracedFunction
 from .graph import GraphsOfMotion, OfState, of_state
@@ -24,9 +25,8 @@ _LARGE = 500
 #: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
 _BESIDE = (0.1, -0.07)
 
-#: Constraints that are left out are watched at so many of the outputs. One is violated that is off by this many
-#: tolerances, as is a correction that a step may not make; or by this part of its terms, if these are larger.
-_WATCHED = 200
+#: A constraint that is left out is violated where it is off by this many tolerances, as is a correction that a step may
+#: not make, times those by which the others are off; or by this part of its terms, if these are larger.
 _VIOLATED = 100
 _ROUNDOFF = 1e-11
 
@@ -119,10 +119,10 @@ class Motion:
         self._graphs = self._graphs_of(functions)
         self._specs: dict[bytes, _core.Mechanics] = {}
         self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
-        self._idle: list[tuple[tuple[Any, ...], bytes, _core.Motion]] = []
+        self._idle: dict[bytes, tuple[tuple[Any, ...], _core.Motion]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_specs": {}, "_parts": {}, "_idle": []}  # what belongs to the core is made again
+        return {**self.__dict__, "_specs": {}, "_parts": {}, "_idle": {}}  # what belongs to the core is made again
 
     @property
     def further(self) -> list[inspect.Parameter]:
@@ -259,11 +259,11 @@ class Motion:
         """The motion with these arguments, for evaluations here; it is not shared meanwhile."""
         spec = self.spec(kept)
         key = (self.kept if kept is None else kept).tobytes()
-        known = self._idle.pop() if self._idle else None
-        if known is None or known[0] is not args or known[1] != key:
-            known = (args, key, _core.Motion(spec, args, self._parameters(args).tolist()))
-        yield known[2]
-        self._idle = [known]
+        known = self._idle.pop(key, None)
+        if known is None or known[0] is not args:
+            known = (args, _core.Motion(spec, args, self._parameters(args).tolist()))
+        yield known[1]
+        self._idle[key] = known
 
     def choose_factors(self, points: Sequence[Point]) -> None:
         """Leaves sparse factors out if they are no good at any of these points: none would be later."""
@@ -273,7 +273,7 @@ class Motion:
         for at in points:
             core.accelerations(at.t, at.x)
         if core.work["dense"] == core.work["sparse"]:
-            self._sparse, self._specs, self._parts, self._idle = False, {}, {}, []
+            self._sparse, self._specs, self._parts, self._idle = False, {}, {}, {}
 
     # ------------------------------------------------------------------------------------------------------------------
     # Values at a point; all constraints
@@ -337,15 +337,14 @@ class Motion:
 
     def violated(self, at: Point, weights: Array) -> list[int]:
         """Which constraints that are not imposed are off by many tolerances `weights` of (q, v)."""
-        left_out = ~self.kept
-        phi, psi = left_out[: self.m_phi], left_out[self.m_phi :]
+        phi, psi = self.kept[: self.m_phi], self.kept[self.m_phi :]
         off = np.zeros(self.m, dtype=bool)
-        if phi.any():
+        if not phi.all():
             w = weights[: self.n_q]
-            off[: self.m_phi] = phi & _far(self.positions(at), self.positions_jacobian(at), at.q, w)
-        if psi.any():
+            off[: self.m_phi] = _far(self.positions(at), self.positions_jacobian(at), at.q, w, phi)
+        if not psi.all():
             w = weights[self.n_q :]
-            off[self.m_phi :] = psi & _far(self.rates(at)[self.m_phi :], self.rows(at)[self.m_phi :], at.v, w)
+            off[self.m_phi :] = _far(self.rates(at)[self.m_phi :], self.rows(at)[self.m_phi :], at.v, w, psi)
         return np.flatnonzero(off).tolist()
 
     def accelerations(self, at: Point, every: bool = False) -> Accelerations:
@@ -386,24 +385,65 @@ class MotionFunction(CoreFunction):
     def on_graph(self) -> TracedFunction | None:
         return self._motion.on_graph(self._part)
 
-    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
-        """That a constraint which was redundant at the start, and so is not imposed, does not hold any more."""
-        motion, n = self._motion, self._motion.n_q
+    def watch(
+        self, t0: float, y0: Array, args: tuple[Any, ...], rtol: ArrayLike, atol: ArrayLike, callback: Callback
+    ) -> LeftOut | None:
+        motion = self._motion
         if motion.kept.all():
             return None
-        for k in np.unique(np.linspace(0, len(t) - 1, min(len(t), _WATCHED)).astype(int)):
-            at = Point(float(t[k]), y[:n, k], y[n:, k], args)
-            if off := motion.violated(at, weights[:, k]):
-                return (
-                    f"{motion.names[off[0]]} depended on the others at the start, and was left out as redundant; at "
-                    f"t = {at.t:.6g} it is independent and does not hold: the solution is wrong from there on, or "
-                    "shortly before. Start from another position, where no constraints depend on each other, or remove "
-                    "those that do everywhere"
-                )
-        return None
+        return LeftOut(motion, Point(t0, y0[: motion.n_q], y0[motion.n_q :], args), rtol, atol, callback)
 
     def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
         return self._motion.part(self._part)
+
+
+class LeftOut:
+    """Whether the constraints hold that a motion leaves out, a `Watch`.
+
+    It is the callback of a run, which sees each accepted step, kept or not, and ends the run at the first one after
+    which a constraint does not hold.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of which constraints are left out.
+    start : Point
+        Where the run starts, with its arguments.
+    rtol, atol : array_like
+        The tolerances of the run.
+    callback : callable, optional
+        The user's.
+
+    Attributes
+    ----------
+    objection : str or None
+        Which constraint does not hold, and at which t the run ends for it.
+    """
+
+    def __init__(self, motion: Motion, start: Point, rtol: ArrayLike, atol: ArrayLike, callback: Callback) -> None:
+        self._motion, self._start, self._callback = motion, start, callback
+        self._rtol, self._atol = np.asarray(rtol, dtype=float), np.asarray(atol, dtype=float)
+        self.objection: str | None = None
+        self._look(start)
+
+    def __call__(self, t: float, y: Array) -> bool:
+        """Whether the run is to stop at the end of a step."""
+        stop = self._callback is not None and bool(self._callback(t, y))
+        if self.objection is None:
+            n = self._motion.n_q
+            self._look(self._start._replace(t=float(t), q=y[:n], v=y[n : n + self._motion.n_v]))
+        return stop or self.objection is not None
+
+    def _look(self, at: Point) -> None:
+        off = self._motion.violated(at, np.maximum(self._rtol * np.abs(at.x), self._atol))
+        if not off:
+            return
+        self.objection = (
+            f"{self._motion.names[off[0]]} depended on the others at the start, and was left out as redundant; "
+            f"at t = {at.t:.6g} it is independent and does not hold: the solution is wrong from there on, or shortly "
+            "before. Start from another position, where no constraints depend on each other, or remove those that do "
+            "everywhere"
+        )
 
 
 class FunctionOfState(CoreFunction):
@@ -460,10 +500,16 @@ class _Entries:
         return values
 
 
-def _far(residual: Array, rows: Array, x: Array, weights: Array) -> Array:
-    """Which residuals are many tolerances `weights` of x away from 0."""
-    size = np.maximum(_VIOLATED * np.linalg.norm(rows * weights, axis=1), _ROUNDOFF * (np.abs(rows) @ np.abs(x)))
-    far: Array = np.abs(residual) > size
+def _far(residual: Array, rows: Array, x: Array, weights: Array, kept: Array) -> Array:
+    """Which residuals of constraints that are not kept are many tolerances `weights` of x away from 0.
+
+    Where they depend on those that are kept, they are off as far as these are, which may be held only roughly.
+    """
+    tolerances = np.linalg.norm(rows * weights, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.nan_to_num(np.abs(residual) / tolerances, posinf=0.0)[kept].max(initial=1.0)
+    size = np.maximum(_VIOLATED * off * tolerances, _ROUNDOFF * (np.abs(rows) @ np.abs(x)))
+    far: Array = (np.abs(residual) > size) & ~kept
     return far
 
 

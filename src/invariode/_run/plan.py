@@ -32,7 +32,7 @@ from .._base.arguments import (
 from .._base.failures import InvariantError
 from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
-from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
+from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, to_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.layout import Parameters, count_of
@@ -56,7 +56,7 @@ from .._results.messages import (
     remarked,
     status_and_message,
 )
-from .._results.result import LIMIT_REACHED, Names
+from .._results.result import LIMIT_REACHED, NOT_CONSERVED, Names
 from .second_order import require_second_order
 
 if TYPE_CHECKING:
@@ -177,6 +177,7 @@ class Plan(NamedTuple):
     checkpoint: Checkpoint | None
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series
+    watch: Watch | None = None  # on what a run itself does not see: it is the callback, which calls the user's
 
     @property
     def start(self) -> Array:
@@ -224,6 +225,8 @@ class Plan(NamedTuple):
         return status, self.varied.in_words(message, run.component)
 
     def _verdict(self, run: _core.Run) -> tuple[int, str]:
+        if self.watch is not None and (objection := self.watch.objection) is not None:
+            return NOT_CONSERVED, f"{objection[0].upper()}{objection[1:]}."
         ended = MESSAGES.get(run.state)
         if ended is not None and not run.remarkable:
             return ended
@@ -326,9 +329,13 @@ def planned(problem: Description, choice: Choice) -> Plan:
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
     event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
+    watch = None
+    if isinstance(problem.fun, CoreFunction):
+        watch = problem.fun.watch(settings.t0, y0, problem.args, rtol, atol, options["callback"])
+    callback = options["callback"] if watch is None else watch
     plan = Plan(
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
+        functions=_functions(problem, fun, parameters, linear, bound, callback, breakpoints),
         y0=y0,
         bound=bound,
         called=names_of(problem, event_names),
@@ -344,6 +351,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
         on_interrupt=options["on_interrupt"],
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
+        watch=watch,
     )
     if problem.sensitivities is not None:
         plan = _with_sensitivities(plan, problem, breakpoints)

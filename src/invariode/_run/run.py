@@ -293,19 +293,7 @@ def _carried_out(
     sol.stats.mechanics = _work(core, source.problem.fun)
     if find_method(source.method)[0].equations == "second-order":
         require_no_velocities(source.problem, sol)
-    return _examined(sol, source.problem)
-
-
-def _examined(sol: Solution, problem: Description) -> Solution:
-    """The solution of a mechanism, which fails if a constraint that is not imposed does not hold."""
-    if not isinstance(problem.fun, CoreFunction) or not sol.success:
-        return sol
-    y = np.asarray(sol.y)
-    weights = np.maximum(np.reshape(sol._rtol, (-1, 1)) * np.abs(y), np.reshape(sol._atol, (-1, 1)))
-    objection = problem.fun.objection(sol.t, y, problem.args, weights)
-    if objection is None:
-        return sol
-    return sol.changed(status=-2, message=f"{objection[0].upper()}{objection[1:]}.", success=False)
+    return sol
 
 
 class Finished:
@@ -457,7 +445,7 @@ def _integrated(
 
 def _solution(finished: Finished) -> Solution:
     run, plan = finished.run, finished.general
-    ordinary = run.ordinary and plan.varied is None
+    ordinary = run.ordinary and plan.varied is None and plan.watch is None
     status, message = MESSAGES[run.state] if ordinary else finished.plan.verdict(run)
     dense = run.take_dense() if plan.settings.dense else None
     t, y = run.take_points()
