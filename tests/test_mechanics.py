@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -571,6 +572,27 @@ def test_a_given_jacobian_of_a_chain_may_be_sparse(sparse):
     )
     np.testing.assert_allclose(given.fun(0, given.y0), own.fun(0, own.y0), rtol=1e-10, atol=1e-10)
     assert given.solve(rtol=1e-5).success
+
+    def band(t, q):
+        """The rows of `links`."""
+        apart = 2 * np.diff(q.reshape(-1, 2), axis=0, prepend=0.0)
+        rows = np.arange(len(apart)).repeat(2)
+        here, before = (rows, np.arange(len(q))), (rows[2:], np.arange(len(q) - 2))
+        places = np.hstack([here, before])
+        return scipy.sparse.csr_array((np.append(apart, -apart[1:]), tuple(places)), shape=(len(apart), len(q)))
+
+    def most(count):
+        """Bytes that Python needs for the problem of a chain."""
+        tracemalloc.start()
+        try:
+            system = MechanicalSystem(np.ones(2 * count), lambda t, q, v: v, links, jacobian=band if sparse else None)
+            system.problem((0, 1), np.outer(1 + np.arange(count), [1.0, 0.0]).ravel(), np.zeros(2 * count))
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    most(60)  # imports
+    assert most(1200) < 2.5 * most(600)  # linear in their number
 
 
 def test_a_mass_with_entries_that_were_not_there_at_the_start_is_whole():

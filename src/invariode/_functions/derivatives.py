@@ -26,6 +26,9 @@ INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
 _BESIDE_START = (0.1, 0.0)
 #: From this many entries on it is worth knowing which of them are always zero.
 _LARGE = 500
+#: From this many columns on a derivative along one direction tells whether all entries are known, to this part of the
+#: terms of each row: one evaluation in the place of one for each column.
+_MANY, _KNOWN = 1000, 1e-9
 #: Distance from x at which the pattern is sought, in units of the sizes of the components.
 _BESIDE = (0.0, 0.1, -0.07)
 #: Its multiples modulo 1 are spread evenly and never repeat.
@@ -152,24 +155,48 @@ class Derivatives:
         if self.m * n < _LARGE:
             return full_pattern(self.m, n)
         if self._exact is not None:
-            return compressed(self._exact.pattern.matrix(np.ones(self._exact.entries)).toarray())
-        entries = np.zeros((self.m, n), dtype=bool)
+            from scipy.sparse import csc_array  # takes longer to import than everything else
+
+            exact = csc_array(self._exact.pattern.matrix(np.ones(self._exact.entries)))
+            exact.sort_indices()
+            return exact.indptr.astype(np.int32), exact.indices.astype(np.int32), exact.data
+        entries = [np.arange(0)] * n
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             for j in range(n):
                 at = x.copy()
                 at[j] = np.nan
                 try:
-                    entries[:, j] = np.isnan(self.value(t, at))
+                    entries[j] = np.flatnonzero(np.isnan(self.value(t, at)))
                 except (ValueError, ArithmeticError):  # it does not take NaN
-                    entries[:, j] = True
+                    entries[j] = np.arange(self.m)
             for part in _BESIDE:
+                at = x + part * somewhere(x)
                 try:
-                    jacobian = self.jacobian(t, x + part * somewhere(x))
+                    if n >= _MANY and self._has_all(t, at, _pattern_of(entries)):
+                        continue
+                    found = self._nonzero(t, at)
                 except (ValueError, ArithmeticError):
                     continue  # not defined there
-                entries |= ~(jacobian == 0)
-        return compressed(entries)
+                entries = [np.union1d(known, more) for known, more in zip(entries, found, strict=True)]
+        return _pattern_of(entries)
+
+    def _has_all(self, t: float, x: Array, pattern: tuple[Array, Array, Array]) -> bool:
+        """Whether the entries in a pattern give the derivative along a direction in which everything moves."""
+        direction = somewhere(x)
+        starts, rows, values = self._core.jacobian(t, x, pattern)
+        terms = values * np.repeat(direction, np.diff(starts))
+        expected, size = (np.bincount(rows, one, self.m) for one in (terms, np.abs(terms)))
+        return bool((np.abs(self.slope(t, x, 0.0, direction) - expected) <= _KNOWN * size).all())
+
+    def _nonzero(self, t: float, x: Array) -> list[Array]:
+        """The rows of each column of the Jacobian that are not zero."""
+        found, direction, size = [], np.zeros(len(x)), sizes(x)
+        for j in range(len(x)):
+            direction[j] = size[j]
+            found.append(np.flatnonzero(~(self.slope(t, x, 0.0, direction) == 0)))
+            direction[j] = 0.0
+        return found
 
     def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
         """Whether complex steps give what differences give."""
@@ -265,6 +292,12 @@ def full_pattern(m: int, n: int) -> tuple[Array, Array, Array]:
     """A matrix of m rows and n columns without zeros, as compressed columns."""
     starts = np.arange(0, m * n + 1, m, dtype=np.int32) if m else np.zeros(n + 1, dtype=np.int32)
     return starts, np.tile(np.arange(m, dtype=np.int32), n), np.ones(m * n)
+
+
+def _pattern_of(entries: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """The rows of each column as compressed columns."""
+    starts = np.cumsum([0, *map(len, entries)]).astype(np.int32)
+    return starts, np.concatenate(entries).astype(np.int32), np.ones(starts[-1])
 
 
 def compressed(entries: Array) -> tuple[Array, Array, Array]:

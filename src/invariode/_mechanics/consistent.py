@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from .. import _core
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
 from .._functions.derivatives import sizes, somewhere
-from .motion import DEPENDENT, Motion, Point
+from .motion import DEPENDENT, MANY_COLUMNS, Motion, Point, lengths, vanishing
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
 _ITERATIONS = 50
@@ -24,9 +25,6 @@ _BESIDE = (1e-2, 1e-3, 1e-4)
 _FEW = 10
 #: The rest of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
-#: Sparse factors are faster from this many velocities on, if at most this fraction of the entries is nonzero.
-_LARGE = 100
-_SPARSE = 0.1
 #: The rest of a row above this is surely not roundoff, though the factors lose half of the digits.
 _FAR = 1e-4
 
@@ -40,20 +38,20 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     q = _consistent_positions(motion, start, names)
     at = start._replace(q=q)
     rows = motion.rows(at)
-    if not len(rows):
+    if not motion.m:
         return at
     change = _least_change(motion.mass(at), rows, -motion.rates(at))
     after = at._replace(v=at.v + change)
     left = np.abs(motion.rates(after))
     moving = np.abs(at.v) + np.abs(change)
-    terms = np.abs(motion.rates(at)) + np.abs(rows) @ moving
+    terms = np.abs(motion.rates(at)) + abs(rows) @ moving
     # Rates also have roundoff from φ_t and from differences. M couples velocities: each, also one that is 0, has the
     # roundoff of the largest.
-    roundoff = _ROUNDOFF * np.abs(rows).sum(axis=1) * moving.max(initial=0.0) + np.finfo(float).tiny
+    roundoff = _ROUNDOFF * np.asarray(abs(rows).sum(axis=1)) * moving.max(initial=0.0) + np.finfo(float).tiny
     off = left > _ROUNDOFF**0.5 * terms + roundoff
     if off.any():
         i = int(np.flatnonzero(off)[0])
-        if i < motion.m_phi and not rows[i].any():
+        if i < motion.m_phi and vanishing(rows)[i]:
             raise InvariantError(
                 f"{names[i]} changes with t, at the rate {left[i]:.3g} at t = {start.t}, and no velocity changes that: "
                 "it does not depend on q, or q0 is a singular position of it. Correct its formula, or start elsewhere"
@@ -71,11 +69,11 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
-    weight = np.eye(motion.n_q) if motion.has_map else motion.mass(start)
+    weight = _identity(motion.n_q) if motion.has_map else motion.mass(start)
     q = q0
     for _ in range(_ITERATIONS if nearest else _FEW):
         residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
-        if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
+        if not (np.isfinite(residual).all() and np.isfinite(_entries(rows)).all()):
             break
         if not nearest and not _off(residual, rows, q, q0).any():
             break
@@ -89,7 +87,7 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
     off = _off(residual, rows, q, q0)
     if off.any():
         i = int(np.argmax(np.abs(residual) * off))
-        if not rows[i].any():
+        if vanishing(rows)[i]:
             raise InvariantError(
                 f"{names[i]} is {residual[i]:.6g} at t = {t}, and changing q does not affect it: either it does "
                 "not depend on q, "
@@ -102,43 +100,60 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
     return q
 
 
-def _off(residual: Array, rows: Array, q: Array, q0: Array) -> Array:
+def _off(residual: Array, rows: Any, q: Array, q0: Array) -> Array:
     """Which residuals are more than roundoff."""
-    roundoff: Array = _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0))
+    roundoff: Array = _ROUNDOFF * (abs(rows) @ sizes(q) + abs(rows) @ sizes(q0))
     off: Array = ~(np.abs(residual) <= roundoff)
     return off
 
 
-def _least_change(weight: Array, rows: Array, right: Array) -> Array:
+def _least_change(weight: Any, rows: Any, right: Array) -> Array:
     """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
-    n = len(weight)
-    if n >= _LARGE and np.count_nonzero(rows) <= _SPARSE * rows.size and np.count_nonzero(weight) <= _SPARSE * n * n:
+    n = rows.shape[1]
+    if hasattr(weight, "toarray") and hasattr(rows, "toarray"):
         found = _sparse_least_change(weight, rows, right)
         if found is not None:
             return found
-    for metric in (weight, np.eye(n)):
-        solution = _core.solve_saddle(
-            np.ascontiguousarray(metric), np.ascontiguousarray(rows), np.zeros(n), right, DEPENDENT
-        )
+    A = np.ascontiguousarray(_dense(rows))
+    for metric in (weight, _identity(n)):
+        solution = _core.solve_saddle(np.ascontiguousarray(_dense(metric)), A, np.zeros(n), right, DEPENDENT)
         change: Array = solution[0]
         if solution[-1]:  # unique
             break
     return change
 
 
-def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | None:
+def _sparse_least_change(weight: Any, rows: Any, right: Array) -> Array | None:
     """The same by sparse factors of (W, -Aᵀ; A, 0); None: it is not determined, or not to roundoff."""
-    from scipy.sparse import block_array, csc_array  # takes longer to import than everything else
+    from scipy.sparse import block_array  # takes longer to import than everything else
     from scipy.sparse.linalg import splu
 
-    W, A = csc_array(weight), csc_array(rows)
     try:
-        factors = splu(block_array([[W, -A.T], [A, None]], format="csc"))
+        factors = splu(block_array([[weight, -rows.T], [rows, None]], format="csc"))
     except RuntimeError:  # singular
         return None
-    change: Array = factors.solve(np.concatenate([np.zeros(len(weight)), right]))[: len(weight)]
-    off = np.abs(A @ change - right) > _ROUNDOFF * (abs(A) @ np.abs(change) + np.abs(right))
+    n = rows.shape[1]
+    change: Array = factors.solve(np.concatenate([np.zeros(n), right]))[:n]
+    off = np.abs(rows @ change - right) > _ROUNDOFF * (abs(rows) @ np.abs(change) + np.abs(right))
     return change if np.isfinite(change).all() and not off.any() else None
+
+
+def _identity(n: int) -> Any:
+    """As a matrix, sparse if it is large."""
+    if n < MANY_COLUMNS:
+        return np.eye(n)
+    from scipy.sparse import eye_array
+
+    return eye_array(n, format="csr")
+
+
+def _dense(matrix: Any) -> Array:
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+
+
+def _entries(matrix: Any) -> Array:
+    """Those of a sparse matrix that are stored, or all."""
+    return np.asarray(matrix.data if hasattr(matrix, "toarray") else matrix)
 
 
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
@@ -153,12 +168,14 @@ def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
     return at
 
 
-def _surely_independent(rows: Array) -> bool:
-    """Whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it."""
-    lengths = np.linalg.norm(rows, axis=1)
-    if not lengths.all():
+def _surely_independent(rows: Any) -> bool:
+    """Whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it, in some order."""
+    size = lengths(rows)
+    if not size.all():
         return False
-    unit = rows / lengths[:, None]
+    if hasattr(rows, "toarray"):
+        return _surely_independent_sparse(rows, size)
+    unit = rows / size[:, None]
     try:
         pivots = np.diag(np.linalg.cholesky(unit @ unit.T))
     except np.linalg.LinAlgError:
@@ -166,13 +183,33 @@ def _surely_independent(rows: Array) -> bool:
     return bool((pivots > _FAR).all())
 
 
-def dependent_rows(rows: Array, order: Iterable[int] | None = None) -> Array:
+def _surely_independent_sparse(rows: Any, size: Array) -> bool:
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    unit = diags_array(1 / size) @ rows
+    try:  # pivots on the diagonal alone: those of L D Lᵀ, in an order with little fill
+        factors = splu(
+            (unit @ unit.T).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # singular
+        return False
+    on_diagonal = bool((factors.perm_r == factors.perm_c).all())
+    return on_diagonal and bool((factors.U.diagonal() > _FAR**2).all())
+
+
+def dependent_rows(rows: Any, order: Iterable[int] | None = None) -> Array:
     """Which rows depend on those before them, in the given order."""
-    dependent = np.zeros(len(rows), dtype=bool)
-    if len(rows) >= _LARGE and _surely_independent(rows):
+    m = rows.shape[0]
+    dependent = np.zeros(m, dtype=bool)
+    if m >= MANY_COLUMNS and _surely_independent(rows):
         return dependent
+    rows = _dense(rows)
     basis = np.zeros((0, rows.shape[1]))
-    for i in range(len(rows)) if order is None else order:
+    for i in range(m) if order is None else order:
         length = float(np.linalg.norm(rows[i]))
         rest = rows[i] / length if length > 0 else rows[i]
         for _ in range(2):  # twice is enough
@@ -184,7 +221,7 @@ def dependent_rows(rows: Array, order: Iterable[int] | None = None) -> Array:
     return dependent
 
 
-def redundant_rows(here: Array, beside: Array) -> Array:
+def redundant_rows(here: Any, beside: Any) -> Array:
     """Which rows depend on others wherever the motion goes: beside, where nothing is singular by chance.
 
     Those that are independent here are taken first: at a singular position a choice among those of beside alone may

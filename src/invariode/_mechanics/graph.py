@@ -152,7 +152,7 @@ def _product(row: Row, matrix: list[Row]) -> Row:
 
 #: Accelerations and multipliers of a system whose derivatives are a graph. The linear system is dense there: 30 of
 #: them, a chain of ten links, are compiled in 3 s, 60 in 20 s.
-_MOST_UNKNOWNS = 36
+MOST_UNKNOWNS = 36
 #: Of which functions the parts of a motion are made.
 _PARTS = {
     "slope": ("mass", "force", "constraints", "velocity_constraints", "kinematics"),
@@ -172,7 +172,8 @@ class GraphsOfMotion:
     functions : dict of OfState
         The user's, by the names of `_PARTS`; those that the motion does not have are of size 0.
     mass : ndarray, optional
-        M (n_v, n_v), if it is constant. Otherwise a function gives its diagonal or all entries; neither: it is sparse.
+        M (n_v, n_v), if it is constant. Otherwise a function gives its diagonal or all entries; neither: it is sparse,
+        or too large.
     """
 
     def __init__(self, n_q: int, n_v: int, functions: dict[str, OfState], mass: Array | None = None) -> None:
@@ -188,7 +189,7 @@ class GraphsOfMotion:
         functions = {name: one for name, one in self._functions.items() if name in _PARTS[part]}
         if part == "slope":
             without_mass = self._mass is None and "mass" not in functions
-            if without_mass or self._n_v + np.count_nonzero(kept) > _MOST_UNKNOWNS:
+            if without_mass or self._n_v + np.count_nonzero(kept) > MOST_UNKNOWNS:
                 return None
         if not all(one.may_be_traced for one in functions.values()):
             return None

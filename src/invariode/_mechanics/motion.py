@@ -15,11 +15,13 @@ from .._base.arguments import Array
 from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_native, native_parameters, to_native
 from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
 from .._functions.graph.function import TracedFunction
-from .graph import GraphsOfMotion, OfState, of_state
+from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
 DEPENDENT = 1e-10
+#: Matrices with this many columns, of which at most this fraction of the entries is not zero, are sparse in Python too.
+MANY_COLUMNS, FEW_ENTRIES = 100, 0.1
 #: From this many entries on it is worth knowing which entries of M are always zero.
 _LARGE = 500
 #: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
@@ -203,7 +205,8 @@ class Motion:
             "kinematics": OfState(functions.kinematics, True, self.n_q if self.has_map else 0),
         }
         if self._mass_writes == "nothing":
-            return GraphsOfMotion(self.n_q, self.n_v, given, _dense(self._mass, self.n_v))
+            mass = _dense(self._mass, self.n_v) if self.n_v <= MOST_UNKNOWNS else None
+            return GraphsOfMotion(self.n_q, self.n_v, given, mass)
         if self._mass_writes != "entries":
             size = self.n_v if self._mass_writes == "diagonal" else self.n_v**2
             given["mass"] = OfState(functions.mass, False, size)
@@ -282,10 +285,10 @@ class Motion:
     def _all(self) -> Array:
         return np.ones(self.m, dtype=bool)
 
-    def mass(self, at: Point) -> Array:
-        """M, (n_v, n_v)."""
+    def mass(self, at: Point) -> Any:
+        """M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
         with self.bound(at.args) as motion:
-            return _dense(motion.mass(at.t, at.x), self.n_v)
+            return _assembled(motion.mass(at.t, at.x), self.n_v)
 
     def metric(self) -> Any:
         """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
@@ -318,10 +321,12 @@ class Motion:
         """φ."""
         return self._evaluated("positions", at) if self.m_phi else np.zeros(0)
 
-    def positions_jacobian(self, at: Point) -> Array:
+    def positions_jacobian(self, at: Point) -> Any:
         """Φ = ∂φ/∂q."""
         if not self.m_phi:
             return np.zeros((0, self.n_q))
+        if not self.has_map and _is_sparse(len(self._patterns["constraints"][1]), self.m_phi, self.n_q):
+            return self.rows(at)[: self.m_phi]
         return self._evaluated("positions_jacobian", at).reshape(self.m_phi, -1)[:, : self.n_q]
 
     def rates(self, at: Point) -> Array:
@@ -330,10 +335,10 @@ class Motion:
         parts += [self._evaluated("velocities", at)] if self.m_psi else []
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def rows(self, at: Point) -> Array:
+    def rows(self, at: Point) -> Any:
         """A = (Φ K_v, ψ_v), of shape (m, n_v)."""
         with self.bound(at.args, self._all) as motion:
-            return _dense(motion.rows(at.t, at.x)[0], self.m)
+            return _assembled(motion.rows(at.t, at.x)[0], self.m)
 
     def violated(self, at: Point, weights: Array) -> list[int]:
         """Which constraints that are not imposed are off by many tolerances `weights` of (q, v)."""
@@ -500,15 +505,15 @@ class _Entries:
         return values
 
 
-def _far(residual: Array, rows: Array, x: Array, weights: Array, kept: Array) -> Array:
+def _far(residual: Array, rows: Any, x: Array, weights: Array, kept: Array) -> Array:
     """Which residuals of constraints that are not kept are many tolerances `weights` of x away from 0.
 
     Where they depend on those that are kept, they are off as far as these are, which may be held only roughly.
     """
-    tolerances = np.linalg.norm(rows * weights, axis=1)
+    tolerances = lengths(rows * weights)
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.nan_to_num(np.abs(residual) / tolerances, posinf=0.0)[kept].max(initial=1.0)
-    size = np.maximum(_VIOLATED * off * tolerances, _ROUNDOFF * (np.abs(rows) @ np.abs(x)))
+    size = np.maximum(_VIOLATED * off * tolerances, _ROUNDOFF * (abs(rows) @ np.abs(x)))
     far: Array = (np.abs(residual) > size) & ~kept
     return far
 
@@ -531,6 +536,38 @@ def _columns(mass: Any) -> Columns:
         n = len(mass)
         return np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), mass.copy()
     return compressed(mass)
+
+
+def _is_sparse(entries: int, m: int, n: int) -> bool:
+    """Whether a matrix is to be sparse outside the core."""
+    return n >= MANY_COLUMNS and entries <= FEW_ENTRIES * m * n
+
+
+def _assembled(columns: tuple[Any, Any, Any], rows: int) -> Any:
+    """The matrix, dense, or by sparse rows if it is large and few entries are not zero."""
+    starts, indices, values = columns
+    n = len(starts) - 1
+    if not _is_sparse(int(np.count_nonzero(values)), rows, n):
+        return _dense(columns, rows)
+    from scipy.sparse import csc_array  # takes longer to import than everything else
+
+    matrix = csc_array((values, indices, starts), shape=(rows, n))
+    matrix.eliminate_zeros()
+    return matrix.tocsr()
+
+
+def vanishing(rows: Any) -> Array:
+    """Which rows of a matrix, dense or sparse, are 0."""
+    return np.asarray(abs(rows).sum(axis=1) == 0)
+
+
+def lengths(rows: Any) -> Array:
+    """The Euclidean norms of the rows of a matrix, dense or sparse."""
+    if not hasattr(rows, "toarray"):
+        return np.asarray(np.linalg.norm(rows, axis=1))
+    from scipy.sparse.linalg import norm
+
+    return np.asarray(norm(rows, axis=1))
 
 
 def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:

@@ -19,7 +19,7 @@ from .._problem.invariants import Invariants, InvariantsLike, to_invariants
 from .._results.points import HasPoints
 from .._solve.problem import Problem
 from .consistent import consistent_state, nearby_state, redundant_rows
-from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point
+from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point, vanishing
 
 #: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
 _INCONSISTENT = 1e-6
@@ -346,7 +346,7 @@ class MechanicalSystem(HasPoints):
         )
         motion = Motion(functions, start)
         mass = motion.mass(start)
-        if np.abs(mass - mass.T).max(initial=0.0) > _SYMMETRIC * np.abs(mass).max(initial=0.0):
+        if len(start.v) and abs(mass - mass.T).max() > _SYMMETRIC * abs(mass).max():
             raise ValueError(f"mass must be symmetric, and is not at t = {start.t}")
         self._require_linear(motion, start)
         return motion
@@ -385,7 +385,7 @@ class MechanicalSystem(HasPoints):
             return
         beside = nearby_state(motion, known, names)
         here, there = motion.rows(known), motion.rows(beside)
-        nowhere = ~(here.any(axis=1) | there.any(axis=1))
+        nowhere = vanishing(here) & vanishing(there)
         if nowhere.any():
             i = int(np.flatnonzero(nowhere)[0])
             raise ValueError(
@@ -411,9 +411,9 @@ class MechanicalSystem(HasPoints):
     def _require_consistent(self, motion: Motion, start: Point, names: list[str]) -> None:
         t, v = start.t, start.v
         held, rows = motion.positions(start), motion.positions_jacobian(start)
-        parts = [("", held, np.abs(rows) @ np.abs(start.q), names)]
+        parts = [("", held, abs(rows) @ np.abs(start.q), names)]
         rates = motion.rates(start)
-        parts.append(("the rate of ", rates, np.abs(motion.rows(start)) @ np.abs(v), names))
+        parts.append(("the rate of ", rates, abs(motion.rows(start)) @ np.abs(v), names))
         for prefix, residual, terms, of in parts:
             off = np.abs(residual) > _INCONSISTENT * np.maximum(terms, 1.0)
             if off.any():
