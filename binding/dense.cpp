@@ -4,8 +4,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/variant.h>
 
+#include <cmath>
 #include <optional>
-#include <stdexcept>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -28,21 +28,25 @@ void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, cons
                   const ConstOffsets& offset, const ConstVector& data, std::size_t overhead,
                   const NamedExtension& raw) {
   const std::size_t n = y.shape(1), segments = end.size();
+  const double forward = t.data()[segments] >= t.data()[0] ? 1 : -1;
+  require(std::isfinite(t.data()[0]), "times are not finite");
   dense.output.start(t.data()[0], y.data());
   for (std::size_t s = 0; s < segments; ++s) {
     const auto begin = static_cast<std::size_t>(offset.data()[s]);
     const std::size_t stop = s + 1 < segments ? static_cast<std::size_t>(offset.data()[s + 1]) : data.size();
     require((s > 0 || begin == 0) && begin <= stop && stop <= data.size(), "segments do not match");
-    const double t0 = t.data()[s], t1 = end.data()[s];
+    const double t0 = t.data()[s], t1 = end.data()[s], reached = t.data()[s + 1];
     const double* next = y.data() + (s + 1) * n;
     if (t1 == t0) {  // a jump
-      require(begin == stop && t.data()[s + 1] == t0, "jumps do not match");
+      require(begin == stop && reached == t0, "jumps do not match");
       dense.output.start(t0, next);
       continue;
     }
+    require(std::isfinite(t1) && forward * t0 < forward * reached && forward * reached <= forward * t1,
+            "times do not follow one another");
     const std::size_t size = stop - begin;
     require(size >= overhead && raw.fits(data.data() + begin, size - overhead, n), "segments do not match");
-    dense.output.add({t0, t1, data.data() + begin, size}, t.data()[s + 1], next);
+    dense.output.add({t0, t1, data.data() + begin, size}, reached, next);
   }
 }
 
@@ -105,6 +109,7 @@ Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
 
 Dense Dense::joined(const Dense& next) const {
   const DenseOutput::Parts a = output.parts(), b = next.output.parts();
+  require(output.size() == 0 || a.knots.t.back() == b.knots.t.front(), "continuous solutions that do not follow one another");
   require(output.extent() == next.output.extent() && complex == next.complex && a.m == b.m && a.mode == b.mode &&
               a.raw == b.raw,
           "continuous solutions of different kinds");

@@ -51,6 +51,19 @@ def test_a_segment_is_of_the_size_that_its_extension_reads(method, tmp_path):
     rewritten(tmp_path / "a", lambda arrays, about: about["dense"].update(parameters=2**64 - 1))
     with pytest.raises(ValueError, match="a is damaged: ValueError: a point is not a state with its sensitivities"):
         iv.load(tmp_path / "a")
+    t = sol.sol._dense.knots()
+    for times in (
+        0 * t,
+        t[::-1],
+        t + 10,
+        t * np.nan,
+        np.where(t == t[1], np.nan, t),
+        np.sort(t)[[0, 2, 1, *range(3, len(t))]],
+    ):
+        sol.save(tmp_path / "a")
+        rewritten(tmp_path / "a", lambda arrays, about, times=times: arrays.update({"dense.t": times}))
+        with pytest.raises(ValueError, match=r"a is damaged: ValueError: (times|jumps|the continuous solution)"):
+            iv.load(tmp_path / "a", problem()).extend(4).sol(2.9)
 
 
 @pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])

@@ -11,11 +11,18 @@ namespace {
 
 constexpr double rate_memory = 0.9;        // what remains of the last rate in the present one (the suite's constant)
 constexpr double least_first_rate = 1e-3;  // of convergence, by which a first update is judged: see `judge`
-constexpr double large_stiffness = 10;     // c ‖J‖ above which an old Jacobian may do harm
-constexpr int look_period = 10;            // steps with one J between two looks at it,
-constexpr double look_growth = 2;          // fewer where a residual has grown so much since the last one
-constexpr double large_residual = 1;       // of the size of y: a look after later iterations too
+constexpr double large_stiffness = 10;     // c ‖J‖ above which a Jacobian of another point may do harm
 constexpr double nearly_roundoff = 1e5;    // of ε: a smaller update of y_i says nothing of J (pollution: 1e4)
+
+// What residuals may say that an iteration has left, in units of the goal that its updates have to reach, and a part of
+// a residual that is as good as nothing. (The old Jacobians of HIRES, whose counts are published, leave 56 of it at
+// 1e-6, by iterations that remove 6 % of a residual.)
+constexpr double most_left = 60, hardly = 0.03;
+constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its terms
+// Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
+constexpr int careful_steps = 10, careful_iterations = 20;
+constexpr double careful_part = 1e-3;
+
 constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
@@ -36,8 +43,9 @@ constexpr int old_preconditioner = 20;    // steps
 
 }  // namespace
 
-void Convergence::begin(double rtol, double roundoff) {
-  rtol_ = rtol;
+void Convergence::begin(double rtol, double roundoff, bool careful) {
+  rtol_ = careful ? careful_part * rtol : rtol;
+  most_iterations_ = careful ? careful_iterations : rules_.most_iterations;
   roundoff_ = roundoff;
   iteration_ = 0;
 }
@@ -60,10 +68,10 @@ Convergence::Verdict Convergence::judge(double size) {
     rate_known_ = true;
     const double left = size * rate_ / (1 - rate_);
     if (left <= rules_.goal * rtol_) return Verdict::converged;
-    if (left * std::pow(rate_, rules_.most_iterations - iteration_) > rules_.goal * rtol_) return Verdict::diverged;
+    if (left * std::pow(rate_, most_iterations_ - iteration_) > rules_.goal * rtol_) return Verdict::diverged;
   }
   previous_ = size;
-  return iteration_ < rules_.most_iterations ? Verdict::go_on : Verdict::diverged;
+  return iteration_ < most_iterations_ ? Verdict::go_on : Verdict::diverged;
 }
 
 void Convergence::settle(double size) {
@@ -308,8 +316,21 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   return take_jacobian(t, y, slope);
 }
 
+bool AgingJacobian::may_take_in_place() const {
+  return !in_place_ && jacobian_.kind() != Jacobian::Kind::constant;
+}
+
+Status AgingJacobian::take_in_place(double t, const double* y, const double* slope) {
+  in_place_ = plainly_ = true;
+  return take_jacobian(t, y, slope);
+}
+
 bool AgingJacobian::renew_if_old() {
   jacobian_.doubt();
+  if (std::exchange(in_place_, false)) {
+    renew();
+    return false;
+  }
   if (!current_) return renew();
   const bool elsewhere = beside_ || jacobian_.adapted();
   if (!too_large_ || plainly_ || !elsewhere) return false;
@@ -336,7 +357,7 @@ void AgingJacobian::renew_if_noise(double c) {
 
 void AgingJacobian::step_accepted() {
   if (free_) free_->forget_failures();
-  current_ = plainly_ = false;
+  current_ = plainly_ = in_place_ = false;
   ++age_;
 }
 
@@ -380,6 +401,14 @@ Outcome AgingJacobian::prepare_preconditioner(double c, double t1) {
 bool AgingJacobian::set_up_again(double c, Archive& archive) {
   if (free_->set_up_again(c) == Status::stop) archive.stop();
   return true;
+}
+
+void AgingJacobian::forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals) {
+  std::fill(scratch_.begin(), scratch_.end(), 0);
+  jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value * y[j]); });
+  for (std::vector<double>* r : residuals)
+    for (std::size_t i = 0; i < scratch_.size(); ++i)
+      if (std::abs((*r)[i]) <= roundoffs_of_f * eps * std::abs(c) * scratch_[i]) (*r)[i] = 0;
 }
 
 bool AgingJacobian::stiff(double c, const double* w) {
@@ -489,6 +518,12 @@ void Newton::restart() {
   convergence_.forget();
   sensitivity_convergence_.forget();
   last_c_.reset();
+  careful_ = 0;
+}
+
+void Newton::step_accepted() {
+  AgingJacobian::step_accepted();
+  careful_ = std::max(careful_ - 1, 0);
 }
 
 Outcome Newton::prepare(double c, double t1) {
@@ -524,8 +559,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
   const double roundoff = Convergence::roundoff_units * eps * norm(p);
-  convergence_.begin(weights_.rtol(), roundoff);
-  if (jacobian_age() == 0) looked_at_ = 0;
+  convergence_.begin(weights_.rtol(), roundoff, careful_ > 0);
   double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   for (;;) {
@@ -550,10 +584,11 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
     }
     switch (convergence_.judge(size)) {
       case Convergence::Verdict::converged:
-        if (matrix_free() || mass() != nullptr || noisy() || jacobian_age() == 0) return Result::converged;
-        if (convergence_.iterations() > 1 && judge_by_residuals(size, last, before) == Result::failed)
-          return Result::failed;
-        return look_due(before) ? look(psi, d, size, before) : Result::converged;
+        if (const Result confirmed = confirm(psi, d, size, last, before); confirmed != Result::failed) return confirmed;
+        if (const Result renewed = renew_in_place(); renewed != Result::converged) return renewed;
+        convergence_.begin(weights_.rtol(), roundoff, careful_ > 0);
+        before = 0;
+        break;
       case Convergence::Verdict::diverged:
         if (convergence_.iterations() > 1 && unmoved(earlier_, before_.data(), w, 0)) note_too_large();
         return Result::failed;
@@ -624,41 +659,51 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
   return Result::converged;
 }
 
-/// Whether J is tested where the residual before the last update had that size: after a first iteration, whose
-/// convergence was judged by an earlier rate, now and then; after others where it was larger than y itself. A J of what
-/// is not stiff cannot be much too large, and the solution is not farther off than its residual.
-bool Newton::look_due(double before) {
-  if (before <= most_left * weights_.rtol()) return false;
-  const bool now = convergence_.iterations() > 1
-                       ? before > large_residual
-                       : jacobian_age() % look_period == 0 || before > look_growth * looked_at_;
-  return now && stiff(place_.c, place_.w);
-}
-
-/// Takes one f, for the residual after an update of that size, before which it had the size `before`.
-Newton::Result Newton::look(const double* psi, const double* d, double size, double before) {
-  looked_at_ = before;
+/// Updates say that the iteration has converged. Whether its residuals do, too: of an update of that size, after a
+/// residual of the size `before` and, if it is not the first, one of the size `last`. J of another point, or of another
+/// branch of f, may be so much too large that updates are too small to show that nothing is solved. What is not stiff
+/// cannot be: there the solution is not farther off than its residual.
+Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
+  if (matrix_free() || mass() != nullptr || noisy()) return Result::converged;
+  const bool several = convergence_.iterations() > 1;
+  if (before <= tolerated_residual() && !(several && !solved(size, last, before))) return Result::converged;
+  const auto norm = [this](const std::vector<double>& v) {
+    return max_norm(extent().n, [&](std::size_t i) { return v[i] / place_.w[i]; });
+  };
+  const bool stiff = this->stiff(place_.c, place_.w);
+  forget_roundoff(place_.c, place_.y, {&before_, &earlier_});
+  before = norm(before_);
+  if (several && !solved(size, norm(earlier_), before)) return Result::failed;
+  if (before <= tolerated_residual() || !stiff) return Result::converged;
   switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return Result::converged;
     case Outcome::ok: break;
   }
-  forget_roundoff(residual_.data(), place_.y, before_);
   residual(place_.c, psi, d, 0, extent().n);
-  if (unmoved(before_, residual_.data(), place_.w, most_left * weights_.rtol())) {
-    note_too_large();
+  forget_roundoff(place_.c, place_.y, {&residual_});
+  if (unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly)) {
+    careful_ = careful_steps;
     return Result::failed;
   }
-  const double after = max_norm(extent().n, [this](std::size_t i) { return residual_[i] / place_.w[i]; });
-  return judge_by_residuals(size, before, after);
+  return solved(size, before, norm(residual_)) ? Result::converged : Result::failed;
 }
 
-/// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left
-/// after an update of that size.
-Newton::Result Newton::judge_by_residuals(double size, double last, double residual) {
-  if (left_by(size, residual / last, residual) <= most_left * weights_.rtol()) return Result::converged;
-  note_too_large();
-  return Result::failed;
+/// Whether an update of that size, after a residual of the size `last` and before one of the size `residual`, leaves
+/// little.
+bool Newton::solved(double size, double last, double residual) const {
+  return left_by(size, residual / last, residual) <= tolerated_residual();
+}
+
+double Newton::tolerated_residual() const { return most_left * convergence_.goal(); }
+
+/// J and the factors at the iterate, once in a step: f has the branch there that it has at the solution, or nearly.
+Newton::Result Newton::renew_in_place() {
+  if (!may_take_in_place()) return Result::failed;
+  const Result evaluated = newton_result(evaluate_state(place_.t, place_.y, f_value_.data()));
+  if (evaluated != Result::converged) return evaluated;
+  if (take_in_place(place_.t, place_.y, f_value_.data()) == Status::stop) return Result::stop;
+  return newton_result(prepare(place_.c, place_.t));
 }
 
 Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }
@@ -686,7 +731,8 @@ void Newton::correct_for_c(double* b) const {
 void Newton::state(Archive& archive) {
   convergence_.state(archive);
   sensitivity_convergence_.state(archive);
-  archive(looked_at_);
+  archive(careful_);
+  archive.require(careful_ >= 0);
   if (matrix_free() || keeps_factors_) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
     return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <initializer_list>
 #include <memory>
 #include <optional>
 #include <span>
@@ -38,8 +39,9 @@ class Convergence {
 
   /// Forgets the rate: the iteration matrix is another one.
   void forget() { rate_known_ = false; }
-  /// Starts an iteration. An update of size `roundoff` or less ends it at once.
-  void begin(double rtol, double roundoff);
+  /// Starts an iteration. An update of size `roundoff` or less ends it at once. `careful`: it may leave a thousandth of
+  /// what it may otherwise.
+  void begin(double rtol, double roundoff, bool careful = false);
   /// After an update of that size.
   Verdict judge(double size);
   /// Ends an iteration whose next update would have this size at most.
@@ -55,7 +57,7 @@ class Convergence {
  private:
   Rules rules_;
   double rtol_ = 0, roundoff_ = 0;
-  int iteration_ = 0;
+  int iteration_ = 0, most_iterations_ = 0;
   double previous_ = 0;
   double rate_ = 0;
   bool rate_known_ = false;
@@ -101,8 +103,12 @@ class AgingJacobian {
   void step_accepted();
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.
   bool renew();
-  /// The same after an iteration that failed: a J of the point reached cannot be improved, unless it was undefined, or
-  /// is much too large and may be that of a place where f has another derivative.
+  /// J at (t, y), an iterate of the step in work, where f is `slope`: once in a step.
+  [[nodiscard]] bool may_take_in_place() const;
+  Status take_in_place(double t, const double* y, const double* slope);
+  /// The same as `renew` after an iteration that failed: a J of the point reached cannot be improved, unless it was
+  /// undefined, or is much too large and may be that of a place where f has another derivative. After one of an iterate
+  /// it is renewed, and shorter steps are to be made all the same.
   bool renew_if_old();
   /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
   void renew_if_noise(double c);
@@ -117,6 +123,8 @@ class AgingJacobian {
   /// Whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted to
   /// tell: yes.)
   [[nodiscard]] bool stiff(double c, const double* w);
+  /// Leaves out of residuals of the state what may be roundoff of c f, judged by the terms of J y.
+  void forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals);
 
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
   /// ∂f/∂t of the state, as `Jacobian::time_derivative`.
@@ -217,6 +225,7 @@ class AgingJacobian {
   bool too_large_ = false;  // residuals say so of the J at hand
   bool beside_ = false;     // it is that of a point beside y
   bool plainly_ = false;    // it is, or is to be, that of y, by increments that are not adapted
+  bool in_place_ = false;   // it was taken at an iterate of the step in work
   bool first_ = true;       // J will be the first one of a start
   int undefined_ = -1;      // component of f, at the last evaluation
   int age_ = 0;
@@ -264,9 +273,6 @@ class InitialSlopes {
 inline double left_by(double size, double rate, double residual) {
   return rate < 1 ? std::min(size * rate / (1 - rate), residual) : residual;
 }
-/// How much of that a J from before may leave, in units of rtol. (HIRES at 1e-6 leaves between 5 and 20, and its counts
-/// are published.)
-inline constexpr double most_left = 20;
 /// Leaves out of a residual what says nothing of J: that of components of y whose `update` is hardly more than
 /// roundoff, where it is roundoff of f, times a stiffness.
 void forget_roundoff(const double* update, const double* y, std::span<double> residual);
@@ -296,6 +302,7 @@ class Newton : public AgingJacobian {
   /// From now on factors of sparse matrices, of which each costs as much as many steps, serve while c changes little
   /// (CVODE's rule). Not with sensitivities, nor for `damp`.
   void keep_factors();
+  void step_accepted();
   /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
   /// After an iteration that failed: whether it had factors for another c. The next one has new ones.
@@ -316,9 +323,10 @@ class Newton : public AgingJacobian {
   Result solve_state(const double* p, const double* psi, double* d, double* y);
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
-  bool look_due(double before);
-  Result look(const double* psi, const double* d, double size, double before);
-  Result judge_by_residuals(double size, double last, double residual);
+  Result confirm(const double* psi, const double* d, double size, double last, double before);
+  [[nodiscard]] bool solved(double size, double last, double residual) const;
+  [[nodiscard]] double tolerated_residual() const;
+  Result renew_in_place();
   Result solve_linear(double tolerance, double* b);
   Result look_at_product();
   Result solve_columns(double goal, double* b);
@@ -331,7 +339,7 @@ class Newton : public AgingJacobian {
   Place place_{};
   bool keeps_factors_ = false;
   std::optional<double> last_c_;  // for which the rate of convergence is known
-  double looked_at_ = 0;          // the residual at the last look at this J, in the norm
+  int careful_ = 0;               // so many steps yet are to leave little
   std::vector<double> f_value_, residual_, sum_;
   std::vector<double> before_, earlier_;    // residuals before the last update, and the one before; empty: matrix-free
   std::vector<double> sensitivity_weight_;  // of the attempt

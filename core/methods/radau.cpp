@@ -21,6 +21,7 @@ constexpr double smallest_error = 1e-2;  // of the last step, that the predictio
 constexpr double halved = 0.5;           // h, where a current Jacobian does not help
 constexpr double first_goal = 0.1;       // of the goal of later iterations
 constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
+constexpr double left_at_end = 20;       // of a residual at the end of a step, in units of rtol
 constexpr double nearly_all = 0.9;       // of a residual: what an update is to move in a step in which one has misled
 constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
@@ -312,7 +313,7 @@ Newton::Result Radau::look_at_end() {
   const std::size_t states = solver_.extent().n, last = (stages() - 1) * n();
   forget_roundoff(residuals_.data() + last, candidate_.data(), residual_);
   const double before = max_norm(states, [this](std::size_t i) { return residual_[i] / weight_[i]; });
-  if (before <= most_left * weights_.rtol()) return Newton::Result::converged;
+  if (before <= left_at_end * weights_.rtol()) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
   if (evaluated != Newton::Result::converged) return evaluated;
   end_known_ = true;
@@ -321,7 +322,7 @@ Newton::Result Radau::look_at_end() {
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
   const double part = misled_ ? nearly_all : little;
-  if (!unmoved(residual_, scratch_.data(), weight_.data(), most_left * weights_.rtol(), part))
+  if (!unmoved(residual_, scratch_.data(), weight_.data(), left_at_end * weights_.rtol(), part))
     return Newton::Result::converged;
   misled_ = true;
   solver_.note_too_large();

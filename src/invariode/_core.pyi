@@ -703,7 +703,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 8
+MEMORY_VERSION: int = 9
 
 STATES: list = ...
 

@@ -122,7 +122,7 @@ def load(
             raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
         fields, parts, checkpoint = read_checkpoint(path, fields)
     with damage_of(path):
-        dense = _dense(parts, reals(fields["y"]) * (1 + len(fields["sensitivities"] or ())))
+        dense = _dense(parts, reals(fields["y"]) * (1 + len(fields["sensitivities"] or ())), fields["t_end"])
         origin = None if fields["identity"] is None else _origin(fields)
         solution = _solution(fields).changed(_origin=origin)
     if problem is not None:
@@ -298,13 +298,15 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
     return Steps(rows, methods)
 
 
-def _dense(parts: list[dict[str, Any]], n: int) -> Dense | None:
+def _dense(parts: list[dict[str, Any]], n: int, end: float) -> Dense | None:
     """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
     wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
     if 0 < len(wholes) < len(parts):
         raise ValueError("not all of its parts have a continuous solution")
     if any(first.knots()[-1] != then.knots()[0] for first, then in itertools.pairwise(wholes)):
         raise ValueError("the parts of the continuous solution do not follow one another")
+    if wholes and n > 0 and wholes[-1].knots()[-1] != end:
+        raise ValueError("the continuous solution does not end where the run does")
     while len(wholes) > 1:
         pairs = itertools.zip_longest(wholes[::2], wholes[1::2])
         wholes = [first if then is None else first.joined(then) for first, then in pairs]
