@@ -20,7 +20,7 @@ constexpr double nearly_roundoff = 1e5;    // of ε: a smaller update of y_i say
 constexpr double most_left = 60, hardly = 0.03;
 constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its terms
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
-constexpr int careful_steps = 10, careful_iterations = 20;
+constexpr int careful_iterations = 20;
 constexpr double careful_part = 1e-3;
 
 constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration

@@ -22,7 +22,6 @@ constexpr double halved = 0.5;           // h, where a current Jacobian does not
 constexpr double first_goal = 0.1;       // of the goal of later iterations
 constexpr double linear_half = 0.5;      // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
 constexpr double left_at_end = 20;       // of a residual at the end of a step, in units of rtol
-constexpr double nearly_all = 0.9;       // of a residual: what an update is to move in a step in which one has misled
 constexpr double least_growth = 1.6;     // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
@@ -82,7 +81,7 @@ void Radau::use(const RadauFormula* formula) {
 
 Outcome Radau::start(double t, const double* y, const Span& span) {
   memory_h_ = last_h_ = 0;
-  misled_ = false;
+  careful_ = 0;
   steps_until_raise_ = 0;
   use(lowest_);
   solver_.forget();
@@ -101,13 +100,25 @@ Step::Attempt Radau::attempt(double h, double t1) {
   if (!stage_masses_.empty()) convergence_.forget();  // the matrices hold an older M(t) at every step
   if (!convergence_.rate_known()) sensitivity_convergence_.forget();
   predict();
-  result = solve_stages();
+  result = solve();
+  if (result == Newton::Result::failed && end_known_ && solver_.may_take_in_place()) {  // by f at the end
+    if (solver_.take_in_place(t1, candidate_.data(), end_f_.data()) == Status::stop)
+      return proposal(Newton::Result::stop);
+    end_known_ = false;
+    result = newton_result(solver_.prepare(t1, convergence_));
+    if (result == Newton::Result::converged) result = solve();
+  }
+  return proposal(result);
+}
+
+/// The stages, from what they are at hand, and their error.
+Newton::Result Radau::solve() {
+  Newton::Result result = solve_stages();
   if (result == Newton::Result::converged) {
     for (std::size_t i = 0; i < n(); ++i) candidate_[i] = y_[i] + last_increment()[i];
     result = estimate();
   }
-  if (result == Newton::Result::converged && error_ <= weights_.rtol()) result = look_at_end();
-  return proposal(result);
+  return result == Newton::Result::converged && error_ <= weights_.rtol() ? look_at_end() : result;
 }
 
 /// M(t) at the stages; the last of them is at hand.
@@ -156,7 +167,7 @@ Newton::Result Radau::solve_stages() {
 
 Newton::Result Radau::iterate(Convergence& convergence) {
   const double roundoff = Convergence::roundoff_units * eps * norm_of_part(y());
-  convergence.begin(weights_.rtol(), roundoff);
+  convergence.begin(weights_.rtol(), roundoff, careful_ > 0);
   const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
@@ -321,10 +332,9 @@ Newton::Result Radau::look_at_end() {
   for (std::size_t i = 0; i < states; ++i) scratch_[i] = signed_h_ * end_f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
-  const double part = misled_ ? nearly_all : little;
-  if (!unmoved(residual_, scratch_.data(), weight_.data(), left_at_end * weights_.rtol(), part))
+  if (!unmoved(residual_, scratch_.data(), weight_.data(), left_at_end * weights_.rtol()))
     return Newton::Result::converged;
-  misled_ = true;
+  careful_ = careful_steps;
   solver_.note_too_large();
   return Newton::Result::failed;
 }
@@ -348,7 +358,8 @@ Outcome Radau::accept(const double* y1) {
   memory_h_ = signed_h_;
   accepted_ = formula_;
   choose_order(h);
-  failed_ = misled_ = false;
+  failed_ = false;
+  careful_ = std::max(careful_ - 1, 0);
   h_ = h;
   return Outcome::ok;
 }
@@ -384,7 +395,8 @@ void Radau::state(Archive& archive) {
     *formula = radau_formulas.data() + index;
   }
   if (archive.reading()) use(formula_);
-  archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
+  archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_, careful_);
+  archive.require(careful_ >= 0);
   convergence_.state(archive);
   sensitivity_convergence_.state(archive);
   solver_.state(archive);
