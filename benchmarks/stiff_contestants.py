@@ -76,7 +76,8 @@ def ours(p: StiffProblem, options: Mapping[str, Any], rtol: float) -> Outcome:
         known["mass"] = p.mass
     about = {"t_eval": p.times, "args": p.args, "jac": p.jac, **tolerances(p, rtol), **known, **options}
     sol = iv.solve_ivp(p.fun, p.t_span, p.y0, **about)
-    return Outcome(p.error(sol.y) if sol.success else np.inf, sol.nfev, sol.njev, sol.nlu)
+    calls = sol.nfev + sol.stats.nfev_check
+    return Outcome(p.error(sol.y) if sol.success else np.inf, calls, sol.njev, sol.nlu)
 
 
 def scipys(p: StiffProblem, method: str, rtol: float) -> Outcome:

@@ -148,8 +148,6 @@ class CompiledFunction:
 
     #: Whether its further arguments may be anything, not only numbers.
     _takes_any = False
-    #: Whether the Python function takes complex y.
-    is_complex = False
 
     def __init__(self, fun: Callable[..., Any], inplace: bool) -> None:
         self.fun = fun
@@ -159,6 +157,7 @@ class CompiledFunction:
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
+        self.is_complex = False  # whether the Python function takes complex y
         self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
