@@ -109,7 +109,8 @@ Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
 
 Dense Dense::joined(const Dense& next) const {
   const DenseOutput::Parts a = output.parts(), b = next.output.parts();
-  require(output.size() == 0 || a.knots.t.back() == b.knots.t.front(), "continuous solutions that do not follow one another");
+  require(output.size() == 0 || a.knots.t.back() == b.knots.t.front(),
+          "continuous solutions that do not follow one another");
   require(output.extent() == next.output.extent() && complex == next.complex && a.m == b.m && a.mode == b.mode &&
               a.raw == b.raw,
           "continuous solutions of different kinds");

@@ -12,7 +12,8 @@ namespace {
 constexpr double rate_memory = 0.9;        // what remains of the last rate in the present one (the suite's constant)
 constexpr double least_first_rate = 1e-3;  // of convergence, by which a first update is judged: see `judge`
 constexpr double large_stiffness = 10;     // c ‖J‖ above which a Jacobian of another point may do harm
-constexpr double nearly_roundoff = 1e5;    // of ε: a smaller update of y_i says nothing of J (pollution: 1e4)
+constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
+constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
 // What residuals may say that an iteration has left, in units of the goal that its updates have to reach, and a part of
 // a residual that is as good as nothing. (The old Jacobians of HIRES, whose counts are published, leave 56 of it at
@@ -22,9 +23,6 @@ constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
 constexpr int careful_iterations = 20;
 constexpr double careful_part = 1e-3;
-
-constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
-constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
 // Of y in units of the weights, over which what y does to the slopes of S is a difference, ε^{1/4}: it need not be
 // exact, and laws of S are disturbed by roundoff of it.
@@ -77,11 +75,6 @@ Convergence::Verdict Convergence::judge(double size) {
 void Convergence::settle(double size) {
   rate_ = std::max(rate_memory * rate_, std::min(size / previous_, slowest_rate));
   rate_known_ = true;
-}
-
-void forget_roundoff(const double* update, const double* y, std::span<double> residual) {
-  for (std::size_t i = 0; i < residual.size(); ++i)
-    if (std::abs(update[i]) <= nearly_roundoff * eps * std::abs(y[i])) residual[i] = 0;
 }
 
 bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part) {
@@ -316,9 +309,7 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   return take_jacobian(t, y, slope);
 }
 
-bool AgingJacobian::may_take_in_place() const {
-  return !in_place_ && jacobian_.kind() != Jacobian::Kind::constant;
-}
+bool AgingJacobian::may_take_in_place() const { return !in_place_ && jacobian_.kind() != Jacobian::Kind::constant; }
 
 Status AgingJacobian::take_in_place(double t, const double* y, const double* slope) {
   in_place_ = plainly_ = true;

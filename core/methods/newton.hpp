@@ -273,11 +273,8 @@ class InitialSlopes {
 inline double left_by(double size, double rate, double residual) {
   return rate < 1 ? std::min(size * rate / (1 - rate), residual) : residual;
 }
-/// Leaves out of a residual what says nothing of J: that of components of y whose `update` is hardly more than
-/// roundoff, where it is roundoff of f, times a stiffness.
-void forget_roundoff(const double* update, const double* y, std::span<double> residual);
 inline constexpr int careful_steps = 10;  // after an iteration that had converged and solved nothing
-inline constexpr double little = 0.5;  // of a residual
+inline constexpr double little = 0.5;     // of a residual
 /// Whether the last update, with a J that is much too large, was too small to solve anything: of the residual `before`
 /// it, without what is 0 there, it has moved no more than that part, and leaves more than `least` in the weights.
 bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part = little);
