@@ -292,5 +292,11 @@ def test_diodes_and_valves_open_and_close_within_a_step(method):
                 sol = iv.solve_ivp(*opening, method, rtol=rtol, atol=atol, keep="end", max_steps=20000)
                 assert sol.success, sol.message
                 assert np.abs(sol.y[:, -1] - exact.y[:, -1]).max() < allowed * rtol
+    parted = {"rtol": 1e-3, "atol": 1e-3, "breakpoints": [0.5, 1.7, 7.05]}
+    whole = iv.solve_ivp(*opening, method, **parted)
+    for steps in (5, 30, 45, 70):  # among them some after which Newton's iteration has to leave less than elsewhere
+        part = iv.solve_ivp(*opening, method, **parted, max_steps=steps)
+        if not part.success:
+            np.testing.assert_array_equal(part.extend(10, max_steps=None).y, whole.y)
     sol = iv.solve_ivp(bouncing, (0, 1), [0.2, 0.0], method, rtol=1e-3, atol=1e-6)
     assert np.abs(sol.y[0]).max() < 0.21
