@@ -21,7 +21,7 @@ constexpr double noise_growth = 100;       // of |c|, after which a J that may b
 constexpr double most_left = 60, hardly = 0.03;
 constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its terms
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
-constexpr int careful_iterations = 20;
+constexpr int careful_steps = 10, careful_iterations = 20;
 constexpr double careful_part = 1e-3;
 
 // Of y in units of the weights, over which what y does to the slopes of S is a difference, ε^{1/4}: it need not be
@@ -112,6 +112,7 @@ void AgingJacobian::forget() {
   factored_.reset();
   renew_ = false;
   noisy_ = false;
+  careful_ = 0;
   first_ = true;
 }
 
@@ -309,6 +310,8 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   return take_jacobian(t, y, slope);
 }
 
+void AgingJacobian::be_careful() { careful_ = careful_steps; }
+
 bool AgingJacobian::may_take_in_place() const { return !in_place_ && jacobian_.kind() != Jacobian::Kind::constant; }
 
 Status AgingJacobian::take_in_place(double t, const double* y, const double* slope) {
@@ -349,6 +352,7 @@ void AgingJacobian::renew_if_noise(double c) {
 void AgingJacobian::step_accepted() {
   if (free_) free_->forget_failures();
   current_ = plainly_ = in_place_ = false;
+  careful_ = std::max(careful_ - 1, 0);
   ++age_;
 }
 
@@ -418,7 +422,8 @@ void AgingJacobian::fields(Archive& archive) {
   if (free_) free_->state(archive);
   archive(work_.checks, fitting_, misfit_, first_);
   archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_,
-          beside_);
+          beside_, careful_);
+  archive.require(careful_ >= 0);
 }
 
 LinearWork AgingJacobian::work() const {
@@ -509,12 +514,6 @@ void Newton::restart() {
   convergence_.forget();
   sensitivity_convergence_.forget();
   last_c_.reset();
-  careful_ = 0;
-}
-
-void Newton::step_accepted() {
-  AgingJacobian::step_accepted();
-  careful_ = std::max(careful_ - 1, 0);
 }
 
 Outcome Newton::prepare(double c, double t1) {
@@ -550,7 +549,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
   const double roundoff = Convergence::roundoff_units * eps * norm(p);
-  convergence_.begin(weights_.rtol(), roundoff, careful_ > 0);
+  convergence_.begin(weights_.rtol(), roundoff, careful());
   double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   for (;;) {
@@ -577,7 +576,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
       case Convergence::Verdict::converged:
         if (const Result confirmed = confirm(psi, d, size, last, before); confirmed != Result::failed) return confirmed;
         if (const Result renewed = renew_in_place(); renewed != Result::converged) return renewed;
-        convergence_.begin(weights_.rtol(), roundoff, careful_ > 0);
+        convergence_.begin(weights_.rtol(), roundoff, careful());
         before = 0;
         break;
       case Convergence::Verdict::diverged:
@@ -657,7 +656,7 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
 Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
   if (matrix_free() || mass() != nullptr || noisy()) return Result::converged;
   const bool several = convergence_.iterations() > 1;
-  if (before <= tolerated_residual() && !(several && !solved(size, last, before))) return Result::converged;
+  if (before <= tolerated_residual() && (!several || solved(size, last, before))) return Result::converged;
   const auto norm = [this](const std::vector<double>& v) {
     return max_norm(extent().n, [&](std::size_t i) { return v[i] / place_.w[i]; });
   };
@@ -674,7 +673,7 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
   residual(place_.c, psi, d, 0, extent().n);
   forget_roundoff(place_.c, place_.y, {&residual_});
   if (unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly)) {
-    careful_ = careful_steps;
+    be_careful();
     return Result::failed;
   }
   return solved(size, before, norm(residual_)) ? Result::converged : Result::failed;
@@ -722,8 +721,6 @@ void Newton::correct_for_c(double* b) const {
 void Newton::state(Archive& archive) {
   convergence_.state(archive);
   sensitivity_convergence_.state(archive);
-  archive(careful_);
-  archive.require(careful_ >= 0);
   if (matrix_free() || keeps_factors_) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
     return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());

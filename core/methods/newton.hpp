@@ -114,6 +114,9 @@ class AgingJacobian {
   void renew_if_noise(double c);
   /// Roundoff in a J of this run has counted: a new one is not better than the old.
   [[nodiscard]] bool noisy() const { return noisy_; }
+  /// An iteration had converged, and solved nothing: those of the next steps are to leave less than others.
+  void be_careful();
+  [[nodiscard]] bool careful() const { return careful_ > 0; }
   /// Residuals say that updates with J are much too small.
   void note_too_large() { too_large_ = true; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
@@ -226,6 +229,7 @@ class AgingJacobian {
   bool beside_ = false;     // it is that of a point beside y
   bool plainly_ = false;    // it is, or is to be, that of y, by increments that are not adapted
   bool in_place_ = false;   // it was taken at an iterate of the step in work
+  int careful_ = 0;         // so many steps yet are to leave little
   bool first_ = true;       // J will be the first one of a start
   int undefined_ = -1;      // component of f, at the last evaluation
   int age_ = 0;
@@ -273,8 +277,7 @@ class InitialSlopes {
 inline double left_by(double size, double rate, double residual) {
   return rate < 1 ? std::min(size * rate / (1 - rate), residual) : residual;
 }
-inline constexpr int careful_steps = 10;  // after an iteration that had converged and solved nothing
-inline constexpr double little = 0.5;     // of a residual
+inline constexpr double little = 0.5;  // of a residual
 /// Whether the last update, with a J that is much too large, was too small to solve anything: of the residual `before`
 /// it, without what is 0 there, it has moved no more than that part, and leaves more than `least` in the weights.
 bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part = little);
@@ -300,7 +303,6 @@ class Newton : public AgingJacobian {
   /// From now on factors of sparse matrices, of which each costs as much as many steps, serve while c changes little
   /// (CVODE's rule). Not with sensitivities, nor for `damp`.
   void keep_factors();
-  void step_accepted();
   /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
   /// After an iteration that failed: whether it had factors for another c. The next one has new ones.
@@ -337,7 +339,6 @@ class Newton : public AgingJacobian {
   Place place_{};
   bool keeps_factors_ = false;
   std::optional<double> last_c_;  // for which the rate of convergence is known
-  int careful_ = 0;               // so many steps yet are to leave little
   std::vector<double> f_value_, residual_, sum_;
   std::vector<double> before_, earlier_;    // residuals before the last update, and the one before; empty: matrix-free
   std::vector<double> sensitivity_weight_;  // of the attempt

@@ -81,7 +81,6 @@ void Radau::use(const RadauFormula* formula) {
 
 Outcome Radau::start(double t, const double* y, const Span& span) {
   memory_h_ = last_h_ = 0;
-  careful_ = 0;
   steps_until_raise_ = 0;
   use(lowest_);
   solver_.forget();
@@ -167,7 +166,7 @@ Newton::Result Radau::solve_stages() {
 
 Newton::Result Radau::iterate(Convergence& convergence) {
   const double roundoff = Convergence::roundoff_units * eps * norm_of_part(y());
-  convergence.begin(weights_.rtol(), roundoff, careful_ > 0);
+  convergence.begin(weights_.rtol(), roundoff, solver_.careful());
   const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
@@ -334,7 +333,7 @@ Newton::Result Radau::look_at_end() {
     for (std::size_t i = 0; i < states; ++i) scratch_[i] -= last_row[j] * Z(j)[i];
   if (!unmoved(residual_, scratch_.data(), weight_.data(), left_at_end * weights_.rtol()))
     return Newton::Result::converged;
-  careful_ = careful_steps;
+  solver_.be_careful();
   solver_.note_too_large();
   return Newton::Result::failed;
 }
@@ -359,7 +358,6 @@ Outcome Radau::accept(const double* y1) {
   accepted_ = formula_;
   choose_order(h);
   failed_ = false;
-  careful_ = std::max(careful_ - 1, 0);
   h_ = h;
   return Outcome::ok;
 }
@@ -395,8 +393,7 @@ void Radau::state(Archive& archive) {
     *formula = radau_formulas.data() + index;
   }
   if (archive.reading()) use(formula_);
-  archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_, careful_);
-  archive.require(careful_ >= 0);
+  archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
   convergence_.state(archive);
   sensitivity_convergence_.state(archive);
   solver_.state(archive);

@@ -97,7 +97,6 @@ class Radau final : public ImplicitBase<RadauSystems> {
   std::vector<double> f_;             // f at (t, y): y' too, unless there is a mass matrix
   std::vector<double> end_f_;         // f at (t₁, candidate), where it is known
   bool end_known_ = false;
-  int careful_ = 0;  // so many steps yet are to leave little
   std::vector<double> gap_, scratch_;
   std::vector<double> residual_, earlier_;  // of the last stage, before the last update and the one before
   double memory_h_ = 0;                     // signed h of the polynomial; 0 before the first step
