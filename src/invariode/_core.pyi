@@ -582,9 +582,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     """
 
 def instruction_sets() -> list[tuple[str, int]]:
-    """
-    (name, lanes) of each that this processor has, the best first.
-    """
+    """(name, lanes) of each that this processor has, the best first."""
 
 class StopRequest:
     """A wish to end a run."""
