@@ -144,6 +144,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/jacobians.py --write
 	$(BIN)/python benchmarks/daes.py --write
+	$(BIN)/python benchmarks/valves.py --write
 	$(BIN)/python benchmarks/work.py --write
 	$(BIN)/python benchmarks/second_order.py --write
 	$(BIN)/python benchmarks/long_runs.py --write
