@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .contents import Captured
 from .first_order import FirstOrderForm
 from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
@@ -158,11 +159,23 @@ class CompiledFunction:
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
         self.is_complex = False  # whether the Python function takes complex y
+        self._making = threading.Lock()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Start without any code, and note what the function has captured."""
+        self._captured = Captured(getattr(self.fun, "fun", self.fun))  # of the form of first order, the accelerations
         self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
-        self._making = threading.Lock()
+
+    def renew(self) -> None:
+        """Forget all code if the closure, the globals or the defaults of the function are other ones than when the code
+        was made: machine code holds their values as constants."""
+        if self._made and self._captured.changed():
+            with self._making:
+                self._forget()
 
     def __call__(self, *args: Any) -> Any:
         return self.fun(*args)
@@ -554,6 +567,15 @@ def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
 
 
 _NO_PARAMETERS = np.zeros(0)
+
+
+def renew(functions: Iterable[Any]) -> None:
+    """Let compiled functions forget code that is older than what the functions have captured."""
+    for one in functions:
+        inside = one.fun if isinstance(one, NativeWithInputs) else one
+        for function in (inside, *getattr(inside, "functions", ())):
+            if isinstance(function, CompiledFunction):
+                function.renew()
 
 
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:

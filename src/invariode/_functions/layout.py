@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
@@ -11,6 +10,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, as_array, shown
+from .contents import content
 
 #: What may become a constant of the code, in the order in which it is tried: truths are always constants, then what may
 #: be an index or the count of a loop, then arrays, then single numbers.
@@ -86,41 +86,25 @@ class Listed:
 
 
 class Constant:
-    """Anything that is no number: it is the same as another one if that has the same contents."""
+    """Anything that is no number: equal to another one if it had the same content when both were made."""
 
-    __slots__ = ("_before", "value")
+    __slots__ = ("_content", "value")
 
     def __init__(self, value: Any) -> None:
         self.value = value
-        try:
-            self._before = copy.deepcopy(value)  # so that a change is seen
-        except Exception:  # whatever cannot be copied
-            self._before = value
+        self._content = content(value)  # at this moment, so that a later change is seen
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Constant) and _same(self._before, other._before)
+        return isinstance(other, Constant) and self._content == other._content
 
     def __hash__(self) -> int:
         return hash(type(self.value))
 
+    def __reduce__(self) -> tuple[type[Constant], tuple[Any, ...]]:
+        return Constant, (self.value,)
+
 
 Entry: TypeAlias = Numbers | Listed | Constant
-
-
-def _same(a: Any, b: Any) -> bool:
-    if a is b:
-        return True
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, np.ndarray):
-        return bool(a.dtype == b.dtype and a.dtype != object and np.array_equal(a, b))
-    if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(map(_same, a, b))
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
-    if isinstance(a, (int, float, complex, str, bytes)):
-        return bool(a == b)
-    return bool(hasattr(a, "__dict__")) and _same(vars(a), vars(b))
 
 
 class Arguments(int):

@@ -7,7 +7,7 @@ three stages: functions, linear algebra, invariants.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -32,7 +32,7 @@ from .._base.arguments import (
 from .._base.failures import InvariantError
 from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
-from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, to_native
+from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.layout import Parameters, count_of
@@ -302,6 +302,7 @@ def choose(method: MethodName, given: Options) -> Choice:
 def planned(problem: Description, choice: Choice) -> Plan:
     """The plan of a problem for the method and the options."""
     chosen, options, settings = choice
+    renew(_called(problem, options["breakpoints"] or (), options["linear_solver"]))
     by_series = chosen.equations == "graph"
     if by_series:
         from .expansion import on_graph
@@ -551,7 +552,7 @@ def _native_functions(
     return p, problem.slope.for_core(problem.y0, p)
 
 
-def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
+def _called(problem: Description, breakpoints: Iterable[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
     yield from (problem.fun, problem.matrices.jac)
     if isinstance(chosen, GMRES):
         yield chosen.jac_product

@@ -31,6 +31,9 @@ class OnGraph(CompiledFunction):
     def __init__(self, fun: Any, inplace: bool, elementary: str) -> None:
         super().__init__(fun, inplace)
         self.elementary = elementary
+
+    def _forget(self) -> None:
+        super()._forget()
         self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
@@ -118,6 +121,9 @@ class TracedFunction(OnGraph):
     ) -> None:
         super().__init__(fun, inplace, elementary)
         self.by, self.is_complex = by, is_complex
+
+    def _forget(self) -> None:
+        super()._forget()
         self._of_complex: TracedFunction | None = None
         self._graphs: dict[Shape, list[Node] | None] = {}
         #: How arguments are handed over: as they are, with those up to a rank as constants; None: all in one array.

@@ -1,0 +1,168 @@
+"""Contents of values: when two constants of machine code are the same, and when a function has captured other values.
+
+Numbers, text, arrays and containers are compared by value. Functions are compared by their code, their defaults, the
+contents of their closures and the globals that they use; other objects by the state with which they would be copied
+(`object.__reduce_ex__`). Whatever cannot be taken apart like that is the same only as itself.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator
+from functools import partial
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+
+_ATOMS = (type(None), bool, int, float, complex, str, bytes, np.generic, CodeType)
+#: Values that cannot change: if the object is the same, so is its content.
+_IMMUTABLE = (*_ATOMS, ModuleType, type, BuiltinFunctionType, np.ufunc)
+
+
+class _Opaque:
+    """An object that is equal to itself only. The reference keeps its identity from being used again."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Opaque) and other.value is self.value
+
+    def __hash__(self) -> int:
+        return id(self.value)
+
+
+def content(value: Any) -> Any:
+    """Return the content of a value at this moment, as nested tuples that are equal for equal contents."""
+    return _content(value, {}, None)
+
+
+def _content(value: Any, seen: dict[int, int], module: str | None) -> Any:
+    kind = type(value)
+    if isinstance(value, _ATOMS):
+        return kind, value if kind in (int, bool, str, bytes) or isinstance(value, CodeType) else repr(value)
+    if isinstance(value, (ModuleType, type, np.ufunc)):
+        return _Opaque(value)
+    if id(value) in seen:
+        return "again", seen[id(value)]
+    seen[id(value)] = len(seen)
+
+    def inner(one: Any) -> Any:
+        return _content(one, seen, module)
+
+    if isinstance(value, np.ndarray):
+        entries = tuple(map(inner, value.ravel().tolist())) if value.dtype == object else value.tobytes()
+        return kind, value.dtype.str, value.shape, entries
+    if kind in (list, tuple):
+        return kind, tuple(map(inner, value))
+    if kind is dict:
+        return kind, tuple((inner(name), inner(one)) for name, one in value.items())
+    if isinstance(value, partial):
+        return kind, inner(value.func), inner(value.args), inner(value.keywords)
+    if isinstance(value, MethodType):
+        return kind, inner(value.__func__), inner(value.__self__)
+    if isinstance(value, BuiltinFunctionType):
+        owner = value.__self__
+        return _Opaque(value) if owner is None or isinstance(owner, ModuleType) else (value.__name__, inner(owner))
+    if isinstance(value, FunctionType):
+        if _named_elsewhere(value, module):
+            return _Opaque(value)
+        uses = _uses(value)
+        module = value.__module__ if module is None else module
+        return kind, value.__code__, tuple((name, _content(one, seen, module)) for name, _, one in uses)
+    try:
+        reduced = value.__reduce_ex__(4)
+    except Exception:  # it cannot be copied, and so not be taken apart
+        return _Opaque(value)
+    if isinstance(reduced, str):  # it is found by its name
+        return _Opaque(value)
+    maker, arguments, *state = reduced
+    parts = [tuple(one) if index and one is not None else one for index, one in enumerate(state[:3])]
+    return kind, _Opaque(maker), inner(arguments), *map(inner, parts)
+
+
+def _named_elsewhere(function: FunctionType, module: str | None) -> bool:
+    """Whether a function belongs to another module than the one that uses it, which finds it there by its name: its
+    code and its globals are that module's."""
+    if module is None or function.__module__ == module:
+        return False
+    found: Any = sys.modules.get(function.__module__ or "")
+    for name in function.__qualname__.split("."):
+        found = getattr(found, name, None)
+    return found is function
+
+
+def _uses(function: FunctionType) -> Iterator[tuple[str, CellType | dict[str, Any] | FunctionType, Any]]:
+    """Defaults, closure and globals of a function: the name, where the value is found, and the value."""
+    for name, default in (("__defaults__", function.__defaults__), ("__kwdefaults__", function.__kwdefaults__)):
+        if default is not None:
+            yield name, function, default
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=False):
+        try:
+            yield name, cell, cell.cell_contents
+        except ValueError:  # an empty cell
+            continue
+    scope = function.__globals__
+    for name in dict.fromkeys(_global_names(function.__code__)):
+        if name in scope:
+            yield name, scope, scope[name]
+
+
+def _global_names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _global_names(constant)
+
+
+class Captured:
+    """The values that a function has captured: defaults, closure and globals, its own and those of the functions of its
+    module that it uses, and the state of the object of a method.
+
+    Parameters
+    ----------
+    function : callable
+        A Python function, a method, or an object that is called.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._objects: list[tuple[Any, Any]] = []
+        self._places: list[tuple[str, CellType | dict[str, Any] | FunctionType, Any, Any]] = []
+        waiting, seen = [function], {id(function)}
+        while waiting:
+            current = waiting.pop()
+            if type(current).__module__.partition(".")[0] == "invariode":  # a formula of a graph, which does not change
+                continue
+            if not isinstance(current, FunctionType):
+                owner = getattr(current, "__self__", current)
+                self._objects.append((owner, content(owner)))
+                current = getattr(current, "__func__", None) or inspect.getattr_static(type(current), "__call__", None)
+            if not isinstance(current, FunctionType):
+                continue
+            for name, place, value in _uses(current):
+                fixed = isinstance(value, (*_IMMUTABLE, FunctionType))
+                self._places.append((name, place, value, None if fixed else content(value)))
+                if isinstance(value, FunctionType) and value.__module__ == current.__module__ and id(value) not in seen:
+                    seen.add(id(value))
+                    waiting.append(value)
+
+    def changed(self) -> bool:
+        """Return whether any of the values is another one now."""
+        if any(content(owner) != before for owner, before in self._objects):
+            return True
+        for name, place, value, before in self._places:
+            if isinstance(place, dict):
+                now = place.get(name)
+            elif isinstance(place, CellType):
+                now = place.cell_contents
+            else:
+                now = getattr(place, name)
+            if now is value and before is None:
+                continue
+            if content(now) != (content(value) if before is None else before):
+                return True
+        return False
