@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -809,3 +811,42 @@ class TestForms:
         assert drawn[at, 1].max() == pytest.approx(high, abs=0.02)
         assert isinstance(fit.solution, iv.Solution)
         assert fit.solution.sol(2.0)[0] == pytest.approx(fit.predict([2.0]).y[0, 0], rel=1e-5)
+
+
+def test_data_with_labels_of_time_are_matched_by_them() -> None:
+    """In any order of rows, tables, series and labelled arrays give the fit of the data in the order of t."""
+    pd, xr = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    t = np.array([0.0, 1, 2, 3, 4, 5])
+    values, sigma = 2 * np.exp(-0.5 * t) + 0.01 * np.cos(7 * t), 0.1 + 0.02 * t
+    problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 5), [2.0], args=(1.0,), labels=["drug"])
+
+    def fitted(times: Any, data: Any, sigma: Any = sigma) -> float:
+        return float(iv.fit(problem, times, data, {"k": (0.1, 3)}, sigma=sigma).parameters["k"])
+
+    expected = fitted(t, {"drug": values})
+    order = [3, 0, 5, 1, 2, 4]
+    table = pd.DataFrame({"drug": values[order]}, index=t[order])
+    column = pd.DataFrame({"time": t, "drug": values, "sd": sigma}, index=list("abcdef"))
+    shuffled = column.iloc[order]
+    array = xr.DataArray(values[None, order], dims=("component", "t"), coords={"component": ["drug"], "t": t[order]})
+    same = [
+        (t, table, pd.Series(sigma[order], t[order])),
+        (t, table["drug"], sigma),
+        (t, {"drug": table["drug"]}, {"drug": pd.Series(sigma[::-1], t[::-1])}),
+        (column["time"], shuffled[["drug"]], shuffled["sd"]),
+        (t, array, xr.DataArray(sigma[order], dims="t", coords={"t": t[order]})),
+        (t, array.T, sigma),
+        (t, xr.Dataset({"drug": array[0]}), sigma),
+        (None, table, pd.Series(sigma, t)),
+        (t, pd.DataFrame({"drug": values}), sigma),  # rows without labels
+        ("time", column[["time", "drug"]], column["sd"]),
+    ]
+    for times, data, known in same:
+        assert fitted(times, data, known) == pytest.approx(expected, rel=1e-12)
+    for times, data in [(t + 10, table), (t[:-1], table), (t, array.assign_coords(t=t + 1))]:
+        with pytest.raises(ValueError, match=r"labelled with .* and t is"):
+            fitted(times, data)
+    with pytest.raises(ValueError, match="the index of t"):
+        fitted(column["time"], table)
+    with pytest.raises(ValueError, match="repeat"):
+        fitted(pd.Series(t, [0, 0, 1, 2, 3, 4]), pd.DataFrame({"drug": values}, index=[0, 1, 0, 2, 3, 4]))

@@ -22,22 +22,94 @@ class Data(NamedTuple):
 
 
 def read(t: Any, data: Any, m: int) -> Data:
-    """Times and values, checked; `m` is the number of quantities of data without names."""
+    """Times and values, checked; `m` is the number of quantities of data without names.
+
+    Values with labels of time (the index of pandas, the coordinate "t" of xarray) are put into the order of `t`.
+    """
     if isinstance(data, Mapping) and not hasattr(data, "dims"):
         return _of_columns(t, data)
     if hasattr(data, "columns") and hasattr(data, "index"):
         return _of_columns(data.index.to_numpy() if t is None else t, {name: data[name] for name in data.columns})
     if hasattr(data, "data_vars"):
         if "y" not in data.data_vars:
-            return _of_columns(data[_TIME].values if t is None else t, {k: v.values for k, v in data.data_vars.items()})
+            return _of_columns(data[_TIME].values if t is None else t, dict(data.data_vars))
         data = data["y"]
     if hasattr(data, "dims") and hasattr(data, "coords"):
         return _labelled(t, data)
     times = _times(t)
-    values = real_numbers("data", data)
+    values = real_numbers("data", in_order(t, data, "data"))
     if values.ndim == 1:
         values = values[None]
     return Data(times, _checked(_oriented(values, len(times), m)), None)
+
+
+def in_order(t: Any, values: Any, what: str) -> Any:
+    """Return values with labels of time in the order of the times `t`; values without labels unchanged.
+
+    Parameters
+    ----------
+    t : array_like
+        The times, of shape (n_t,). If it has an index itself (a column of a table), values with an index are matched
+        with that; otherwise numeric labels are times.
+    values : array_like, or a table as a dict of columns
+        What is to be put in order, with the times along its last axis, or along the rows of a table.
+    what : str
+        Its name in messages.
+
+    Raises
+    ------
+    ValueError
+        The labels are other times, or repeat themselves where t has an index.
+    """
+    if isinstance(values, Mapping) and not hasattr(values, "dims"):
+        return {name: in_order(t, one, f"{what} of {name}") for name, one in values.items()}
+    if hasattr(values, "columns") and hasattr(values, "index"):
+        return {name: in_order(t, values[name], f"{what} of {name}") for name in values.columns}
+    labels = _labels(values)
+    if labels is None:
+        return values
+    wanted, own = _labels(t), True
+    if wanted is None:
+        wanted, own = np.asarray(t), False
+        if not hasattr(values, "dims") and _row_numbers(values):
+            return values
+        if labels.dtype.kind not in "biuf" or wanted.dtype.kind not in "biuf":
+            return values  # names of rows say nothing about time
+    if labels.shape == wanted.shape and bool((labels == wanted).all()):
+        return values
+    order, place = np.argsort(labels, kind="stable"), np.argsort(wanted, kind="stable")
+    if labels.shape != wanted.shape or not bool((labels[order] == wanted[place]).all()):
+        index = "the index of t" if own else "t"
+        raise ValueError(
+            f"{what} is labelled with {_few(labels)}, and {index} is {_few(wanted)}: leave t out if the labels are the "
+            "times; if they are not, pass the values without them (to_numpy(), or reset_index(drop=True) of a table)"
+        )
+    if own and len(np.unique(labels)) < len(labels):
+        raise ValueError(f"{what} and t have labels that repeat themselves, in another order: {_few(labels)}")
+    source = np.empty(len(order), dtype=int)
+    source[place] = order
+    array = np.asarray(values.values if hasattr(values, "values") else values)
+    return array[..., source]
+
+
+def _labels(values: Any) -> Array | None:
+    """The labels of time of an array, or None if it has none."""
+    if hasattr(values, "dims") and hasattr(values, "coords"):
+        return np.asarray(values[_TIME].values) if _TIME in values.coords and values.dims[-1:] == (_TIME,) else None
+    index = getattr(values, "index", None)
+    return None if index is None or callable(index) else np.asarray(index)
+
+
+def _row_numbers(values: Any) -> bool:
+    """Whether an index only counts rows from 0, as that of a table does to which nobody has given one."""
+    index = values.index
+    return type(index).__name__ == "RangeIndex" and index.start == 0 and index.step == 1
+
+
+def _few(labels: Array) -> str:
+    return f"({', '.join(f'{one:g}' if labels.dtype.kind in 'iuf' else str(one) for one in labels[:6])}" + (
+        ", …)" if len(labels) > 6 else ")"
+    )
 
 
 def _times(t: Any) -> Array:
@@ -57,6 +129,7 @@ def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
         columns = dict(columns)
         t = columns.pop(t)
     times = _times(t)
+    columns = in_order(t, columns, "data")
     rows = {str(name): real_numbers(f"data of {name}", column) for name, column in columns.items()}
     if not rows:
         raise ValueError("data have no columns of values")
@@ -71,10 +144,11 @@ def _labelled(t: Any, data: Any) -> Data:
     if _TIME not in data.dims or data.ndim > 2:
         raise ValueError(f"a labelled array of data has the dimensions {_TIME!r} and another one, got {data.dims}")
     other = [one for one in data.dims if one != _TIME]
-    values = np.asarray(data.transpose(*other, _TIME).values, dtype=float).reshape(-1, data.sizes[_TIME])
     named = bool(other) and other[0] in data.coords
     names = [str(one) for one in data[other[0]].values] if named else None
     times = _times(data[_TIME].values if t is None else t)
+    rows = in_order(times if t is None else t, data.transpose(*other, _TIME), "data")
+    values = np.asarray(rows, dtype=float).reshape(-1, data.sizes[_TIME])
     if values.shape[1] != len(times):
         raise ValueError(f"data have {values.shape[1]} times, and t has {len(times)}")
     return Data(times, _checked(values), names)

@@ -18,7 +18,7 @@ from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of
 from ..._solve.problem import Problem
-from .data import Data, read
+from .data import Data, in_order, read
 
 #: Types of `observe`: components by label or index, or a function.
 Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
@@ -46,7 +46,8 @@ class Experiment:
         The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
         shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
         those of components, or any names with an `observe` function. NaN where nothing was measured. None: only
-        `event_times`.
+        `event_times`. Values that carry labels of time (the index of pandas, the coordinate `t` of xarray) are matched
+        with `t` by these labels, and labels that are other times are an error; so is `sigma`.
     observe : callable, str, int, or list of these, optional
         The measured quantities: components, by default all; or a function ``observe(t, y, *args)`` that returns a
         number or an array of shape (m,). Its keyword-only arguments, such as scales and offsets, are parameters of the
@@ -108,7 +109,7 @@ class Experiment:
         empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)
         self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
         self.events = _event_series(problem, event_times)
-        self.sigma, self.event_sigma = sigma, event_sigma
+        self.sigma, self.event_sigma = in_order(_order(t, self.data), sigma, "sigma"), event_sigma
         self._dynamic: dict[str, ParameterName | None] = {}
         self._within_span()
         if self.noise == "lognormal" and not (self.data.values[~np.isnan(self.data.values)] > 0).all():
@@ -341,6 +342,11 @@ def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognorma
     if not ((each > 0) & np.isfinite(each)).all():
         raise ValueError(f"{what} of {name} must be positive and finite, got {shown(each)}")
     return Series(name, row, there, values[there], each, None, lognormal)
+
+
+def _order(t: Any, data: Data) -> Any:
+    """The times of the data, with their index where they came with one."""
+    return t if hasattr(t, "index") and not isinstance(t, (str, list, tuple)) else data.t
 
 
 def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
