@@ -20,7 +20,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-newer test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
@@ -28,7 +28,9 @@ paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-
 # Each worker starts with half of the files, and takes over from the other at the end: what tests of one file share,
 # such as compiled functions, is made once.
 # Without the plugins of other packages: at each start pytest would import, and rewrite, all of Zarr and of hypothesis.
-PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal
+# What a dependency deprecates is shown to users, and an error in CI only.
+PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal \
+  $(if $(CI),-W error::DeprecationWarning -W error::PendingDeprecationWarning)
 test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 
 test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
@@ -36,6 +38,9 @@ test: $(VENV)/.installed-test native  ## every test: the core's own, then Python
 
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
 	$(LOWEST)/bin/python $(PYTEST) -W ignore::DeprecationWarning
+
+test-newer: $(VENV)/.installed-test  ## the Python tests on newer interpreters, as far as this machine has them
+	.ci/newer
 
 test-jax: $(VENV)/.installed-test-jax  ## the tests of invariode.jax
 	$(BIN)/python -m pytest -q tests/test_jax.py

@@ -288,7 +288,9 @@ def test_a_pattern_that_was_found_is_that_of_its_function(imaginary: complex) ->
 def test_an_array_that_a_function_has_changed_is_not_given_to_another() -> None:
     def swaps(t, y):
         slope = -y
-        y.dtype = ">f8"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of NumPy 2.5; users still do it
+            y.dtype = ">f8"
         return slope
 
     expected = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).y
