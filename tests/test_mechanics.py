@@ -618,3 +618,27 @@ def test_a_mass_with_entries_that_were_not_there_at_the_start_is_whole():
         sol, same = (one.solve("dop853", rtol=1e-3, keep="end") for one in (always, constant))
         assert bobs == 3 or sol.stats.mechanics["dense"] == 0
         np.testing.assert_allclose(sol.y, same.y, rtol=1e-9, atol=1e-9)
+
+
+def test_multipliers_of_lengths_are_tensions() -> None:
+    """In a hanging chain each rod carries the weights below it; the reactions of single rows add up to all."""
+    n = 5
+    masses = np.repeat(np.arange(1.0, n + 1), 2)
+
+    def lengths(t, q):
+        points = [np.zeros(2), *np.reshape(q, (n, 2))]
+        return [np.sqrt((b - a) @ (b - a)) - 1 for a, b in zip(points[:-1], points[1:], strict=True)]
+
+    weights = -9.81 * masses * np.tile([0, 1], n)
+    chain = iv.MechanicalSystem(masses, lambda t, q, v: weights, lengths)
+    hanging = np.ravel([[0, -1.0 - k] for k in range(n)])
+    sol = chain.problem((0, 1), hanging, np.zeros(2 * n)).solve()
+    below = 9.81 * np.cumsum(np.arange(1.0, n + 1)[::-1])[::-1]
+    np.testing.assert_allclose(-chain.multipliers(sol), np.tile(below[:, None], len(sol.t)), rtol=1e-12)
+    single = [chain.reactions(sol, constraints=[k]) for k in range(n)]
+    np.testing.assert_allclose(sum(single), chain.reactions(sol), atol=1e-12)
+    np.testing.assert_allclose(single[1][1], -below[1], rtol=1e-12)  # it pulls the first mass down
+    np.testing.assert_allclose(single[1][3], below[1], rtol=1e-12)
+    for wrong in ([n], [-1], [[0]]):
+        with pytest.raises(ValueError, match="constraints must be rows from 0 to 4"):
+            chain.reactions(sol, constraints=wrong)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, choice, extra_arguments, function, interval, state, warn
+from .._base.arguments import Array, choice, extra_arguments, function, interval, shown, state, warn
 from .._base.failures import InvariantError
 from .._base.public import public
 from .._base.types import Points, Span
@@ -259,7 +259,12 @@ class MechanicalSystem(HasPoints):
         return consistent_state(motion, start, self._names(motion)).x
 
     def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
-        """The multipliers λ at the points of a solution.
+        """Return the Lagrange multipliers λ of M v' = Q + Aᵀ λ at the points of a solution.
+
+        A multiplier is a force per unit of its constraint. If a constraint φ is a length, such as the distance of two
+        points minus that of a rod, its multiplier is a force, positive where it pushes φ up: the tension of the rod is
+        −λ. If φ is the difference of two points, a row for each coordinate, λ is the force on the first point. For
+        φ = |q|² − l² the multiplier is −T / (2 l): write lengths where you want forces.
 
         Parameters
         ----------
@@ -272,14 +277,18 @@ class MechanicalSystem(HasPoints):
         Returns
         -------
         ndarray, (m, n_t)
-            Those of the constraints, then those of the velocity constraints; of least norm if constraints are
-            redundant.
+            The multipliers of the constraints, then those of the velocity constraints, in units of force times length
+            over the unit of each; of least norm if constraints are redundant.
         """
         columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
         return np.array(columns).T
 
-    def reactions(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
-        """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
+    def reactions(
+        self, sol: Points, args: Iterable[Any] | None = None, *, constraints: Sequence[int] | None = None
+    ) -> Array:
+        """Return the generalized forces Aᵀ λ of constraints at the points of a solution.
+
+        The rows of A are Φ = ∂φ/∂q and ∂ψ/∂v.
 
         Parameters
         ----------
@@ -287,16 +296,30 @@ class MechanicalSystem(HasPoints):
             Of a problem of this system.
         args : tuple, optional
             As for ``multipliers``.
+        constraints : sequence of int, optional
+            Rows of the constraints whose forces are added up, as the rows of one joint. Default: all of them, which is
+            the force of the whole mechanism on each coordinate.
 
         Returns
         -------
         ndarray, (n, n_t)
-            In the directions of v.
+            In the directions of v: forces where a component of v is a velocity, torques where it is an angular one.
+
+        Raises
+        ------
+        ValueError
+            A row is not one of the constraints.
         """
-        columns = [
-            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers
-            for motion, at in self._along(sol, args)
-        ]
+        columns = []
+        for motion, at in self._along(sol, args):
+            multipliers, rows = motion.accelerations(at, every=True).multipliers, motion.rows(at)
+            if constraints is not None:
+                chosen = np.asarray(constraints, dtype=int)
+                m = len(multipliers)
+                if chosen.ndim != 1 or ((chosen < 0) | (chosen >= m)).any():
+                    raise ValueError(f"constraints must be rows from 0 to {m - 1}, got {shown(constraints)}")
+                multipliers, rows = multipliers[chosen], rows[chosen]
+            columns.append(rows.T @ multipliers)
         return np.array(columns).T
 
     def _places(self, sol: Any) -> Callable[[float, Array], Any]:
