@@ -1,9 +1,9 @@
 """The forces in the pins of a four-bar linkage
 ============================================
 
-A crank that is driven by a constant torque turns a coupler and a rocker. Each bar has three coordinates, so that each pin
-is two constraints of its own, the difference of the two points that it holds together: its multipliers are the force on
-the first of them.
+A crank that is driven by a constant torque turns a coupler and a rocker. Each bar has three coordinates, so that each
+pin is two constraints of its own, the difference of the two points that it holds together: its multipliers are the
+force on the first of them.
 
 Source: for this kind of mechanism, J. J. Uicker, G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms,
 Oxford University Press, 2016, chapters 1 and 15.

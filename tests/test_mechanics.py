@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tracemalloc
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -627,7 +628,7 @@ def test_multipliers_of_lengths_are_tensions() -> None:
 
     def lengths(t, q):
         points = [np.zeros(2), *np.reshape(q, (n, 2))]
-        return [np.sqrt((b - a) @ (b - a)) - 1 for a, b in zip(points[:-1], points[1:], strict=True)]
+        return [np.sqrt((b - a) @ (b - a)) - 1 for a, b in pairwise(points)]
 
     weights = -9.81 * masses * np.tile([0, 1], n)
     chain = iv.MechanicalSystem(masses, lambda t, q, v: weights, lengths)

@@ -237,7 +237,8 @@ def interval(t_span: object) -> tuple[float, float]:
     """(t0, tf): t0 finite, tf finite or infinite."""
     ends = items(t_span) or ()
     if len(ends) != 2:
-        raise ValueError(f"t_span must be a pair (t0, tf), got {shown(t_span)}")
+        more = "; output times are t_eval=, so pass t_span=(times[0], times[-1]), t_eval=times" * (len(ends) > 2)
+        raise ValueError(f"t_span must be a pair (t0, tf), got {shown(t_span)}{more}")
     t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
     if math.isinf(t0):
         raise ValueError(f"t_span[0] must be finite, got {t0!r}")
@@ -358,6 +359,10 @@ def tolerances(
     return smallest, threshold, scale
 
 
+#: Output times that lie beyond the interval by at most this, relative to its ends, do so by rounding.
+_ROUNDED = 2.0**-40
+
+
 def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     """t_eval as an array, inside the interval and in the order of integration."""
     times = plain_times(t_eval, t0, tf)
@@ -372,7 +377,11 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     low, high = min(t0, tf), max(t0, tf)
     outside = ~((given >= low) & (given <= high))
     if outside.any():
-        raise ValueError(f"Values in `t_eval` are not within `t_span`, ({t0}, {tf}): {given[outside][0]}")
+        first = float(given[outside][0])
+        beyond = min(abs(first - t0), abs(first - tf))
+        rounded = f", {beyond:.1g} beyond the end by rounding: numpy.clip(t_eval, {low!r}, {high!r})"
+        close = rounded if beyond <= _ROUNDED * max(abs(t0), abs(tf)) else ""
+        raise ValueError(f"Values in `t_eval` are not within `t_span`, ({t0}, {tf}): {first}{close}")
     raise ValueError("Values in `t_eval` are not properly sorted: strictly, in the direction of integration")
 
 

@@ -5,6 +5,18 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+#: Functions of MATLAB's ODE Suite, and what does their work here.
+_OF_MATLAB = {
+    "odeset": "options are keyword arguments, as in ode45(f, (t0, tf), y0, rtol=1e-6)",
+    "odeget": "options are keyword arguments, as in ode45(f, (t0, tf), y0, rtol=1e-6)",
+    "deval": "pass dense_output=True, and call sol.sol(t)",
+    "odextend": "call sol.extend(tf)",
+    "odeplot": "call sol.plot()",
+    "odephas2": "call sol.plot_phase(i, j)",
+    "odephas3": "call sol.plot_phase(i, j, k)",
+    "odeprint": "pass progress=True, or a callback=",
+}
+
 
 def nearest(given: object, known: Iterable[str]) -> str | None:
     """The known name most like the given one; None if none is like it."""
@@ -19,6 +31,8 @@ def absent(module: str, name: str, public: Iterable[str], modules: Iterable[str]
         return text
     if name in modules:
         return f"{text} yet: import {module}.{name}"
+    if name in _OF_MATLAB:
+        return f"{text}: {_OF_MATLAB[name]}"
     from scipy import integrate
 
     if name in integrate.__all__ and isinstance(getattr(integrate, name), type):

@@ -256,6 +256,15 @@ def numbers_in(value: Any) -> Iterator[tuple[str, Any]]:
                 yield f"[{i}]{suffix}", one
 
 
+def undefined_arguments(args: Iterable[Any]) -> str:
+    """Return which number of the arguments is NaN, in words; empty if none is."""
+    for index, value in enumerate(args):
+        for suffix, one in numbers_in(value):
+            if one != one:
+                return f"args[{index}]{suffix} is NaN"
+    return ""
+
+
 def numbers_at_places(args: Sequence[Any], places: Iterable[tuple[int, int | None]]) -> list[Any]:
     """The numbers in these arguments at these places among the argument's numbers, as they were given."""
     inside: dict[int, list[Any]] = {}

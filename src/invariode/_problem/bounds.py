@@ -77,7 +77,8 @@ def _component(one: Any, n: int, labels: Sequence[str] | None) -> int:
     if isinstance(one, bool) or not isinstance(one, (int, np.integer)):
         raise TypeError(f"nonnegative must be True, indices or labels, got {shown(one)}")
     if not -n <= one < n:
-        raise ValueError(f"nonnegative: there is no component {shown(one)} of {n}")
+        counted = f": they are counted from 0, so the last one is {n - 1}" if one == n else ""
+        raise ValueError(f"nonnegative: there is no component {shown(one)} of {n}{counted}")
     return int(one) % n
 
 

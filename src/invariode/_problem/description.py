@@ -20,8 +20,10 @@ from .._base.arguments import (
     flag,
     function,
     interval,
+    quietly,
     shown,
     state,
+    warn,
 )
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
@@ -67,7 +69,8 @@ class Posed:
 
     def _described(self) -> Description:
         if self._problem is None:
-            self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args)
+            with quietly():  # what there is to say of f was said before
+                self._problem = self._kind(self.fun, self.t_span, self.y0, args=self.args)
         return self._problem
 
 
@@ -256,10 +259,21 @@ def _posed(
     return called, span, start, extra_arguments(args)
 
 
+#: The first parameters of a function of (y, t), which is called as one of (t, y).
+STATE_FIRST = {("y", "t"), ("Y", "t")}
+
+
+def state_first(names: Sequence[str]) -> str:
+    """Return what is said of a function with the state before t."""
+    return f"fun has the parameters ({names[0]}, {names[1]}) and is called as fun(t, y): swap them, or use odeint"
+
+
 def _as_called(fun: Any, y0: Array) -> Any:
     """f as the solvers call it."""
     kind = type(fun)
     if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
+        if kind is FunctionType and fun.__code__.co_varnames[:2] in STATE_FIRST:
+            warn(state_first(fun.__code__.co_varnames))
         return fun
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):

@@ -34,7 +34,8 @@ def documented(own: Mapping[str, Any] = _NOTHING, /, **places: Iterable[str]) ->
             if "{topics}" in target.__doc__:
                 target.__doc__ = _filled(target.__doc__, "topics", _topics({*chain(*ordered.values())}))
         signature = inspect.signature(target)
-        spelled = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        kinds = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)  # the latter only says what is wrong
+        spelled = [p for p in signature.parameters.values() if p.kind not in kinds]
         if len(spelled) < len(signature.parameters):
             there = {p.name for p in spelled}
             defaults = {name: own.get(name, TABLE[name].default) for names in ordered.values() for name in names}

@@ -100,7 +100,8 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     name implies."""
     name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
     if not isinstance(name, str):
-        raise TypeError(f"`method` must be one of {_names()}, by name; got {shown(method)}")
+        options = "; options are passed by name, as in rtol=1e-6, or as **options" * isinstance(name, Mapping)
+        raise TypeError(f"`method` must be one of {_names()}, by name; got {shown(method)}{options}")
     for candidate in METHODS.values():
         if name == candidate.name:
             return candidate, {}

@@ -697,15 +697,37 @@ _ROWS = {**table_of(AllOptions), **table_of(ManyOptions)}
 #: All rows by name.
 TABLE: Mapping[str, Option] = {name: _ROWS[name] for topic in TOPICS.values() for name in topic}
 
-#: Flat names of earlier versions, and what replaces them.
-_REPLACED: Mapping[str, str] = {
-    "save": "keep=",
-    "time_limit": "limits=invariode.Limits(time=)",
-    "max_points": "limits=invariode.Limits(points=)",
-    "checkpoint_every": "checkpoint=invariode.Checkpoint(path, every=)",
-    "krylov_dimension": "linear_solver=invariode.GMRES(dimension=)",
-    "preconditioner": "linear_solver=invariode.GMRES(preconditioner=)",
-    "jac_product": "linear_solver=invariode.GMRES(jac_product=)",
+#: Names of options elsewhere, in lower case: of MATLAB's odeset, SciPy's odeint and ode, Julia, and of arguments that
+#: belong to a value of several fields; and their counterparts here.
+_STEPS = "steps follow from rtol and atol: limit them by max_step=, and set output times by t_eval="
+_OF_EVENTS = "it belongs to an event, invariode.Event(fun, terminal=, direction=)"
+_ELSEWHERE: Mapping[str, str] = {
+    **dict.fromkeys(("step", "dt", "h", "stepsize", "step_size"), _STEPS),
+    **dict.fromkeys(("h0", "initialstep", "dt0"), "pass first_step="),
+    **dict.fromkeys(("hmax", "maxstep", "dtmax"), "pass max_step="),
+    **dict.fromkeys(("hmin", "minstep", "dtmin"), "pass min_step="),
+    **dict.fromkeys(("mxstep", "nsteps", "maxiters", "max_iter", "maxiter"), "pass max_steps="),
+    **dict.fromkeys(("isterminal", "terminal", "direction"), _OF_EVENTS),
+    **dict.fromkeys(("n_jobs", "njobs", "n_workers", "processes", "threads"), "pass workers= to solve_ensemble"),
+    **dict.fromkeys(("outputfcn", "solout"), "pass callback=, which is called after each step and stops by True"),
+    **dict.fromkeys(("saveat", "teval", "times"), "pass t_eval="),
+    **dict.fromkeys(("tstops", "tcrit", "d_discontinuities"), "pass breakpoints="),
+    **dict.fromkeys(("jacobian", "dfun"), "pass jac="),
+    **dict.fromkeys(("ml", "mu"), "pass lband= and uband="),
+    **dict.fromkeys(("reltol", "relative_tolerance"), "pass rtol="),
+    **dict.fromkeys(("abstol", "absolute_tolerance"), "pass atol="),
+    "tol": "pass rtol= and atol=",
+    "jpattern": "pass jac_sparsity=",
+    "mass_matrix": "pass mass=",
+    "solver": "pass method=",
+    "stats": "every solution has them, as sol.stats",
+    "dense": "pass dense_output=True",
+    "lags": "delays are not options: see the how-to on delays",
+    "time_limit": "pass limits=invariode.Limits(time=)",
+    "max_points": "pass limits=invariode.Limits(points=)",
+    "krylov_dimension": "pass linear_solver=invariode.GMRES(dimension=)",
+    "preconditioner": "pass linear_solver=invariode.GMRES(preconditioner=)",
+    "jac_product": "pass linear_solver=invariode.GMRES(jac_product=)",
 }
 
 _OF_A_RUN = table_of(Options)
@@ -749,9 +771,19 @@ def refused(name: str) -> TypeError:
 
 
 def unknown_option(name: str, known: Iterable[str], text: str = "unknown option") -> TypeError:
-    """The error for a name that nothing has; for one of an earlier version it names what replaces it."""
-    hint = f": give {_REPLACED[name]}" if name in _REPLACED else meant(name, known)
-    return TypeError(f"{text} {name!r}{hint}")
+    """Return the error for an unknown name, with its counterpart here if other packages have it, else the nearest."""
+    return TypeError(f"{text} {name!r}{_hint(name, known)}")
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    known = [*known]
+    lower = name.lower()
+    if lower != name and lower in known:  # MATLAB's capitals
+        return f": write {lower}="
+    snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name).lstrip("_")
+    if snake != name and snake in known:
+        return f": write {snake}="
+    return f": {_ELSEWHERE[lower]}" if lower in _ELSEWHERE else meant(name, known)
 
 
 def keep_arrays(options: Options) -> None:

@@ -278,10 +278,17 @@ class Film(FuncAnimation):
 
         Raises
         ------
+        ValueError
+            The name ends like that of a still picture.
         RuntimeError
             ffmpeg is needed and not installed.
         """
         ending = Path(filename).suffix.lower()
+        if ending in (".png", ".jpg", ".jpeg", ".svg", ".pdf") and writer is None:
+            raise ValueError(
+                f"{ending} is the format of a still picture: save the film as .gif, .html or .mp4, or a picture by "
+                "film.figure.savefig"
+            )
         if writer is None and ending in (".html", ".htm"):
             page = f"<!DOCTYPE html>\n<meta charset='utf-8'>\n<title>{Path(filename).stem}</title>\n"
             Path(filename).write_text(page + self.to_jshtml(**options), encoding="utf-8")

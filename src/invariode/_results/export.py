@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,15 @@ from .._base.public import version
 from .result import Result
 from .saving import SOLUTION, require_whole
 from .sensitivities import named
+
+_TABLE, _LABELLED = "write sol.to_dataframe() in that format", "write sol.to_xarray() in that format"
+#: Endings of files in other formats, and how to write these.
+_OTHER_FORMATS = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".xlsx", ".parquet", ".json"), _TABLE),
+    **dict.fromkeys((".nc", ".h5", ".hdf5", ".zarr"), _LABELLED),
+    ".mat": "pass sol.t and sol.y to scipy.io.savemat",
+    ".png": "save a picture with sol.plot()",
+}
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
@@ -80,11 +90,16 @@ class Exports(Result):
         Raises
         ------
         ValueError
-            Fields are missing, or t and y do not fit each other.
+            Fields are missing, or t and y do not fit each other; the name ends like that of another format.
         OSError
             The file cannot be written.
         """
         require_whole(self)
+        ending = Path(path).suffix.lower()
+        if ending in _OTHER_FORMATS:
+            raise ValueError(
+                f"save writes NPZ files, and {os.fspath(path)!r} ends in {ending}: {_OTHER_FORMATS[ending]}"
+            )
         write(path, SOLUTION, SOLUTION.taken(self))
 
 

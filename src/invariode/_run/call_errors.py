@@ -20,15 +20,33 @@ _FED = ("fun", "jac")
 def explain(error: TypeError | ValueError, problem: Description) -> None:
     """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
     if isinstance(error, TypeError):
+        if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
+            error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
+            return
         if problem.args and _is_of_the_call(error) and (found := _not_taking(problem)):
+            if "fun" in found and (note := _one_array(problem)):
+                error.add_note(note)
+                return
             several = len(found) > 1
             error.add_note(
                 f"args = {shown(problem.args)} are passed to all functions of the problem, also to invariants and "
                 f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
                 f"{'them' if several else 'it'} with (t, y, *args)"
             )
+    elif "returned shape (3, 1)" in str(error) and str(error).startswith("event "):
+        error.add_note(
+            "an event is one function of (t, y) that returns a number; MATLAB's [value, isterminal, direction] is "
+            "events=[invariode.Event(fun, terminal=True, direction=1), ...]"
+        )
     elif "returned shape" in str(error) and ", 1)" in str(error):
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+
+
+def _one_array(problem: Description) -> str:
+    """Return a note on a list of numbers that was meant as one argument; empty if f does not take one argument."""
+    if len(problem.args) < 2 or not takes(problem.fun, [*problem.inputs, None]):
+        return ""
+    return f"args are the arguments one by one, here {len(problem.args)}: pass one array or list as args=(p,)"
 
 
 def error_at_start(
@@ -89,6 +107,15 @@ def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
     yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
     yield from ((f"event {event.__name__}", event.fun) for event in problem.events)
     yield from ((f"the action of event {event.__name__}", event.action) for event in problem.events)
+
+
+def takes_time(fun: Any) -> bool:
+    """Whether a function can be called with t alone."""
+    try:
+        inspect.signature(fun).bind(None)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def takes(fun: Any, args: Iterable[Any]) -> bool:

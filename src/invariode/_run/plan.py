@@ -35,7 +35,7 @@ from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
-from .._functions.layout import Parameters, count_of
+from .._functions.layout import Parameters, count_of, undefined_arguments
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
@@ -234,7 +234,10 @@ class Plan(NamedTuple):
             limit = self.settings.limit(run.limit)
             message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
             return LIMIT_REACHED, remarked(message, run, self.event_names)
-        return status_and_message(run, self.laws, self.event_names, self.functions.complex)
+        status, message = status_and_message(run, self.laws, self.event_names, self.functions.complex)
+        if run.state == "start_undefined" and (undefined := undefined_arguments(self.bound.args)):
+            return status, f"{undefined}, and fun is not finite at the start, t = {run.t}. Correct args."
+        return status, message
 
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception that a single solve raises if the run ended like this."""

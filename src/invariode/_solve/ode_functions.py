@@ -6,10 +6,11 @@ The stub beside this file, for type checkers, is made from it too: ``make stubs`
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Unpack
+from typing import Any, Unpack
 
 from numpy.typing import ArrayLike
 
+from .._base.arguments import shown
 from .._base.types import Function, Span
 from .._problem.docstrings import documented
 from .._problem.methods import METHODS, Method
@@ -29,7 +30,12 @@ def _function_of(method: Method) -> Callable[..., Solution]:
     """`solve_ivp` with the method, its own largest step, and its own number of points per step unless other options
     fix the output."""
 
-    def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
+    def solve(fun: Function, t_span: Span, y0: ArrayLike, *more: Any, **options: Unpack[AllOptions]) -> Solution:
+        if more:
+            raise TypeError(
+                f"{method.name}(fun, t_span, y0) takes options by name, as in rtol=1e-6, got {shown(more[0])} as a "
+                "fourth argument; a dict of options is passed as **options"
+            )
         keep = options.get("keep")
         if options.get("t_eval") is None and not (isinstance(keep, str) and keep == "end"):
             options.setdefault("refine", method.refine)
