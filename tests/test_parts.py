@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -281,6 +282,16 @@ def test_retry_is_checked() -> None:
 # Stores
 
 
+def refused_or_same(path: Path, whole: Any) -> None:
+    """A part without its digest counts as not solved."""
+    try:
+        found = iv.EnsembleStore(path).load()
+    except ValueError as error:
+        assert "out.zarr" in str(error) or "not solved yet" in str(error)
+    else:
+        same(found, whole)
+
+
 class TestStore:
     @pytest.fixture(autouse=True)
     def zarr(self) -> Any:
@@ -392,11 +403,41 @@ class TestStore:
             iv.solve_ensemble(compiled, SPAN, np.vstack([y0[:6], y0[6:] + 1]), **given)
 
     def test_something_else_is_no_store(self, zarr: Any, tmp_path: Path) -> None:
-        with pytest.raises(ValueError, match="was not written by solve_ensemble"):
+        with pytest.raises(FileNotFoundError, match=r"nothing\.zarr does not exist"):
             iv.EnsembleStore(tmp_path / "nothing.zarr")
         zarr.create_group(tmp_path / "other.zarr")
         with pytest.raises(ValueError, match="was not written by solve_ensemble"):
             solve("native", store=tmp_path / "other.zarr", resume=True)
+
+    def test_damage_is_never_loaded_as_values(self, tmp_path: Path) -> None:
+        """A flipped bit, a lost or a swapped chunk, a lost array: an error that names the store, or the same values."""
+        path = tmp_path / "out.zarr"
+        whole = solve("native", store=path, chunk=12).load()
+        chunks = sorted(one for one in path.rglob("*") if one.is_file() and one.name != "zarr.json")
+        rng = np.random.default_rng(27)
+        for chunk in rng.permutation(np.array(chunks, dtype=object))[:10]:
+            original = chunk.read_bytes()
+            flip = int(rng.integers(8 * len(original)))
+            damaged = bytearray(original)
+            damaged[flip // 8] ^= 1 << (flip % 8)
+            chunk.write_bytes(damaged)
+            refused_or_same(path, whole)
+            chunk.unlink()
+            refused_or_same(path, whole)
+            chunk.write_bytes(original)
+        for one, other in [*pairwise(chunks)][::4]:
+            first, second = one.read_bytes(), other.read_bytes()
+            one.write_bytes(second)
+            other.write_bytes(first)
+            refused_or_same(path, whole)
+            one.write_bytes(first)
+            other.write_bytes(second)
+        same(iv.EnsembleStore(path).load(), whole)
+        for name in ("y", "component", "checksum"):
+            (path / name).rename(tmp_path / "away")
+            with pytest.raises(ValueError, match=r"out\.zarr"):
+                iv.EnsembleStore(path).load()
+            (tmp_path / "away").rename(path / name)
 
     def test_invariants_and_complex_states(self, tmp_path: Path) -> None:
         def rotating(t: float, y: np.ndarray) -> Any:

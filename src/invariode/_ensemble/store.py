@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import json
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -60,6 +62,10 @@ _ROWS = {
 _AT_TIMES = ("y", "S")
 
 
+#: Those with a number for each part: by which rows it was made, and what was written. Zero: nothing yet.
+_OF_PARTS = ("checksum", "digest")
+
+
 #: And what it says of itself.
 _STORE = Kind(
     "store",
@@ -69,6 +75,7 @@ _STORE = Kind(
         "size": Field(int | None, within=(0, np.inf)),
         "seed": Field(Any),
         "kept_times": Field(bool),
+        "coordinates": Field(int),  # their checksum
     },
 )
 
@@ -98,7 +105,8 @@ class Layout(NamedTuple):
 
 class StoreWriter:
     """A store that is being filled, by one process at a time. A part is complete when its digest is there, which is
-    written last; the store is there once all of its arrays are.
+    written last; the store is there once all of its arrays are. Chunks carry a CRC-32C, which Zarr tests whenever it
+    reads one; the checksum of each part, over all of its arrays, shows chunks that are lost or in the wrong place.
 
     Raises
     ------
@@ -173,23 +181,30 @@ class StoreWriter:
                 dtype=dtype,
                 fill_value=fill,
                 dimension_names=_ROWS[name].dimensions,
+                compressors=_compressors(),
             )
         coordinates: dict[str, Any] = {**self._layout.names, "count": list(_core.COUNTS), "t": self._layout.t}
         for name, values in coordinates.items():
             if len(values):
                 array = np.asarray(values)
                 kind: Any = str if array.dtype.kind == "U" else array.dtype
-                group.create_array(name, shape=array.shape, dtype=kind, dimension_names=[name])[:] = array
-        group.create_array(
-            "digest",
-            shape=(-(-rows // length),),
-            chunks=(1,),
-            dtype=np.uint64,
-            fill_value=0,
-            dimension_names=["part"],
-        )
+                new = group.create_array(
+                    name, shape=array.shape, dtype=kind, dimension_names=[name], compressors=_compressors()
+                )
+                new[:] = array
+        for name in _OF_PARTS:
+            group.create_array(
+                name,
+                shape=(-(-rows // length),),
+                chunks=(1,),
+                dtype=np.uint64,
+                fill_value=0,
+                dimension_names=["part"],
+                compressors=_compressors(),
+            )
         about = {"problem": self._layout.about, "chunk": length, "size": size, "seed": seed}
-        group.attrs.update({**header("store"), **about, "kept_times": self._layout.times})
+        about |= {"kept_times": self._layout.times, "coordinates": _of_coordinates(group)}
+        group.attrs.update({**header("store"), **about})
         return group
 
     def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
@@ -215,33 +230,42 @@ class StoreWriter:
         if part.stop > self._arrays["status"].shape[0]:
             self._grow(max(part.stop, 2 * self._arrays["status"].shape[0]))
         here = slice(part.start, part.stop)
+        written: dict[str, Array] = {}
         for name, array in self._arrays.items():
             if name == "y0":
-                array[here] = part.y0
+                values = np.asarray(part.y0)
             elif name == "args":
                 values = np.asarray(part.args, dtype=float)
-                array[here] = np.broadcast_to(values, (len(part.y0), values.shape[-1]))
+                values = np.broadcast_to(values, (len(part.y0), values.shape[-1]))
             else:
-                array[here] = getattr(found, name)
-        self._write_apart(part, found)
-        self._digests[part.number : part.number + 1] = np.array([digest(part)], dtype=np.uint64)
+                values = np.asarray(getattr(found, name))
+            written[name] = values.astype(array.dtype)
+            array[here] = written[name]
+        messages, happened = self._write_apart(part, found)
+        number = slice(part.number, part.number + 1)
+        self._group["checksum"][number] = np.array([_checksum(written, happened, messages)], dtype=np.uint64)
+        self._digests[number] = np.array([digest(part)], dtype=np.uint64)
 
-    def _write_apart(self, part: Part, found: Outcomes) -> None:
-        """What only some trajectories have: messages and events, in a group of the part."""
+    def _write_apart(self, part: Part, found: Outcomes) -> tuple[dict[str, str], dict[str, Array]]:
+        """Write what only some trajectories have, messages and events, in a group of the part, and return it."""
         happened = together(found.events, none_of(part.y0))
         if not found.messages and not len(happened["t"]):
-            return
+            return {}, {}
         own = self._group.create_group(f"parts/{part.number}", overwrite=True)
-        own.attrs["messages"] = {str(part.start + i): text for i, text in found.messages.items()}
+        messages = {str(part.start + i): text for i, text in found.messages.items()}
+        own.attrs["messages"] = messages
         happened["trajectory"] += part.start
         for name, values in happened.items():
             dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
-            own.create_array(name, shape=values.shape, dtype=dtype)[...] = values
+            own.create_array(name, shape=values.shape, dtype=dtype, compressors=_compressors())[...] = values
+        return messages, happened
 
     def _grow(self, rows: int) -> None:
         for array in self._arrays.values():
             array.resize((rows, *array.shape[1:]))
-        self._digests.resize((-(-rows // self.length),))
+        for name in _OF_PARTS:
+            self._group[name].resize((-(-rows // self.length),))
+        self._digests = self._group["digest"]
 
     def finish(self, size: int) -> None:
         """Record that the store is complete, with this many rows."""
@@ -270,6 +294,8 @@ class EnsembleStore:
 
     Raises
     ------
+    FileNotFoundError
+        There is nothing at the path.
     ValueError
         The path does not hold an ensemble store.
     ModuleNotFoundError
@@ -279,6 +305,8 @@ class EnsembleStore:
     def __init__(self, path: Any) -> None:
         self.path = path
         self._group = _opened(path, "r")
+        if self._group is None:
+            raise FileNotFoundError(f"{named(path)} does not exist: solve_ensemble(store=...) writes a store")
         self.attributes = _about(path, self._group)
 
     def __len__(self) -> int:
@@ -347,7 +375,7 @@ class EnsembleStore:
             xarray, of the extra `data`, is not installed.
         """
         whole = extra("xarray", "this needs", "data").open_zarr(
-            self.path, consolidated=False, drop_variables=["digest"]
+            self.path, consolidated=False, drop_variables=[*_OF_PARTS]
         )
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
         return data
@@ -364,14 +392,11 @@ class EnsembleStore:
         ValueError
             Some trajectories are not solved yet.
         """
+        with damage_of(self.path):
+            self._require_whole()
         if missing := self.missing:
             raise ValueError(f"{missing} trajectories are not solved yet: solve them with resume=True")
         size, group = len(self), self._group
-        with damage_of(self.path):
-            sizes = {name: group[name].shape[0] for name in _SIZED if name in group}
-            for name in _ROWS.keys() & set(group.array_keys()):
-                if not _ROWS[name].fits(group[name], sizes | {"count": len(_core.COUNTS)}):
-                    raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
         held = {
@@ -387,6 +412,34 @@ class EnsembleStore:
         about["_sensitivities"] = self._sensitivities(held["status"])
         of_y = {"t": group["t"][:], "y": y, "_final": not times, "_labels": group["component"][:].tolist()}
         return EnsembleSolution(**{**held, **about, **of_y})
+
+    def _require_whole(self) -> None:
+        """Raise a ValueError that says what is damaged, unless every array is there and as it was written."""
+        group, size, length = self._group, len(self), int(self.attributes["chunk"])
+        if _of_coordinates(group) != self.attributes["coordinates"]:
+            raise ValueError("its coordinates are not as they were written")
+        sizes = {name: group[name].shape[0] if name in group else 0 for name in (*_SIZED, "parameter", "event")}
+        sizes["count"] = len(_core.COUNTS)
+        names = []
+        for name, field in _ROWS.items():
+            if 0 in [sizes.get(one, 1) for one in field.dimensions[1:]]:
+                continue
+            if name in _AT_TIMES and not self.attributes["kept_times"]:
+                continue
+            if not field.fits(group[name], sizes) or group[name].shape[0] < size:
+                raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
+            names.append(name)
+        apart = {int(number): one for number, one in group["parts"].groups()} if "parts" in group else {}
+        for number in np.flatnonzero(group["digest"][: -(-size // length)]).tolist():
+            rows = slice(number * length, min((number + 1) * length, size))
+            there = {name: group[name][rows] for name in names}
+            happened: dict[str, Array] = {}
+            messages: dict[str, str] = {}
+            if number in apart:
+                messages = dict(apart[number].attrs["messages"])
+                happened = {name: apart[number][name][:] for name in apart[number].array_keys()}
+            if _checksum(there, happened, messages) != int(group["checksum"][number]):
+                raise ValueError(f"trajectories {rows.start} to {rows.stop - 1} are not as they were written")
 
     def _sensitivities(self, status: Array) -> EnsembleSensitivities | None:
         group, size = self._group, len(self)
@@ -456,6 +509,32 @@ def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Zarr
+
+
+def _compressors() -> list[Any]:
+    """How chunks are stored: compressed, and with a CRC-32C behind, which is tested when they are read."""
+    codecs = _zarr().codecs
+    return [codecs.ZstdCodec(level=0), codecs.Crc32cCodec()]
+
+
+def _of_coordinates(group: Any) -> int:
+    """Return the checksum of the coordinates of a store."""
+    names = (*_SIZED, "parameter", "event", "count")
+    found = {name: group[name][:] for name in names if name in group}
+    texts = {name: json.dumps([str(one) for one in values]) for name, values in found.items() if name != "t"}
+    return _checksum({"t": found["t"]} if "t" in found else {}, {}, texts) >> 1  # of 63 bits, which any reader of JSON has
+
+
+def _checksum(arrays: Mapping[str, Array], events: Mapping[str, Array], texts: Mapping[str, str]) -> int:
+    """Return a number of 64 bits for the contents of arrays, of those of events, and of texts, by name."""
+    found = hashlib.blake2b(digest_size=8)
+    for kind, group in (("array", arrays), ("event", events)):
+        for name in sorted(group):
+            values = np.ascontiguousarray(group[name])
+            found.update(f"{kind} {name} {values.dtype.str} {values.shape} ".encode())
+            found.update(values.tobytes())
+    found.update(json.dumps(texts, sort_keys=True).encode("utf-8", "surrogatepass"))
+    return int.from_bytes(found.digest(), "little")
 
 
 def _zarr() -> Any:
