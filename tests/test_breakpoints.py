@@ -244,7 +244,13 @@ def test_invariants_are_held_at_their_new_values(method):
 
     circle = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 - 1, value=0)
     sol = iv.solve_ivp(
-        lambda t, y: [-y[1], y[0]], (0, 3), [1.0, 0.0], method, invariants=circle, breakpoints=[(1.0, off)]
+        lambda t, y: [-y[1], y[0]],
+        (0, 3),
+        [1.0, 0.0],
+        method,
+        invariants=circle,
+        breakpoints=[(1.0, off)],
+        on_failure="return",
     )
     assert sol.status == -2
     assert "After the action at t = 1" in sol.message
@@ -330,7 +336,12 @@ def test_a_demanded_value_that_an_invariant_leaves_in_a_jump_is_said_to_be_left(
         return y[0] ** 2 + y[1] ** 2 - (1 if t < 1 else 1.1)
 
     sol = iv.solve_ivp(
-        lambda t, y: [-y[1], y[0]], (0, 2), [1.0, 0.0], invariants=iv.Invariants(circle, value=0), breakpoints=[1.0]
+        lambda t, y: [-y[1], y[0]],
+        (0, 2),
+        [1.0, 0.0],
+        invariants=iv.Invariants(circle, value=0),
+        breakpoints=[1.0],
+        on_failure="return",
     )
     assert sol.status == -2
     assert sol.t_end == 1

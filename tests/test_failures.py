@@ -40,8 +40,14 @@ FAILURES = {
 class TestRun:
     def test_it_returns_warns_or_raises(self, status):
         fun, y0, options, error = FAILURES[status]
-        sol = iv.solve_ivp(fun, (0, 3), y0, **options)
+        sol = iv.solve_ivp(fun, (0, 3), y0, on_failure="return", **options)
         assert sol.status == status
+        if status == -2:
+            with pytest.raises(iv.InvariantError) as contradicted:
+                iv.solve_ivp(fun, (0, 3), y0, **options)
+            np.testing.assert_array_equal(contradicted.value.solution.y, sol.y)
+        else:
+            assert iv.solve_ivp(fun, (0, 3), y0, **options).status == status
         with pytest.warns(iv.FailureWarning) as told:
             iv.solve_ivp(fun, (0, 3), y0, on_failure="warn", **options)
         assert told[0].filename == __file__

@@ -146,7 +146,7 @@ def test_values_that_are_demanded_or_not_reheld_stay(method):
         (radius, double),
         (iv.Invariants(radius, value=1), iv.Event(double.fun, action=lambda t, y: 2 * y)),
     ):
-        sol = iv.solve_ivp(circle, (0, 3), [1, 0], method, events=event, invariants=invariants)
+        sol = iv.solve_ivp(circle, (0, 3), [1, 0], method, events=event, invariants=invariants, on_failure="return")
         assert sol.status == -2
         assert "After the action at t = 1" in sol.message
     sol = iv.solve_ivp(

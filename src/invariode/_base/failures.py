@@ -30,8 +30,8 @@ class SolveError(RuntimeError):
 class InvariantError(SolveError, ValueError):
     """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it.
 
-    A run refuses such an invariant at its start with this error; where it is found later, the run ends with status -2,
-    or with ``on_failure="raise"`` with this error and the solution up to there.
+    A run raises it at its start, or as soon as it finds the contradiction, with the `solution` up to there; with
+    ``on_failure="return"`` that solution, whose status is -2, is returned.
     """
 
 

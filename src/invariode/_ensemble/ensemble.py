@@ -60,7 +60,7 @@ def solve_rows(
             "at_start is for single runs: evaluate the event at the initial states of an ensemble yourself"
         )
     many, running = parted(options, ManyOptions)
-    on_failure = TABLE["on_failure"].check("on_failure", running.pop("on_failure", "warn"))
+    on_failure = TABLE["on_failure"].check("on_failure", running.pop("on_failure", None) or "warn")
     drawn = flag("progress", running.pop("progress", False))
     attempts = _attempts(method, _options_of_each(running, wanted.t_eval), many.get("retry"))
     ensemble = Ensemble(problem, attempts, _side_by_side(many.get("lanes", "auto")), on_failure)

@@ -522,7 +522,8 @@ def _of_coordinates(group: Any) -> int:
     names = (*_SIZED, "parameter", "event", "count")
     found = {name: group[name][:] for name in names if name in group}
     texts = {name: json.dumps([str(one) for one in values]) for name, values in found.items() if name != "t"}
-    return _checksum({"t": found["t"]} if "t" in found else {}, {}, texts) >> 1  # of 63 bits, which any reader of JSON has
+    times = {"t": found["t"]} if "t" in found else {}
+    return _checksum(times, {}, texts) >> 1  # 63 bits fit the integers of any reader of JSON
 
 
 def _checksum(arrays: Mapping[str, Array], events: Mapping[str, Array], texts: Mapping[str, str]) -> int:

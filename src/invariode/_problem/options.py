@@ -336,13 +336,14 @@ class RunningOptions(TypedDict, total=False):
         ),
     ]
     on_failure: Annotated[
-        OnFailure,
+        OnFailure | None,
         Option(
-            "return",
-            "{'return', 'warn', 'raise'}",
+            None,
+            "{'return', 'warn', 'raise'}, optional",
             "If a run ends with a negative status: return the results so far, return them with a `FailureWarning`, or "
-            "raise a `SolveError` (for status -2 an `InvariantError`), whose `solution` holds them. Of the failed "
-            "trajectories of an ensemble one warning or error tells how many they are, and why the first one failed.",
+            "raise a `SolveError`, whose `solution` holds them. Default: return them, but raise an `InvariantError` "
+            "for status -2, an invariant that f contradicts, as at the start of a run. For an ensemble one warning or "
+            "error gives the number of failed trajectories, and why the first one failed.",
             partial(choice, known=get_args(OnFailure)),
         ),
     ]
@@ -638,7 +639,7 @@ class ExtensionOptions(TypedDict, total=False):
     check: bool | Literal["strict"]
     max_steps: int | None
     limits: Limits | None
-    on_failure: OnFailure
+    on_failure: OnFailure | None
     on_interrupt: OnInterrupt
     progress: bool
 

@@ -347,8 +347,8 @@ def _not_conserved(run: Run, laws: Laws) -> str:
         )
     text = (
         f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
-        f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
-        "terms; for an invariant this is roundoff). "
+        f"manifold, it changes at the rate {run.finding_size:.6g}, {run.finding_distance:.1e} of the size of its "
+        "terms; the terms of a conserved quantity cancel to about 1e-16. "
     )
     if demanded[run.finding_invariant]:
         text += (
@@ -356,7 +356,10 @@ def _not_conserved(run: Run, laws: Laws) -> str:
             "with it; or the formula is wrong, or not smooth there, like abs at 0. "
         )
     else:
-        text += "This is not an invariant of fun: check its formula and the parameters. "
+        text += (
+            "Check its formula and the parameters; a quantity that friction diminishes is a Dissipated one, and an "
+            "applied force or a source changes its own share. "
+        )
     return text + "check=False switches this test off."
 
 

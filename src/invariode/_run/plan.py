@@ -173,7 +173,7 @@ class Plan(NamedTuple):
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
-    on_failure: OnFailure
+    on_failure: OnFailure | None
     checkpoint: Checkpoint | None
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series

@@ -249,18 +249,20 @@ def _solved(plan: Plan, source: Solved) -> Solution:
     return concluded(sol, plan.on_failure)
 
 
-def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
-    """The solution as the user gets it; if it failed, with the warning that `on_failure` requests.
+def concluded(sol: Solution, on_failure: OnFailure | None) -> Solution:
+    """Return the solution as the user gets it; if it failed, with the warning that `on_failure` requests.
 
     Raises
     ------
     SolveError
         It failed, and is to raise.
+    InvariantError
+        f contradicts an invariant, and the solution is not to be returned.
     """
     y_events = sol["y_events"]  # items are faster than attributes: see `Result`
     if y_events is not None:
         sol["y_events"] = [at_events(states) for states in y_events]
-    if sol["success"] or on_failure == "return":
+    if sol["success"] or on_failure == "return" or (on_failure is None and sol["status"] != NOT_CONSERVED):
         return sol
     if on_failure == "warn":
         warn(sol.message, FailureWarning)

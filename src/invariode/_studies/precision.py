@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from .._base.arguments import EPS, Array
-from .._base.failures import InvariantError
 from .._base.types import MethodName
 from .._functions.graph.function import OnGraph
 from .._problem.grouped import Limits
@@ -223,8 +222,6 @@ def compare_runs(
         for rtol in rtols:
             options = {"method": method, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
             row = Row(method, rtol, *_measured(problem, plain, options, seconds, truth))
-            if row.projected and row.projected.problem == "refused":
-                raise InvariantError(row.projected.message)
             yield row
             if any(run is not None and run.problem == "too long" for run in (row.plain, row.projected)):
                 break
@@ -269,8 +266,6 @@ def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | Non
     problem, message = None, ""
     if sol.status == LIMIT_REACHED:
         problem = "too long"
-    elif sol.status == -2:
-        problem, message = "refused", sol.message
     elif sol.status == -1:
         problem, message = "failed", sol.message
     elif sol.status != truth.status:

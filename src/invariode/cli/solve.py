@@ -248,6 +248,7 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
         "t_eval": None if points is None else _times(problem, points),
         "refine": DENSE if dense else 1,
         "dense_output": dense,
+        "on_failure": "return",
     }
 
 
