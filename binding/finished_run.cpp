@@ -178,6 +178,12 @@ void define_summary_of_run(RunClass& run) {
         return usual && !remarkable && std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
       },
       "Whether its state says how it ended, and nothing besides is to be said.");
+  run.def_prop_ro(
+      "told",
+      [](const FinishedRun& self) {
+        return std::make_tuple(self.told.stiffness, self.told.discontinuities, self.told.sticking);
+      },
+      "Whether it was said while it went on that it is stiff, that f is discontinuous, and that the solution sticks.");
   property(run, "sticks_since", [](const RunResult& r) { return r.sticks_since; });
   run.def_prop_ro(
       "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },

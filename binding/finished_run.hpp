@@ -17,6 +17,11 @@ namespace invariode::binding {
 
 /// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
 struct FinishedRun {
+  /// Which of its warnings were given while it went on.
+  struct Told {
+    bool stiffness = false, discontinuities = false, sticking = false;
+  };
+
   RunResult result;
   std::optional<Dense> dense;
   RunMemory memory;
@@ -24,6 +29,7 @@ struct FinishedRun {
   // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
   std::vector<double> start = {}, value = {};
   bool points_taken = false;
+  Told told = {};
 };
 
 inline std::pair<Vector, Table> to_arrays(Trajectory&& points, std::size_t n) {

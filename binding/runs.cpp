@@ -162,6 +162,49 @@ class Keeper {
   std::optional<Clock::time_point> last_;  // none: the start is kept
 };
 
+/// Tells a Python function (stiff_since, discontinuities, sticks_since) what a run has established, as soon as it has
+/// gone on for a second, and when it is interrupted: a long run's warnings would come too late at its end. Empty, it
+/// costs nothing.
+class Remarks {
+ public:
+  explicit Remarks(const nb::object& function) : function_(function) {}
+
+  explicit operator bool() const { return !function_.is_none(); }
+  [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
+  /// With the interpreter held. False: the function raised, as a warning does that a filter makes an error.
+  bool tell(const Integration& integration) {
+    if (!*this) return true;
+    next_ = Clock::now() + patience;
+    const Stiffness stiffness = integration.stiffness();
+    const DiscontinuityDetector& jumps = integration.discontinuities();
+    const bool stiff = stiffness.found && !told_.stiffness;
+    const bool jumped = (!jumps.found().empty() && !told_.discontinuities) || (jumps.sticks_since() && !told_.sticking);
+    if (!stiff && !jumped) return true;
+    told_.stiffness = told_.stiffness || stiff;
+    told_.discontinuities = told_.discontinuities || jumped;
+    told_.sticking = told_.sticking || jumps.sticks_since();
+    try {
+      in_python([&] {
+        function_(stiff ? std::optional(stiffness.since) : std::nullopt,
+                  jumped ? jumps.found() : std::vector<double>(), jumped ? jumps.sticks_since() : std::nullopt);
+      });
+    } catch (nb::python_error& error) {
+      error.restore();
+      return false;
+    }
+    return true;
+  }
+  [[nodiscard]] const FinishedRun::Told& told() const { return told_; }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  static constexpr auto patience = std::chrono::seconds(1);
+
+  const nb::object& function_;
+  Clock::time_point next_ = Clock::now() + patience;
+  FinishedRun::Told told_;
+};
+
 /// Where a run begins: at a state, or where another one was.
 struct Beginning {
   const double* y0 = nullptr;
@@ -174,8 +217,8 @@ struct Beginning {
 /// A run, with what reports on it and keeps it on the way.
 class DrivenRun {
  public:
-  DrivenRun(Run& run, const Solver& solver, Progress progress, Keeper keeper)
-      : run_(run), solver_(solver), progress_(progress), keeper_(std::move(keeper)) {}
+  DrivenRun(Run& run, const Solver& solver, Progress progress, Keeper keeper, Remarks remarks)
+      : run_(run), solver_(solver), progress_(progress), keeper_(std::move(keeper)), remarks_(remarks) {}
 
   /// A run whose functions are all native does not hold the interpreter, but now and then, to look for signals and to
   /// tell how far it is. False: a signal's handler has raised, or what it called.
@@ -188,29 +231,37 @@ class DrivenRun {
 
   /// The same with the interpreter held; the functions look for signals.
   bool with_interpreter(const Beginning& begin) {
-    if (begin(run_) != State::running) return true;
-    if (!progress_ && !keeper_) {
-      run_.run();
+    if (keeper_ && begin(run_) == State::running) {  // its start is kept before the first step
+      do
+        if (!tell_if_due()) return false;
+      while (run_.advance() == State::running);
       return true;
     }
-    do
-      if (!tell_if_due()) return false;
-    while (run_.advance() == State::running);
-    return true;
+    if (keeper_) return true;
+    return run_watched(run_, [&] { return begin(run_); }, [&] { return tell_if_due(); });
   }
 
   /// That it has ended.
   bool tell_the_end() { return progress_.tell(run_.integration()) && keeper_.keep(run_, solver_); }
 
+  /// What it had established when it was interrupted; the exception stays the one that is on its way.
+  void tell_the_interruption() {
+    const nb::error_scope pending;
+    if (!remarks_.tell(run_.integration())) PyErr_Clear();
+  }
+  [[nodiscard]] const FinishedRun::Told& told() const { return remarks_.told(); }
+
  private:
   bool tell_if_due() {
-    return (!progress_.due() || progress_.tell(run_.integration())) && (!keeper_.due() || keeper_.keep(run_, solver_));
+    return (!progress_.due() || progress_.tell(run_.integration())) &&
+           (!keeper_.due() || keeper_.keep(run_, solver_)) && (!remarks_.due() || remarks_.tell(run_.integration()));
   }
 
   Run& run_;
   const Solver& solver_;
   Progress progress_;
   Keeper keeper_;
+  Remarks remarks_;
 };
 
 /// A wish to end a run, which another thread or a handler of signals makes while it goes on.
@@ -219,34 +270,38 @@ struct StopRequest {
 };
 
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
-                  const nb::object& kept, double every, bool remember = true) {
-  DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every));
+                  const nb::object& kept, double every, const nb::object& remarks, bool remember = true) {
+  DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every), Remarks(remarks));
   self.bound.forget_overflows();
   const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
   if (!finished || run.integration().state() == State::interrupted || self.bound.raise_overflow(run.integration()) ||
-      !driven.tell_the_end())
+      !driven.tell_the_end()) {
+    driven.tell_the_interruption();
     throw nb::python_error();
+  }
   self.bound.forget_overflows();
-  return finish(run, self.solver, remember);
+  FinishedRun finished_run = finish(run, self.solver, remember);
+  finished_run.told = driven.told();
+  return finished_run;
 }
 
 FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::object& progress, StopRequest* request,
-                  const nb::object& kept, double every) {
+                  const nb::object& kept, double every, const nb::object& remarks) {
   Run run(self.solver);
   if (request != nullptr) run.integration().stop_on(request->made);
-  return drive(run, self, begin, progress, kept, every);
+  return drive(run, self, begin, progress, kept, every, remarks);
 }
 
 FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& progress, StopRequest* request,
-                      const nb::object& kept, double every) {
+                      const nb::object& kept, double every, const nb::object& remarks) {
   require_state(y0, self.solver.problem().extent().size());
-  return drive(self, {.y0 = y0.data()}, progress, request, kept, every);
+  return drive(self, {.y0 = y0.data()}, progress, request, kept, every, remarks);
 }
 
 FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, const nb::object& progress,
-                   StopRequest* request, const nb::object& kept, double every) {
+                   StopRequest* request, const nb::object& kept, double every, const nb::object& remarks) {
   const auto* bytes = static_cast<const std::byte*>(memory.data());
-  return drive(self, {.memory = {bytes, memory.size()}, .anew = anew}, progress, request, kept, every);
+  return drive(self, {.memory = {bytes, memory.size()}, .anew = anew}, progress, request, kept, every, remarks);
 }
 
 /// Writes floats, in a tuple or an array, to the parameters. False: some are not floats, or their number is wrong.
@@ -288,7 +343,7 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
     value = g->value();
   }
   const nb::object nobody = nb::none();
-  FinishedRun finished = drive(run, self, {.y0 = start.data()}, nobody, nobody, 0);
+  FinishedRun finished = drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, nobody);
   finished.result.ng -= run.evaluations_of_prepare();
   finished.start = start;
   finished.value = std::move(value);
@@ -322,7 +377,7 @@ using Course = std::tuple<double, double, double, nb::object, std::int64_t, std:
 
 /// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
 FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
-                            nb::handle breakpoints, StepLimit* limit, bool remember) {
+                            nb::handle breakpoints, StepLimit* limit, bool remember, const nb::object& remarks) {
   const std::span<const double> start = numbers_of(y0);
   require_state(start, self.solver.problem().extent().size());
   Settings settings = self.solver.settings();
@@ -337,7 +392,7 @@ FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, n
                   limit == nullptr ? Callback() : limit->callback());
   const nb::object nobody = nb::none();
   Run run(self.solver);
-  return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remember);
+  return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remarks, remember);
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -570,10 +625,11 @@ void define_other_runs(nb::class_<BoundSolver>& solver) {
            "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
       .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
            nb::arg("breakpoints") = nb::none(), nb::arg("limit") = nb::none(), nb::arg("remember") = true,
+           nb::arg("remarks") = nb::none(),
            "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
            "with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without "
            "actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be "
-           "resumed.");
+           "resumed. `remarks`: as in `integrate`.");
 }
 
 void define_solver(nb::module_& module) {
@@ -623,12 +679,14 @@ void define_solver(nb::module_& module) {
           },
           "What a mechanical system has cost so far: calls of its functions and factorisations.")
       .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
-           nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
+           nb::arg("keep") = nb::none(), nb::arg("every") = 0.0, nb::arg("remarks") = nb::none(),
            "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
            "ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, "
-           "and at the end, with a Run of what has come since the last time.")
+           "and at the end, with a Run of what has come since the last time. remarks(stiff_since, discontinuities, "
+           "sticks_since) is called once a second if there is something new, and when the run is interrupted.")
       .def("resume", &resume, nb::arg("memory"), nb::arg("anew"), nb::arg("progress") = nb::none(),
            nb::arg("request") = nb::none(), nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
+           nb::arg("remarks") = nb::none(),
            "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.");
 }
 

@@ -520,6 +520,12 @@ class Run:
         """
 
     @property
+    def told(self) -> tuple[bool, bool, bool]:
+        """
+        Whether it was said while it went on that it is stiff, that f is discontinuous, and that the solution sticks.
+        """
+
+    @property
     def sticks_since(self) -> float | None: ...
 
     @property
@@ -602,9 +608,9 @@ class Solver:
         Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
         """
 
-    def integrate_other(self, fun: object, args: tuple, y0: object, course: tuple[float, float, float, object, int, int], breakpoints: object | None = None, limit: StepLimit | None = None, remember: bool = True) -> Run:
+    def integrate_other(self, fun: object, args: tuple, y0: object, course: tuple[float, float, float, object, int, int], breakpoints: object | None = None, limit: StepLimit | None = None, remember: bool = True, remarks: object | None = None) -> Run:
         """
-        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be resumed.
+        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be resumed. `remarks`: as in `integrate`.
         """
 
     @property
@@ -630,12 +636,12 @@ class Solver:
         What a mechanical system has cost so far: calls of its functions and factorisations.
         """
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0, remarks: object | None = None) -> Run:
         """
-        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, and at the end, with a Run of what has come since the last time.
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, and at the end, with a Run of what has come since the last time. remarks(stiff_since, discontinuities, sticks_since) is called once a second if there is something new, and when the run is interrupted.
         """
 
-    def resume(self, memory: bytes, anew: bool, progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
+    def resume(self, memory: bytes, anew: bool, progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0, remarks: object | None = None) -> Run:
         """
         Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.
         """

@@ -7,7 +7,7 @@ three stages: functions, linear algebra, invariants.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -49,14 +49,17 @@ from .._problem.options import Options, checked
 from .._results.messages import (
     MESSAGES,
     Laws,
+    discontinuous,
     inconsistent_start,
     limit_reached,
+    limited_by_stability,
     out_of_bounds,
     refusal,
     remarked,
     status_and_message,
+    sticking,
 )
-from .._results.result import LIMIT_REACHED, NOT_CONSERVED, Names
+from .._results.result import LIMIT_REACHED, NOT_CONSERVED, DiscontinuityWarning, Names, StiffnessWarning
 from .second_order import require_second_order
 
 if TYPE_CHECKING:
@@ -217,6 +220,16 @@ class Plan(NamedTuple):
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
+    @property
+    def remarks(self) -> Callable[..., None] | None:
+        """What is told of the run while it goes on. Of discontinuities that sensitivities follow nothing is said, and
+        which these are shows at the end."""
+        return partial(say_established, self.method.name) if self.varied is None else None
+
+    def follows(self, run: _core.Run) -> bool:
+        """Whether the sensitivities follow all discontinuities of f in the run."""
+        return self.varied is not None and run.sticks_since is None and self.varied.has_followed(run.discontinuities)
+
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
         status, message = self._verdict(run)
@@ -259,6 +272,19 @@ class Plan(NamedTuple):
             what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
             return ValueError(f"the action {what} returned NaN at t = {run.t}")
         return None
+
+
+def say_established(
+    method: str, stiff_since: float | None, discontinuities: list[float], sticks_since: float | None
+) -> None:
+    """Warn of what the steps of a run have established: stiffness, and discontinuities of f or a solution that sticks
+    there."""
+    if stiff_since is not None:
+        warn(f"{method}: {limited_by_stability(stiff_since)}", StiffnessWarning)
+    if sticks_since is not None:
+        warn(f"{method}: {sticking(sticks_since)}", DiscontinuityWarning)
+    elif discontinuities:
+        warn(f"{method}: {discontinuous(discontinuities)}", DiscontinuityWarning)
 
 
 def solver(plan: Plan) -> _core.Solver:
@@ -305,7 +331,7 @@ def choose(method: MethodName, given: Options) -> Choice:
 def planned(problem: Description, choice: Choice) -> Plan:
     """The plan of a problem for the method and the options."""
     chosen, options, settings = choice
-    renew(_called(problem, options["breakpoints"] or (), options["linear_solver"]))
+    renew(_called(problem, [], options["linear_solver"]))
     by_series = chosen.equations == "graph"
     if by_series:
         from .expansion import on_graph
@@ -318,6 +344,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
+    renew(point.action for point in breakpoints)
     traced = problem.fun if by_series else _with_graph(problem, chosen)
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
     if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
@@ -555,7 +582,7 @@ def _native_functions(
     return p, problem.slope.for_core(problem.y0, p)
 
 
-def _called(problem: Description, breakpoints: Iterable[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
+def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
     yield from (problem.fun, problem.matrices.jac)
     if isinstance(chosen, GMRES):
         yield chosen.jac_product

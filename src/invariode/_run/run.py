@@ -26,11 +26,10 @@ from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
 from .._results.messages import (
     MESSAGES,
-    about_jumps,
+    accumulating,
     complex_steps_left,
     formed,
     harmful_projection,
-    limited_by_stability,
     misfit,
 )
 from .._results.result import (
@@ -41,7 +40,6 @@ from .._results.result import (
     DiscontinuityWarning,
     Stats,
     Steps,
-    StiffnessWarning,
     at_events,
 )
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
@@ -53,7 +51,7 @@ from .checkpoint import RunFiles
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
-from .plan import Plan, make_plan, ordered_breakpoints, solver
+from .plan import Plan, make_plan, ordered_breakpoints, say_established, solver
 from .second_order import require_no_velocities
 from .sections import Sectioned, SectionedSolution
 from .template import Template, plan_or_template
@@ -396,13 +394,17 @@ def _warn(finished: Finished) -> None:
 
 
 def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
-    if run.stiff:
-        warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
-    followed = plan.varied is not None and plan.varied.has_followed(run.discontinuities)
-    if followed and run.sticks_since is None and run.accumulation is None:
-        return
-    for text in about_jumps(run, plan.event_names):
-        warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
+    """Warn of what the steps have shown, as far as it was not said while the run went on."""
+    told_stiffness, told_discontinuities, told_sticking = run.told
+    say_established(
+        plan.method.name,
+        run.stiff_since if run.stiff and not told_stiffness else None,
+        [] if told_discontinuities or plan.follows(run) else run.discontinuities,
+        None if told_sticking else run.sticks_since,
+    )
+    if run.accumulation is not None:
+        event, t, interval, count = run.accumulation
+        warn(f"{plan.method.name}: {accumulating(plan.event_names[event], t, interval, count)}", DiscontinuityWarning)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
@@ -441,8 +443,8 @@ def _integrated(
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
-            return core.resume(*resumed, report, request, keep, every)
-        return core.integrate(plan.start, report, request, keep, every)
+            return core.resume(*resumed, report, request, keep, every, plan.remarks)
+        return core.integrate(plan.start, report, request, keep, every, plan.remarks)
 
 
 def _solution(finished: Finished) -> Solution:

@@ -45,6 +45,7 @@ class Template:
         self.plan = plan._replace(
             settings=choice.settings, functions=functions, y0=plan.y0[:0].copy(), bound=self._nothing_held
         )
+        self._remarks = self.plan.remarks
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
 
@@ -63,7 +64,9 @@ class Template:
             core = None
         if core is None:
             core = _solver_for_all(planned(problem._described(), self._choice))
-        run = core.integrate_other(problem.fun, problem.args, problem.y0, course, breaks, limit, remember)
+        run = core.integrate_other(
+            problem.fun, problem.args, problem.y0, course, breaks, limit, remember, self._remarks
+        )
         self._idle.append(core)  # but not after an exception
         return run, course
 
