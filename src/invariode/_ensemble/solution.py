@@ -330,6 +330,7 @@ class EnsembleSolution:
                 "_drift": self._drift(i, about, stats, known=len(invariants) > 0),
                 "_names": Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
                 "_sensitivities": S,
+                "_y_end": self.y_end[i],
                 "_origin": None,
             },
             t=t[reached],

@@ -445,6 +445,7 @@ class Result(dict[str, Any]):
     _drift: BeforeProjection
     _names: Names
     _sensitivities: SensitivityData | None
+    _y_end: Array
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
     def __init__(self, private: Mapping[str, Any] | Callable[[], Mapping[str, Any]], /, **fields: Any) -> None:
@@ -495,6 +496,11 @@ class Result(dict[str, Any]):
 
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
+
+    @property
+    def y_end(self) -> Array:
+        """The state at `t_end`, of shape (n,), whatever the output holds: behind the last jump there."""
+        return self._y_end
 
     @property
     def sensitivities(self) -> Array | Any:

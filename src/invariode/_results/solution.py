@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, flag, warn
@@ -63,6 +64,8 @@ class Solution(Exports):
     t_end : float
         Where the run ended: the end of the interval, or where an event, the callback or a failure ended it. The output
         may end earlier.
+    y_end : ndarray, (n,)
+        The state at `t_end`, behind the last jump there. The output need not hold it: `t_eval` may end earlier.
 
     Notes
     -----
@@ -106,8 +109,10 @@ class Solution(Exports):
             ]
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
+        end = np.array([self.t_end])
+        y_end = project(end, self.y_end[:, None], g.pieces_at(end, "right"))[:, 0]
         origin = self._origin and self._origin.imposing()
-        return self.changed(y=y, y_events=events, sol=dense, _origin=origin)
+        return self.changed(y=y, y_events=events, sol=dense, _y_end=y_end, _origin=origin)
 
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.

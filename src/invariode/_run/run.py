@@ -343,6 +343,7 @@ class Finished:
             "_drift": BeforeProjection(*run.drift) if plan.names else _NO_DRIFT,
             "_names": plan.called,
             "_sensitivities": self.sensitivities,
+            "_y_end": y_end,
             "_origin": RunOrigin(
                 self.source,
                 run.t_end,

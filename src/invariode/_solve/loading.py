@@ -250,6 +250,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
             ),
             "_names": Names(**fields["names"]),
             "_sensitivities": _sensitivities(fields, each),
+            "_y_end": fields["y_end"],
             "_origin": None,
         },
         t=fields["t"],
