@@ -357,7 +357,16 @@ void Functions::lend(nb::object f, nb::tuple args) {
   exchangeable_->exchange(std::move(f), std::move(args));
 }
 
-Callback Functions::scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}, space_.complex); }
+Callback Functions::events(nb::handle f, const std::string& name, std::size_t count) {
+  return add(f, args_, name, {.kind = Returns::Kind::conditions, .rows = static_cast<std::ptrdiff_t>(count)},
+             space_.complex);
+}
+
+Callback Functions::action_of_vector(nb::handle f, const std::string& name, std::size_t count) {
+  const auto n = static_cast<std::ptrdiff_t>(space_.components());
+  return add(f, args_, name, {.rows = n, .complex = space_.complex},
+             Takes{.n = n + static_cast<std::ptrdiff_t>(count), .complex = space_.complex});
+}
 
 class OwnedStepLimit final : public Callable {
  public:

@@ -122,7 +122,8 @@ class Callable {
 
 /// What a Python function is to return: rows × columns numbers; vectors have one column.
 struct Returns {
-  enum class Kind { values, truth } kind = Kind::values;
+  /// `conditions`: values, of which those that are true or false count as 1 or −1.
+  enum class Kind { values, truth, conditions } kind = Kind::values;
   std::ptrdiff_t rows = 1;
   std::ptrdiff_t columns = 1;
   bool matrix = false;
@@ -156,8 +157,11 @@ class Functions {
   Callback slope(nb::handle f, const std::string& name);
   /// Puts a Python function and its further arguments in the place of the exchangeable one, which must be Python's.
   void lend(nb::object f, nb::tuple args);
-  /// f(t, y) -> number
-  Callback scalar(nb::handle f, const std::string& name);
+  /// An event, f(t, y) -> number, or `count` events: truth values are conditions, 1 or −1.
+  Callback event(nb::handle f, const std::string& name) { return events(f, name, 1); }
+  Callback events(nb::handle f, const std::string& name, std::size_t count);
+  /// (t, (y, d)) -> y, with `count` numbers d.
+  Callback action_of_vector(nb::handle f, const std::string& name, std::size_t count);
   /// f(t, y), without args, -> true or false
   Callback truth(nb::handle f, const std::string& name);
   /// f(t, y) -> (m,); the same of a complex y, though the problem is real

@@ -113,6 +113,7 @@ void define_report_of_run(RunClass& run) {
   property(run, "undefined_mass", [](const RunResult& r) { return r.report.linear.undefined_mass; });
   property(run, "undefined_jacobian", [](const RunResult& r) { return r.report.linear.undefined_jacobian; });
   property(run, "event", [](const RunResult& r) { return r.report.event; });
+  property(run, "circle", [](const RunResult& r) { return r.report.circle; });
   property(run, "limit", [](const RunResult& r) { return name_of(r.report.limit); });
   property(run, "steps_to_limit", [](const RunResult& r) { return r.report.steps; });
   property(run, "seconds_to_limit", [](const RunResult& r) { return r.report.seconds; });

@@ -82,7 +82,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
 
 EventFunction make_event(const EventSpec& spec, Functions& functions) {
   EventFunction event;
-  event.function = functions.scalar(spec.fun, "event " + spec.name);
+  if (!spec.fun.is_none()) event.function = functions.event(spec.fun, "event " + spec.name);
   event.terminal = spec.terminal;
   event.direction = spec.direction;
   if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of event " + spec.name);
@@ -90,7 +90,17 @@ EventFunction make_event(const EventSpec& spec, Functions& functions) {
   event.samples = spec.samples;
   if (spec.series) event.series = functions.series(*spec.series);
   event.touching = spec.touching;
+  event.at_jumps = spec.at_jumps;
   return event;
+}
+
+/// Its components are the events from `first` on, which have no function of their own.
+RootVector make_vector(const VectorSpec& spec, std::size_t number, Functions& functions,
+                       std::vector<EventFunction>& events) {
+  if (spec.first + spec.count > events.size()) throw std::invalid_argument("a vector has more events than there are");
+  for (std::size_t k = 0; k < spec.count; ++k) events[spec.first + k].vector = number;
+  return {functions.events(spec.fun, "fun of " + spec.name, spec.count), spec.first, spec.count,
+          functions.action_of_vector(spec.action, "on_roots of " + spec.name, spec.count)};
 }
 
 Breakpoint make_breakpoint(const BreakpointSpec& spec, Functions& functions) {
@@ -213,6 +223,10 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.value = spec.value;
   if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
+  for (const VectorSpec& one : spec.vectors)
+    problem_.vectors.push_back(make_vector(one, problem_.vectors.size(), functions_, problem_.events));
+  for (const EventFunction& event : problem_.events)
+    if (event.vector == EventFunction::alone && !event.function) throw std::invalid_argument("an event has no function");
   if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
   if (spec.variations) add_variations(*spec.variations, functions_, problem_);
@@ -245,6 +259,7 @@ int ProblemSpec::visit(visitproc visit, void* arg) const {
       if (stop == 0) stop = one.visit(visit, arg);
   };
   visit_each(events);
+  visit_each(vectors);
   visit_each(breakpoints);
   visit_each(invariants);
   return stop;
@@ -273,14 +288,25 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](EventSpec* self, nb::object fun, std::int64_t terminal, int direction, std::string name, nb::object action,
-             bool rehold, int samples, std::optional<SeriesSpec> series, bool touching) {
+             bool rehold, int samples, std::optional<SeriesSpec> series, bool touching, bool at_jumps) {
             new (self) EventSpec{std::move(fun), terminal, direction,         std::move(name), std::move(action),
-                                 rehold,         samples,  std::move(series), touching};
+                                 rehold,         samples,  std::move(series), touching,        at_jumps};
           },
-          nb::arg("fun"), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
+          nb::arg("fun").none(), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
           nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
-          "samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods "
-          "whose steps are such. touching: zeros without a change of sign are reported too.");
+          nb::arg("at_jumps") = true,
+          "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods "
+          "whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where "
+          "jumps change its sign.");
+  nb::class_<VectorSpec>(module, "RootVector", nb::type_slots(slots<VectorSpec>),
+                         "Events that are one function with one action, for the core.")
+      .def(
+          "__init__",
+          [](VectorSpec* self, nb::object fun, std::size_t first, std::size_t count, std::string name,
+             nb::object action) {
+            new (self) VectorSpec{std::move(fun), first, count, std::move(name), std::move(action)};
+          },
+          nb::arg("fun"), nb::arg("first"), nb::arg("count"), nb::arg("name"), nb::arg("action"));
 }
 
 void define_linear(nb::module_& module) {
@@ -351,7 +377,7 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
+             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
              const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper,
              std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
              std::optional<SeriesSpec> conditions, std::size_t condition_count) {
@@ -362,6 +388,7 @@ void define_description(nb::module_& module) {
                                    to_vector(parameters),
                                    std::move(linear),
                                    std::move(events),
+                                   std::move(vectors),
                                    std::move(breakpoints),
                                    std::move(callback),
                                    std::move(invariants),
@@ -375,6 +402,7 @@ void define_description(nb::module_& module) {
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
+          nb::arg("vectors") = nb::list(),
           nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
           nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
           nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(),

@@ -46,8 +46,19 @@ struct EventSpec {
   int samples;
   std::optional<SeriesSpec> series;  // along polynomials
   bool touching = false;
+  bool at_jumps = true;
 
   int visit(visitproc visit, void* arg) const;
+};
+
+/// Events that are one function with one action; they follow in the list of events from number `first` on.
+struct VectorSpec {
+  nb::object fun;
+  std::size_t first, count;
+  std::string name;
+  nb::object action;  // (t, (y, d)) -> y
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, action}); }
 };
 
 /// A breakpoint: its time, and its action or None.
@@ -97,6 +108,7 @@ struct ProblemSpec {
   std::vector<double> parameters;
   std::optional<LinearSpec> linear;
   std::vector<EventSpec> events;
+  std::vector<VectorSpec> vectors;
   std::vector<BreakpointSpec> breakpoints;
   nb::object callback;
   std::vector<InvariantSpec> invariants;

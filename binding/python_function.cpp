@@ -175,6 +175,10 @@ bool PythonFunction::read_sequence(PyObject* result, double* out) const {
       if (to[0] != -1.0 || PyErr_Occurred() == nullptr) return true;
       PyErr_Clear();
     }
+    if (returns_.kind == Returns::Kind::conditions && (PyBool_Check(item) || PyArray_IsScalar(item, Bool))) {
+      to[0] = PyObject_IsTrue(item) == 1 ? 1 : -1;
+      return true;
+    }
     return false;
   };
   const npy_intp size = returns_.size();
@@ -221,11 +225,14 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
     return false;
   }
   if (PyArray_ISOBJECT(array)) return read_objects(array, out);
+  const bool conditions = returns_.kind == Returns::Kind::conditions && PyArray_ISBOOL(array);
   PyObject* converted = PyArray_FromAny(reinterpret_cast<PyObject*>(array), PyArray_DescrFromType(type), 0, 0,
                                         NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST, nullptr);
   if (converted == nullptr) return false;
   copy(reinterpret_cast<PyArrayObject*>(converted));
   Py_DECREF(converted);
+  if (conditions)
+    for (npy_intp i = 0; i < returns_.size(); ++i) out[i] = 2 * out[i] - 1;
   return true;
 }
 

@@ -20,29 +20,29 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       weights_(weights),
       settings_(std::move(settings)),
       bounded_slope_(functions.bounded_slope),
-      consistent_(std::move(functions.consistent)),
-      consistent_tangent_(std::move(functions.consistent_tangent)),
+      consistent_(functions.consistent),
       callback_(functions.callback),
       extent_(Extent::within(weights.size(), step_->n())),
       n_(extent_.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       aim_(forward_, settings_.hmax),
-      manifold_(manifold, weights, settings_, *step_, !functions.events.empty()),
+      manifold_(manifold, weights, settings_, *step_, !functions.events.empty() || !functions.breakpoints.empty()),
       initial_checks_(manifold_, weights, settings_, report_),
       breaks_(std::move(functions.breakpoints), functions.piece, settings_.tf),
       limits_(settings_),
       stiffness_(weights),
       discontinuities_(functions.f, weights),
-      events_(std::move(functions.events), n_, step_->max_degree()),
+      events_(std::move(functions.events), std::move(functions.vectors), n_, step_->max_degree()),
       interpolant_(*step_, extent_, settings_.interpolation, manifold_.output_projector(), manifold_.output_tangent(),
                    manifold_.projector(), manifold_.bounds()),
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
+      jumps_({events_, breaks_, manifold_, initial_checks_, report_, emitter_.output.occurrences},
+             std::move(functions.consistent), std::move(functions.consistent_tangent), extent_),
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
   if (!events_.empty()) event_y_.resize(n_);
-  if (!events_.empty() || !breaks_.empty()) before_.resize(n_ + extent_.n);
 }
 
 bool Integration::end(State state) {
@@ -73,7 +73,7 @@ State Integration::start(const double* y0) {
   report_.t = t;
   breaks_.start(t);
   if (const State found = initial_checks_.inspect(y); found != State::created) return state_ = found;
-  if (consistent_tangent_ && !unless_stopped(consistent_tangent_(t, y))) return state_;
+  if (jumps_.follow_equations(t, y) == State::interrupted) return state_ = State::interrupted;
   if (!unless_stopped(manifold_.start(t, y))) return state_;
   emitter_.begin(reached_);
   const bool breaks = breaks_.at(t);
@@ -85,7 +85,7 @@ State Integration::start(const double* y0) {
       found != State::created)
     return state_ = found;
   if (!watch_events(events_.start(t, y))) return state_;
-  if (breaks && !pass_breakpoint()) return state_;
+  if (breaks && !land({.acts = false, .breaks = true, .noted = true})) return state_;
   if (t == settings_.tf || n_ == 0)
     nothing_to_integrate();
   else
@@ -373,10 +373,9 @@ bool Integration::conclude() {
   if (stop != 0)  // the jump does not come
     return unless_stopped(emitter_.emit_times(reached_, false)) && end(State::stopped_by_callback);
   if (keeps_last_ && !keep_step_before_jump()) return false;
-  if (events_.acts() && !jump()) return false;
-  if (!aim_.lands()) return true;
-  if (breaks_.at(reached_.t) && !(note_values() && pass_breakpoint())) return false;
-  return t != settings_.tf || end(State::reached_end);
+  const bool breaks = aim_.lands() && breaks_.at(t);
+  if ((events_.acts() || breaks) && !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()})) return false;
+  return !aim_.lands() || t != settings_.tf || end(State::reached_end);
 }
 
 /// Unless the run is asked to stop, or a limit is reached.
@@ -418,37 +417,33 @@ void Integration::discard_step(const double* y) {
   reached_.y = y0_.data();
 }
 
-/// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they
-/// return, put back onto constraints of velocities.
-bool Integration::jump() {
-  discard_step(event_y_.data());
+/// Carries the solution over what happens at the point reached, and starts the method again behind it.
+bool Integration::land(const Landing& at) {
+  const double t = reached_.t;
+  discard_step(reached_.y);
   left_ = y0_;
-  bool rehold = true;
-  return take_actions(rehold) ? go_on_from_jump(rehold) : take_back();
-}
-
-/// `rehold`: every event that acts asks for it.
-bool Integration::take_actions(bool& rehold) {
-  for (const Occurrence& occurrence : events_.occurrences()) {
-    EventFunction& function = events_.function(occurrence.event);
-    if (occurrence.t != reached_.t || !function.action) continue;
-    rehold = rehold && function.rehold;
-    report_.event = occurrence.event;
-    if (!take(function.action, function.jump)) return false;
+  double* Y = y0_.data();
+  limits_.look_soon();
+  State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
+  bool jumps = at.acts;
+  if (at.breaks && state == State::running) {
+    if (!at.noted && !note_values()) return take_back();
+    begin_piece();
+    state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
+    jumps = jumps || jumps_.acted() || jumps_.moved();
   }
-  return true;
-}
-
-/// The solution after the jump into the start of the next step.
-bool Integration::take(Callback& action, Callback& jump) {
-  assert(before_.size() == n_ + extent_.n);
-  double* y_after = std::copy(y0_.begin(), y0_.end(), before_.data());
-  if (!unless_stopped(action(reached_.t, before_.data(), y0_.data()))) return false;
-  if (jump) {
-    std::copy_n(y0_.data(), extent_.n, y_after);
-    if (!unless_stopped(jump(reached_.t, before_.data(), y0_.data() + extent_.n))) return false;
+  if (state == State::terminal_event) {
+    begin_output();
+    return emit(false) && end(state);
   }
-  return all_finite(y0_.data(), n_) || end(State::action_undefined);
+  if (state != State::running) {
+    end(state);
+    return take_back();
+  }
+  if (jumps) return go_on_from_jump();
+  if (jumps_.others() && !hold_other_values()) return take_back();
+  if (t != settings_.tf && !start_memory(t, Y)) return false;
+  return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
 /// There is no way on from what the actions return: the run ends before them. False.
@@ -457,18 +452,11 @@ bool Integration::take_back() {
   return false;
 }
 
-/// Holds the invariants at the start of the next step, where the solution has jumped to, and starts again.
-bool Integration::go_on_from_jump(bool rehold) {
-  const double t = reached_.t;
-  double* y = y0_.data();
-  if (!initial_checks_.move_within_bounds(y)) {
-    end(State::action_out_of_bounds);
-    return take_back();
-  }
-  if (!refuse(manifold_.restart(t, y, rehold))) return take_back();
+/// Starts again from where the solution has jumped to.
+bool Integration::go_on_from_jump() {
   begin_output();
-  if (t != settings_.tf && !start_memory(t, y)) return false;
-  return watch_events(events_.restart(t, y)) && emit(breaks_.at(t));
+  if (reached_.t != settings_.tf && !start_memory(reached_.t, y0_.data())) return false;
+  return emit(false);
 }
 
 /// Steps go to the next breakpoint from now on.
@@ -479,27 +467,6 @@ void Integration::begin_piece() {
 
 /// The values of the invariants before a breakpoint.
 bool Integration::note_values() { return unless_stopped(manifold_.note_values(reached_.t, reached_.y)); }
-
-/// Starts again at the point reached, in the next piece, from what the actions return.
-bool Integration::pass_breakpoint() {
-  discard_step(reached_.y);
-  left_ = y0_;
-  begin_piece();
-  bool acts = false, moved = false, others = false;
-  for (; breaks_.at(reached_.t); breaks_.pass()) {
-    Breakpoint& point = breaks_.next();
-    if (!point.action) continue;
-    acts = true;
-    report_.event = events_.count() + breaks_.index();
-    if (!take(point.action, point.jump)) return take_back();
-  }
-  if (!make_consistent(moved)) return take_back();
-  if (!acts && !unless_stopped(manifold_.compare_values(reached_.t, reached_.y, others))) return take_back();
-  if (acts || moved) return go_on_from_jump(acts || others);
-  if (others && !hold_other_values()) return take_back();
-  if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
-  return unless_stopped(emitter_.emit_times(reached_, false));
-}
 
 /// The invariants jump though the solution does not, as the energy where a stiffness is switched: holds them at their
 /// values behind the breakpoint. Events go on.
@@ -516,20 +483,6 @@ void Integration::begin_output() {
   emitter_.begin({reached_.t, y0_.data()});
   const Invariants* invariants = manifold_.invariants();
   emitter_.jump(reached_.t, invariants != nullptr ? invariants->value() : std::vector<double>{});
-}
-
-/// Algebraic variables jump where their equations do.
-bool Integration::make_consistent(bool& moved) {
-  if (!consistent_) return true;
-  switch (consistent_(reached_.t, y0_.data())) {
-    case Consistency::corrected: moved = true; break;
-    case Consistency::stop: return end(State::interrupted);
-    case Consistency::not_found:
-    case Consistency::index_too_high: return end(State::restart_inconsistent);
-    case Consistency::consistent:
-    case Consistency::undefined: break;  // the restart says so
-  }
-  return !consistent_tangent_ || unless_stopped(consistent_tangent_(reached_.t, y0_.data()));
 }
 
 // ---------------------------------------------------------------------------------------------------------- afterwards

@@ -16,6 +16,7 @@
 #include "detect/stiffness.hpp"
 #include "implicit_interface.hpp"
 #include "initial_checks.hpp"
+#include "jumps.hpp"
 #include "limits.hpp"
 #include "linear/mass.hpp"
 #include "manifold/bounds.hpp"
@@ -36,6 +37,7 @@ struct LoopFunctions {
   Callback f;                             ///< jumps of f are looked for in it
   BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds; null: f itself
   std::vector<EventFunction> events;
+  std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations. An empty function if M is regular.
@@ -105,6 +107,13 @@ class Integration {
     bool reconciled = false;     // its start has been moved onto the algebraic equations
   };
 
+  /// A point where the solution may jump.
+  struct Landing {
+    bool acts, breaks;    // by the actions of events; at breakpoints
+    bool inside = false;  // of the step that has been searched for events
+    bool noted = false;   // the values of the invariants before it are known
+  };
+
   // What returns bool says whether the run goes on.
   bool end(State state);
   bool refuse(const Finding& finding);
@@ -137,15 +146,11 @@ class Integration {
   bool keep_step_before_jump();
   void move_start(double t, const double* y);
   void discard_step(const double* y);
-  bool jump();
-  bool take_actions(bool& rehold);
-  bool take(Callback& action, Callback& jump);
+  bool land(const Landing& at);
   bool take_back();
   void begin_piece();
   [[nodiscard]] bool note_values();
-  bool pass_breakpoint();
-  bool make_consistent(bool& moved);
-  bool go_on_from_jump(bool rehold);
+  bool go_on_from_jump();
   bool hold_other_values();
   void begin_output();
   bool goes_on();
@@ -158,7 +163,6 @@ class Integration {
   const Settings settings_;
   BoundedSlope* bounded_slope_;
   std::function<Consistency(double t, double* y)> consistent_;
-  std::function<Status(double t, double* Y)> consistent_tangent_;
   Callback callback_;
   Extent extent_;
   std::size_t n_;  // doubles of Y: of the state, and of its sensitivities
@@ -178,14 +182,15 @@ class Integration {
   Events events_;
   StepInterpolant interpolant_;
   Emitter emitter_;
+  Jumps jumps_;
 
   Attempted attempt_;
   double t0_ = 0;  // where the step starts
   std::vector<double> y0_;
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
-  std::vector<double> before_;           // an action: Y, and behind it the state after it
   std::vector<double> left_;             // Y where it jumps, before all actions
+  bool due_ = false;                     // the run that is continued ended before the actions of events
   bool keeps_last_ = false;              // see `keep_last_step`
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached

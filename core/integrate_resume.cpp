@@ -21,7 +21,8 @@ void Integration::state(Archive& archive) {
     std::copy(reached_.y, reached_.y + n_, y.begin());
     anew_ = !between_steps();
   }
-  archive(reached_.t, y, anew_, target, breaks_);
+  due_ = state_ == State::stopped_by_callback && events_.acts();
+  archive(reached_.t, y, anew_, target, due_, breaks_);
   archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
   manifold_.archive_drift(archive);
   archive(in_step_);  // interrupted between two attempts of a step: what comes next
@@ -52,11 +53,11 @@ State Integration::resume(bool anew) {
   if (state_ == State::interrupted) return state_;
   report_.t = reached_.t;
   anew = memory_outdated_ = anew || anew_;
-  if (anew && !breaks_.at(reached_.t)) {
-    bool moved = false;
-    if (!make_consistent(moved)) return state_;
-  }
-  if (!unless_stopped(emitter_.resume(reached_, breaks_.at(reached_.t)))) return state_;
+  const bool lands = due_ || breaks_.at(reached_.t);
+  if (anew && !lands)
+    if (const State state = jumps_.onto_equations(reached_.t, y0_.data()); state != State::running)
+      return state_ = state;
+  if (!unless_stopped(emitter_.resume(reached_, lands))) return state_;
   if (n_ == 0)
     nothing_to_integrate();
   else if (reached_.t == settings_.tf)
@@ -70,7 +71,7 @@ State Integration::resume(bool anew) {
 bool Integration::start_again() {
   in_step_ = false;
   if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
-  if (breaks_.at(reached_.t)) return note_values() && pass_breakpoint();
+  if (due_ || breaks_.at(reached_.t)) return land({.acts = due_, .breaks = breaks_.at(reached_.t)});
   discard_step(reached_.y);
   if (!start_memory(reached_.t, reached_.y)) return false;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);

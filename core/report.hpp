@@ -19,7 +19,7 @@ enum class State {
   terminal_event,
   stopped_by_callback,
   stopped_by_request,    ///< from outside: see `Integration::stop_on`
-  restart_inconsistent,  ///< after a breakpoint the algebraic equations have no solution that was found
+  restart_inconsistent,  ///< after a breakpoint or an action the algebraic equations have no solution that was found
   limit_reached,         ///< one of the settings; see `Report::limit`
   interrupted,           ///< a user function raised
   event_undefined,       ///< an event function returned NaN
@@ -30,7 +30,8 @@ enum class State {
   invariant_convicted,   ///< during the run
   start_out_of_bounds,   ///< y0 is outside the bounds by more than the tolerance
   start_contradicts,     ///< there is no point near y0 within the bounds on which the invariants have their values
-  action_out_of_bounds   ///< an action returned a point outside the bounds by more than the tolerance
+  action_out_of_bounds,  ///< an action returned a point outside the bounds by more than the tolerance
+  events_endless         ///< actions at one time set each other off; see `Report::circle`
 };
 
 /// What may end a run early (settings.hpp).
@@ -46,6 +47,7 @@ struct Report {
   bool pure_relative = false;      ///< y_i = 0 and atol_i = 0 made the error test fail
   LinearWork linear;               ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
+  std::vector<std::size_t> circle;  ///< events whose actions set each other off
   Finding finding;
   Limit limit = Limit::steps;
   std::int64_t steps = 0;  ///< accepted until the limit

@@ -17,19 +17,27 @@ constexpr int few_intervals = 3;          // that shrink do not yet accumulate
 constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
 constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
 constexpr double small_change = 0x1p-26;  // of y and t, to see what the event is made of
+constexpr std::size_t most_evaluated = 64;  // values of a vector that are kept
 
 bool is_sign(int s) { return s >= -1 && s <= 1; }
 
 }  // namespace
 
-Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degree)
+Events::Events(std::vector<EventFunction> functions, std::vector<RootVector> vectors, std::size_t n, int max_degree)
     : functions_(std::move(functions)),
+      vectors_(std::move(vectors)),
+      evaluated_(vectors_.size()),
+      oldest_(vectors_.size()),
       n_(n),
       intervals_(intervals_of_step(static_cast<std::size_t>(max_degree))),
       scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
       touched_(functions_.size(), std::numeric_limits<double>::quiet_NaN()),
+      size_(functions_.size(), std::numeric_limits<double>::infinity()),
+      slope_(functions_.size()),
+      sign_before_(functions_.size()),
+      root_(functions_.size(), std::numeric_limits<double>::quiet_NaN()),
       actions_(functions_.size()),
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
@@ -41,10 +49,45 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
 }
 
 Outcome Events::evaluate(std::size_t event, double t, const double* y, double& value) {
-  if (functions_[event].function(t, y, &value) == Status::stop) return Outcome::stop;
+  EventFunction& function = functions_[event];
+  if (function.vector == EventFunction::alone) {
+    if (function.function(t, y, &value) == Status::stop) return Outcome::stop;
+  } else {
+    const double* values = nullptr;
+    if (evaluate_vector(function.vector, t, y, values) == Status::stop) return Outcome::stop;
+    value = values[event - vectors_[function.vector].first];
+  }
   if (!std::isnan(value)) return Outcome::ok;
   undefined_ = {event, t};
   return Outcome::not_finite;
+}
+
+/// All components at once: each asks for the values at the same points of a step, one after the other.
+Status Events::evaluate_vector(std::size_t number, double t, const double* y, const double*& values) {
+  std::vector<Evaluated>& known = evaluated_[number];
+  for (const Evaluated& one : known)
+    if (one.t == t && std::equal(y, y + n_, one.y.begin())) {
+      values = one.values.data();
+      return Status::ok;
+    }
+  if (known.size() < most_evaluated) {
+    oldest_[number] = known.size();
+    known.push_back({t, std::vector<double>(n_), std::vector<double>(vectors_[number].count)});
+  }
+  Evaluated& place = known[oldest_[number]];
+  oldest_[number] = (oldest_[number] + 1) % most_evaluated;
+  place.t = std::numeric_limits<double>::quiet_NaN();  // until the function has returned
+  if (vectors_[number].function(t, y, place.values.data()) == Status::stop) return Status::stop;
+  place.t = t;
+  std::copy(y, y + n_, place.y.begin());
+  values = place.values.data();
+  return Status::ok;
+}
+
+/// An action may change what the functions remember by themselves.
+void Events::forget_values() {
+  for (std::vector<Evaluated>& known : evaluated_)
+    for (Evaluated& one : known) one.t = std::numeric_limits<double>::quiet_NaN();
 }
 
 Outcome Events::start(double t, const double* y) {
@@ -55,14 +98,73 @@ Outcome Events::start(double t, const double* y) {
   return Outcome::ok;
 }
 
-Outcome Events::restart(double t, const double* y) {
-  if (const Outcome outcome = start(t, y); outcome != Outcome::ok) return outcome;
+Outcome Events::restart(double t, const double* y) { return leave(t, y, true); }
+
+Outcome Events::leave(double t, const double* y, bool inside) {
+  if (inside) {
+    forget_values();
+    if (const Outcome outcome = start(t, y); outcome != Outcome::ok) return outcome;
+  }
+  if (inside || left_at_ != t) std::ranges::fill(root_, std::numeric_limits<double>::quiet_NaN());
+  left_at_ = t;
   for (const Occurrence& occurrence : occurrences_)
     if (occurrence.t == t) {
+      if (std::isnan(root_[occurrence.event])) root_[occurrence.event] = last_[occurrence.event];
       sign_[occurrence.event] = 0;
       last_[occurrence.event] = 0;
     }
   return Outcome::ok;
+}
+
+/// Where a sign differs though the event is zero to roundoff on both sides, its sign at the start of the step decides:
+/// if it is the one before the jump, the event has just been carried over zero; if not, it had crossed zero before, and
+/// `direction` has left that out.
+Outcome Events::arrive(double t, const double* y, std::vector<Occurrence>& crossed) {
+  forget_values();
+  for (std::size_t e = 0; e < count(); ++e) {
+    double value = 0;
+    if (const Outcome outcome = evaluate(e, t, y, value); outcome != Outcome::ok) return outcome;
+    const int before = sign_[e], after = sign_of(value);
+    if (!std::isnan(root_[e])) {
+      bool there = value == root_[e] || value == 0;
+      if (!there)
+        if (const Outcome outcome = is_roundoff(e, t, y, value, there); outcome != Outcome::ok) return outcome;
+      if (there) continue;
+      root_[e] = std::numeric_limits<double>::quiet_NaN();
+    }
+    bool crosses = before != 0 && after != before;
+    if (crosses && before != sign_before_[e] && may_be_roundoff(e, last_[e])) {
+      bool there = value == 0;
+      if (!there)
+        if (const Outcome outcome = is_roundoff(e, t, y, value, there); outcome != Outcome::ok) return outcome;
+      crosses = !there;
+    }
+    if (before == 0 && after != 0 && functions_[e].acts()) note_waking(e, after);
+    const int direction = after != 0 ? after : -before, asked = sign_of(functions_[e].direction);
+    if (crosses && functions_[e].at_jumps && (asked == 0 || asked == direction)) crossed.push_back({e, t, direction});
+    sign_[e] = after;
+    last_[e] = value;
+  }
+  return Outcome::ok;
+}
+
+void Events::forget_occurrences() {
+  const auto moved = [this](const Occurrence& one) { return std::isnan(root_[one.event]); };
+  std::erase_if(occurrences_, moved);
+  acts_ = terminal_ = false;
+}
+
+/// A value so small beside those of the last step.
+bool Events::may_be_roundoff(std::size_t event, double value) const {
+  return std::abs(value) <= resolution * size_[event];
+}
+
+/// Is the event zero at (t, y), up to roundoff and the error of t at a root?
+Outcome Events::is_roundoff(std::size_t event, double t, const double* y, double value, bool& so) {
+  so = may_be_roundoff(event, value);
+  if (!so) return Outcome::ok;
+  const double moves = slope_[event] * tie_ulps * std::max(ulp(t), step_ulp());
+  return within_roundoff(event, t, y, value, moves / of_touching, so);
 }
 
 Outcome Events::go_on(double t, const double* y) {
@@ -73,7 +175,7 @@ Outcome Events::go_on(double t, const double* y) {
 
 /// What is left of a count is archived: one of the start may have been taken off `terminal`.
 void Events::state(Archive& archive) {
-  archive(last_, sign_, touched_);
+  archive(last_, sign_, touched_, size_, slope_, sign_before_);
   for (std::size_t e = 0; e < count(); ++e) {
     std::int64_t terminal = functions_[e].terminal, seen = times_seen_[e];
     archive(terminal, seen);
@@ -88,19 +190,22 @@ void Events::state(Archive& archive) {
   archive.require(!accumulation_ || accumulation_->event < count());
   std::vector<std::size_t> which;
   std::vector<double> when;
+  std::vector<int> how;
   for (const Occurrence& occurrence : occurrences_) {
     which.push_back(occurrence.event);
     when.push_back(occurrence.t);
+    how.push_back(occurrence.direction);
   }
   archive.resizable(which);
   archive.resizable(when);
+  archive.resizable(how);
   if (!archive.reading()) return;
-  archive.require(std::ranges::all_of(sign_, is_sign));
-  archive.require(which.size() == when.size());
+  archive.require(std::ranges::all_of(sign_, is_sign) && std::ranges::all_of(sign_before_, is_sign));
+  archive.require(which.size() == when.size() && which.size() == how.size() && std::ranges::all_of(how, is_sign));
   occurrences_.clear();
   for (std::size_t k = 0; k < which.size(); ++k) {
     archive.require(which[k] < count());
-    occurrences_.push_back({which[k], when[k]});
+    occurrences_.push_back({which[k], when[k], how[k]});
   }
 }
 
@@ -111,6 +216,8 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
   occurrences_.clear();
   terminal_ = acts_ = false;
   points_known_[0] = points_known_[1] = powers_known_ = false;
+  forget_values();
+  sign_before_ = sign_;
   const auto parts = static_cast<double>(intervals_);
   for (std::size_t j = 0; j < intervals_; ++j) scan_.times[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
   scan_.times[intervals_] = t1;
@@ -123,8 +230,14 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
 
 /// The occurrences of one event.
 Outcome Events::find(std::size_t event) {
-  const bool turns = by_turning_points(event), closely = turns || functions_[event].samples != 0;
-  Outcome outcome = turns ? scan_turning_points(event) : closely ? scan_closely(event) : scan(event, false);
+  const bool turns = by_turning_points(event);
+  bool closely = turns || functions_[event].samples != 0;
+  Outcome outcome =
+      turns ? scan_turning_points(event) : closely ? scan_closely(event, functions_[event].samples) : scan(event, false);
+  if (outcome == Outcome::ok && !closely && leaves_room(event)) {
+    closely = true;
+    outcome = scan_closely(event, EventFunction::adaptive);
+  }
   if (outcome == Outcome::ok && !closely && !brackets_.empty() && step_.interpolant->projects())
     outcome = scan(event, true);  // decide on the values that will be returned
   if (outcome != Outcome::ok) return outcome;
@@ -148,8 +261,9 @@ Outcome Events::find(std::size_t event) {
   for (const Occurrence& root : roots_)
     if (root.direction == 0 ? is_new_touching(root) : asked == 0 || asked == root.direction)
       occurrences_.push_back(root);
-  if (woken_ != 0 && functions_[event].action) note_waking(event, woken_);
+  if (woken_ != 0 && functions_[event].acts()) note_waking(event, woken_);
   last_[event] = closely ? values.back() : values[intervals_];
+  if (closely) note_size(event);
   sign_[event] = sign_after_;
   return Outcome::ok;
 }
@@ -179,8 +293,48 @@ Outcome Events::scan(std::size_t event, bool projected) {
   return Outcome::ok;
 }
 
+/// Do the values of the scan leave room for roots that they do not show: could an event that is no more than
+/// `room_between_points` times as steep as between any two neighbours, in this step or the one before, reach zero and return between two of
+/// them? Neighbours on two sides of zero, or at zero, have one root between them, or it is left to its own: then it
+/// would have to be twice that steep. A condition, ±1, shows nothing between its values.
+bool Events::leaves_room(std::size_t event) {
+  const std::vector<double>& values = scan_.values;
+  double most = 0, least = std::abs(values[0]), change = 0;
+  double apart = std::numeric_limits<double>::infinity(), across = apart;
+  for (std::size_t j = 1; j <= intervals_; ++j) {
+    const double a = values[j - 1], b = values[j], sum = std::abs(a) + std::abs(b);
+    (sign_of(a) * sign_of(b) > 0 ? apart : across) = std::min(sign_of(a) * sign_of(b) > 0 ? apart : across, sum);
+    change = std::max(change, std::abs(b - a));
+    most = std::max(most, std::abs(b));
+    least = std::min(least, std::abs(b));
+  }
+  const double width = std::abs(step_.t1 - step_.t0) / static_cast<double>(intervals_);
+  const double reach = std::max(change, slope_[event] * width);
+  note_size(event, most, change / width);
+  if (most == 1 && least == 1) return false;
+  return !std::isfinite(change) || room_between_points * reach >= apart || reach > room_between_points * across;
+}
+
+/// How large the event is in the step, and how steep.
+void Events::note_size(std::size_t event, double size, double slope) {
+  size_[event] = size;
+  slope_[event] = std::isfinite(slope) ? slope : 0;
+}
+
+/// The same from the close scan.
+void Events::note_size(std::size_t event) {
+  const auto& [times, values] = close_scan_;
+  if (functions_[event].samples == 0 && !by_turning_points(event)) return;  // `leaves_room` has
+  double most = 0, slope = 0;
+  for (std::size_t j = 1; j < times.size(); ++j) {
+    most = std::max(most, std::abs(values[j]));
+    if (times[j] != times[j - 1]) slope = std::max(slope, std::abs((values[j] - values[j - 1]) / (times[j] - times[j - 1])));
+  }
+  note_size(event, most, slope);
+}
+
 /// The same with samples of its own, on the values that will be returned.
-Outcome Events::scan_closely(std::size_t event) {
+Outcome Events::scan_closely(std::size_t event, int samples) {
   const double t0 = step_.t0, t1 = step_.t1;
   auto& [times, values] = close_scan_;
   double start = last_[event], end = 0;
@@ -193,10 +347,10 @@ Outcome Events::scan_closely(std::size_t event) {
     return outcome == Outcome::ok;
   };
   times.assign(1, t0);
-  if (functions_[event].samples == EventFunction::adaptive) {
+  if (samples == EventFunction::adaptive) {
     if (!separator_.separate(inside, t0, start, sign_[event] == 0, t1, end, times)) return outcome;
   } else {
-    const auto parts = std::max(intervals_, static_cast<std::size_t>(functions_[event].samples) + 1);
+    const auto parts = std::max(intervals_, static_cast<std::size_t>(samples) + 1);
     for (std::size_t j = 1; j < parts; ++j)
       times.push_back(t0 + (t1 - t0) * (static_cast<double>(j) / static_cast<double>(parts)));
   }
@@ -271,9 +425,11 @@ Outcome Events::find_touching(std::size_t event) {
     const int after = j < end ? sign_after(j) : before;
     const bool stays = before != 0 && after == before && sign_of(values[j]) != -before;
     bool touches = stays && std::abs(values[j]) <= small && (j < end || turning_points_.turns_at_end());
-    if (touches)
-      if (const Outcome outcome = within_roundoff(event, times[j], values[j], touches); outcome != Outcome::ok)
-        return outcome;
+    if (touches) {
+      if (step_.interpolant->value(times[j], y_.data()) == Status::stop) return Outcome::stop;
+      const Outcome outcome = within_roundoff(event, times[j], y_.data(), values[j], turning_points_.size(), touches);
+      if (outcome != Outcome::ok) return outcome;
+    }
     if (touches && latest > 0 && latest + 1 == j) {
       if (std::abs(values[j]) < std::abs(values[latest])) roots_.back().t = times[j];
       latest = j;
@@ -301,12 +457,14 @@ bool Events::is_new_touching(const Occurrence& root) {
   return functions_[root.event].touching && !same;
 }
 
-/// Is |value|, that of the event at t, no more than what roundoff of y and t, and of its coefficients, makes of it?
-Outcome Events::within_roundoff(std::size_t event, double t, double value, bool& within) {
-  if (step_.interpolant->value(t, y_.data()) == Status::stop) return Outcome::stop;
-  double size = turning_points_.size(), moved = 0;
+/// Is |value|, that of the event at (t, y), no more than what roundoff of y and t makes of it, and of terms of that
+/// `size`?
+Outcome Events::within_roundoff(std::size_t event, double t, const double* y, double value, double size, bool& within) {
+  if (y != y_.data()) std::copy(y, y + n_, y_.begin());
+  double moved = 0;
   for (std::size_t i = 0; i <= n_; ++i) {
     double& x = i < n_ ? y_[i] : t;
+    if (x == 0) continue;
     const double kept = std::exchange(x, x * (1 + small_change));
     if (const Outcome outcome = evaluate(event, t, y_.data(), moved); outcome != Outcome::ok) return outcome;
     x = kept;
@@ -333,7 +491,8 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
     const int s = sign_of(values[j]);
     if (s == 0 && sign != 0 && zero == 0) zero = j;
     if (s == 0 && j < intervals) continue;  // crossing or tangency: the next nonzero value tells
-    if (sign != 0 && s != sign) brackets_.push_back({a, zero != 0 ? zero : j});
+    const bool rested = zero != 0 && zero + 1 < j;  // at zero, and returns: it occurs where that began
+    if (sign != 0 && (s != sign || rested)) brackets_.push_back({a, zero != 0 ? zero : j});
     if (sign == 0) woken_ = s;
     sign = s;
     a = j;
@@ -345,7 +504,7 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
 Outcome Events::locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root) {
   const auto& [times, values] = scan;
   assert(bracket.a <= bracket.b && bracket.b < times.size());
-  if (values[bracket.b] == 0) return Outcome::ok;  // the scan hit it
+  if (values[bracket.b] == 0) return locate_first_zero(event, times[bracket.b - 1], times[bracket.b], root);
   Outcome outcome = Outcome::ok;
   const auto e = [&](double t, double& value) {
     outcome = evaluate_inside(event, t, value);
@@ -354,6 +513,24 @@ Outcome Events::locate(std::size_t event, const Scan& scan, const Bracket& brack
   const double width = location_ulps * step_ulp();
   find_root(e, times[bracket.a], values[bracket.a], times[bracket.b], values[bracket.b], width, root);
   return outcome;
+}
+
+/// The scan hit a zero, where the event may have been zero for some time: halves the interval down to where that began.
+Outcome Events::locate_first_zero(std::size_t event, double before, double zero, double& root) {
+  root = zero;
+  const double beside = zero - resolution * (step_.t1 - step_.t0);
+  if (std::abs(beside - before) >= std::abs(zero - before)) return Outcome::ok;
+  double value = 0;
+  if (const Outcome outcome = evaluate_inside(event, beside, value); outcome != Outcome::ok || value != 0)
+    return outcome;
+  root = beside;
+  const double width = location_ulps * step_ulp();
+  while (std::abs(root - before) > width) {
+    const double middle = before + 0.5 * (root - before);
+    if (const Outcome outcome = evaluate_inside(event, middle, value); outcome != Outcome::ok) return outcome;
+    (value == 0 ? root : before) = middle;
+  }
+  return Outcome::ok;
 }
 
 /// The unit of time in the step, which also holds where t passes through 0.
@@ -376,13 +553,13 @@ void Events::settle() {
     }
     const EventFunction& function = functions_[occurrence.event];
     if (++times_seen_[occurrence.event] == function.terminal) terminal_ = true;
-    if (function.action) acts_ = true;
+    if (function.acts()) acts_ = true;
     if (terminal_ || acts_) end = occurrence.t;
   }
   if (terminal_) acts_ = false;
   occurrences_.resize(kept);
   for (const Occurrence& occurrence : occurrences_)
-    if (acts_ && functions_[occurrence.event].action) note_action(occurrence);
+    if (acts_ && functions_[occurrence.event].acts()) note_action(occurrence);
 }
 
 void Events::note_action(const Occurrence& occurrence) {

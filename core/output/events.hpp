@@ -16,19 +16,34 @@
 
 namespace invariode {
 
+/// Several events that are one function of (t, y), with one action for all that occur at a time.
+struct RootVector {
+  Callback function;      ///< g(t, y) -> (count,)
+  std::size_t first = 0;  ///< the event that is its first component
+  std::size_t count = 0;
+  Callback action;  ///< (t, (y, d)) -> y from there on: d_i is the sign that component i takes on, 0: it does not change
+};
+
 struct EventFunction {
-  Callback function;          ///< e(t, y) -> (1,)
+  static constexpr std::size_t alone = std::numeric_limits<std::size_t>::max();
+
+  Callback function;          ///< e(t, y) -> (1,); empty: a component of `vector`
   std::int64_t terminal = 0;  ///< ends the run at this occurrence; 0: never
   int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
   Callback action;            ///< (t, y) -> y from there on, or empty
   Callback jump;              ///< (t, Y before, y after) -> S from there on, (k, n), where there are sensitivities
   bool rehold = true;         ///< after the action invariants are held at their new values
   /// Points inside a step at which it is evaluated, if these are more than the usual ones; or as many as it takes to
-  /// separate its roots.
+  /// separate its roots; 0: these only in steps where the usual ones leave room for more roots than they show.
   int samples = 0;
   static constexpr int adaptive = -1;
   std::optional<Series> series;  ///< along a polynomial y, for methods whose steps are such
   bool touching = false;         ///< there, zeros without a change of sign count too
+  bool at_jumps = true;          ///< it occurs where a jump of y changes its sign
+  std::size_t vector = alone;    ///< number of the `RootVector` that it belongs to
+
+  /// Does y jump where it occurs?
+  [[nodiscard]] bool acts() const { return static_cast<bool>(action) || vector != alone; }
 };
 
 /// An event that happened.
@@ -51,11 +66,15 @@ struct Accumulation {
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
 /// interior ones as the degree, or 3, or those that an event requests, or where it turns if that is known) brackets a
-/// root; tangencies without a sign change are not events unless an event asks for them. An event that is exactly zero
+/// root; where the values leave room for a pair of roots between two points, the event is resolved by interpolation.
+/// Tangencies without a sign change are not events unless an event asks for them. An event that is exactly zero
 /// sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end only once.
+///
+/// A jump of y at t is judged by `leave`, at the state before it, and `arrive`, at the state behind it: an event occurs
+/// if its signs differ. One that has just occurred has the sign 0 until a jump moves it away from zero.
 class Events {
  public:
-  Events(std::vector<EventFunction> functions, std::size_t n, int max_degree);
+  Events(std::vector<EventFunction> functions, std::vector<RootVector> vectors, std::size_t n, int max_degree);
 
   [[nodiscard]] bool empty() const { return functions_.empty(); }
   [[nodiscard]] std::size_t count() const { return functions_.size(); }
@@ -68,24 +87,36 @@ class Events {
   /// extension of this step.
   Outcome search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant);
 
-  /// Takes the signs after a jump at t to y. The events that have just occurred sleep until they have left zero.
+  /// Takes the signs at (t, y), where the method starts again without a jump. The events that have just occurred sleep
+  /// until they have left zero.
   Outcome restart(double t, const double* y);
+
+  /// The solution is about to jump at (t, y). `inside`: t is not the end of the step that was searched.
+  Outcome leave(double t, const double* y, bool inside);
+  /// It has jumped to y. Appends the events whose signs the jump has changed, in their order.
+  Outcome arrive(double t, const double* y, std::vector<Occurrence>& crossed);
+  /// Counts an occurrence by a jump. True: it ends the run.
+  [[nodiscard]] bool counts_out(std::size_t event) { return ++times_seen_[event] == functions_[event].terminal; }
+  /// All that occurs at t has been dealt with; events that no jump has moved away from zero stay asleep.
+  void forget_occurrences();
 
   /// What is known of an event between two steps.
   struct Watch {
     double last;               ///< its value
     int sign;                  ///< where it was last not zero; 0: asleep
     std::int64_t occurrences;  ///< so far
+    double slope;              ///< see `slope_`
   };
   [[nodiscard]] Watch watch(std::size_t event) const {
     assert(event < count());
-    return {last_[event], sign_[event], times_seen_[event]};
+    return {last_[event], sign_[event], times_seen_[event], slope_[event]};
   }
   void go_on_from(std::size_t event, const Watch& watch) {
     assert(event < count());
     last_[event] = watch.last;
     sign_[event] = watch.sign;
     times_seen_[event] = watch.occurrences;
+    slope_[event] = watch.slope;
   }
 
   void state(Archive& archive);
@@ -99,6 +130,7 @@ class Events {
   /// Whether an action is to be taken at the last occurrence.
   [[nodiscard]] bool acts() const { return acts_; }
   [[nodiscard]] EventFunction& function(std::size_t event) { return functions_[event]; }
+  [[nodiscard]] RootVector& vector(std::size_t number) { return vectors_[number]; }
   /// The first one in the run.
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return accumulation_; }
   /// Of an outcome `not_finite`: the event that is NaN, and where.
@@ -115,7 +147,12 @@ class Events {
     std::vector<double> values;  // of one event
   };
   struct Bracket {
-    std::size_t a, b;  // indices into the scan; equal where the event is exactly zero there
+    std::size_t a, b;  // indices into the scan; the event may be exactly zero at b
+  };
+  /// Values of a vector of events at a point of the step in work.
+  struct Evaluated {
+    double t;
+    std::vector<double> y, values;
   };
 
   /// What is known of the actions of an event.
@@ -131,24 +168,35 @@ class Events {
   void note_waking(std::size_t event, int sign);
 
   Outcome evaluate(std::size_t event, double t, const double* y, double& value);
+  Status evaluate_vector(std::size_t number, double t, const double* y, const double*& values);
+  void forget_values();
+  [[nodiscard]] bool leaves_room(std::size_t event);
+  [[nodiscard]] bool may_be_roundoff(std::size_t event, double value) const;
+  Outcome is_roundoff(std::size_t event, double t, const double* y, double value, bool& so);
   Outcome points(bool projected);
   Outcome find(std::size_t event);
   Outcome scan(std::size_t event, bool projected);
-  Outcome scan_closely(std::size_t event);
+  Outcome scan_closely(std::size_t event, int samples);
+  void note_size(std::size_t event, double size, double slope);
+  void note_size(std::size_t event);
   [[nodiscard]] bool by_turning_points(std::size_t event) const;
   Outcome scan_turning_points(std::size_t event);
   void join_close_roots();
   Outcome find_touching(std::size_t event);
   [[nodiscard]] int sign_after(std::size_t j) const;
-  Outcome within_roundoff(std::size_t event, double t, double value, bool& within);
+  Outcome within_roundoff(std::size_t event, double t, const double* y, double value, double size, bool& within);
   bool is_new_touching(const Occurrence& root);
   Outcome evaluate_inside(std::size_t event, double t, double& value);
   void find_brackets(std::size_t event, const Scan& scan);
   Outcome locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root);
+  Outcome locate_first_zero(std::size_t event, double before, double zero, double& root);
   void settle();
   [[nodiscard]] double step_ulp() const;
 
   std::vector<EventFunction> functions_;
+  std::vector<RootVector> vectors_;
+  std::vector<std::vector<Evaluated>> evaluated_;  // of each vector, the latest
+  std::vector<std::size_t> oldest_;                // of these, the one that is overwritten next
   std::size_t n_;
   std::size_t intervals_;
   SearchedStep step_{};
@@ -167,6 +215,12 @@ class Events {
   int sign_after_ = 0;             // what it becomes with the step
   int woken_ = 0;                  // the first one that it takes on in the step, if it was asleep
   std::vector<double> touched_;    // t at which each has touched zero; NaN: nowhere
+  std::vector<double> size_;       // largest |e| among the points of the last step; infinite: not known
+  std::vector<double> slope_;      // largest |Δe / Δt| between neighbours among them
+  std::vector<int> sign_before_;   // of each event at the start of the last step
+  std::vector<double> root_;       // a jump: the value of an event at its root, from which it has not been moved; NaN:
+                                   // it is none
+  double left_at_ = std::numeric_limits<double>::quiet_NaN();  // the time of that jump
   std::vector<Actions> actions_;
   std::optional<Accumulation> accumulation_;
   std::vector<std::int64_t> times_seen_;

@@ -41,7 +41,8 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"invariant_convicted", State::invariant_convicted},
                                                {"start_out_of_bounds", State::start_out_of_bounds},
                                                {"start_contradicts", State::start_contradicts},
-                                               {"action_out_of_bounds", State::action_out_of_bounds}};
+                                               {"action_out_of_bounds", State::action_out_of_bounds},
+                                               {"events_endless", State::events_endless}};
 
 inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
                                                {"newton", Cause::newton},

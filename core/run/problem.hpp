@@ -41,6 +41,7 @@ struct Problem {
   double f_error = 0;                  ///< of f, relative: of derivatives that it is made of; 0: roundoff
   Callback callback;                   ///< asked after each accepted step whether to stop; may be empty
   std::vector<EventFunction> events;
+  std::vector<RootVector> vectors;      ///< of which some events are components
   std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other

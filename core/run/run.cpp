@@ -209,6 +209,7 @@ void Run::start_loop() {
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
                           .events = all.events,
+                          .vectors = all.vectors,
                           .breakpoints = all.breakpoints,
                           .piece = &piece_,
                           .consistent = {},

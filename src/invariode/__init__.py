@@ -19,7 +19,7 @@ from ._functions.compiled import CompiledFunction
 from ._functions.second_order import SecondOrder
 from ._laws.imposing import ImposeResult, impose
 from ._problem.dissipation import Dissipated
-from ._problem.events import Event
+from ._problem.events import Event, Roots
 from ._problem.grouped import GMRES, Banded, Checkpoint, Limits
 from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
@@ -85,6 +85,7 @@ __all__ = [
     "PreparedSolver",
     "Problem",
     "Profile",
+    "Roots",
     "RotationMatrix",
     "SecondOrder",
     "Sensitivities",

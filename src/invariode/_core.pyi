@@ -116,10 +116,15 @@ class Breakpoint:
 class Event:
     """An event, for the core."""
 
-    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0, series: Series | None = None, touching: bool = False) -> None:
+    def __init__(self, fun: object | None, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0, series: Series | None = None, touching: bool = False, at_jumps: bool = True) -> None:
         """
-        samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods whose steps are such. touching: zeros without a change of sign are reported too.
+        fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where jumps change its sign.
         """
+
+class RootVector:
+    """Events that are one function with one action, for the core."""
+
+    def __init__(self, fun: object, first: int, count: int, name: str, action: object) -> None: ...
 
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
@@ -163,7 +168,7 @@ class Variations:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
         """
         conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
         """
@@ -427,6 +432,9 @@ class Run:
 
     @property
     def event(self) -> int: ...
+
+    @property
+    def circle(self) -> list[int]: ...
 
     @property
     def limit(self) -> str: ...
@@ -707,7 +715,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 9
+MEMORY_VERSION: int = 10
 
 STATES: list = ...
 

@@ -34,7 +34,7 @@ EventSearch::EventSearch(const Solver& solver, const Ensemble& ensemble)
       ensemble_(ensemble),
       f_(solver.problem().f),
       step_(solver.method().step(f_, solver.weights(), solver.options())),
-      events_(solver.problem().events, ensemble.n, step_->max_degree()),
+      events_(solver.problem().events, solver.problem().vectors, ensemble.n, step_->max_degree()),
       y0_(ensemble.n),
       k_(ensemble.n),
       y1_(ensemble.n),
@@ -81,7 +81,8 @@ lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Traj
   for (std::size_t e = 0; e < events_.count(); ++e)
     events_.go_on_from(e, {.last = lane[row(e) + Rows::last],
                            .sign = static_cast<int>(lane[row(e) + Rows::sign]),
-                           .occurrences = static_cast<std::int64_t>(lane[row(e) + Rows::occurrences])});
+                           .occurrences = static_cast<std::int64_t>(lane[row(e) + Rows::occurrences]),
+                           .slope = lane[row(e) + Rows::slope]});
   if (events_.search(lane[Rows::t], crossed.t1, y1_.data(), step_->degree(), *interpolant_) != Outcome::ok) return {};
   if (!keep(crossed.t1, found)) return {};
   for (std::size_t e = 0; e < events_.count(); ++e) {
@@ -89,6 +90,7 @@ lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Traj
     lane[row(e) + Rows::last] = watch.last;
     lane[row(e) + Rows::sign] = watch.sign;
     lane[row(e) + Rows::occurrences] = static_cast<double>(watch.occurrences);
+    lane[row(e) + Rows::slope] = watch.slope;
   }
   return {.sound = true,
           .terminal = events_.terminal(),

@@ -133,6 +133,11 @@ class EventScan {
         now_(now),
         sign_(take<W>(host, job.count_of_events)),
         last_(take<W>(host, job.count_of_events)),
+        change_(take<W>(host, job.count_of_events)),
+        apart_(take<W>(host, job.count_of_events)),
+        across_(take<W>(host, job.count_of_events)),
+        most_(take<W>(host, job.count_of_events)),
+        least_(take<W>(host, job.count_of_events)),
         point_(take<W>(host, job.all)) {}
 
   /// Takes the signs at the start into `ready`. Returns the lanes where an event is not defined.
@@ -141,14 +146,22 @@ class EventScan {
     for (std::size_t e = 0; e < job_.count_of_events; ++e) {
       P* row = ready + Rows::of_event * e;
       row[Rows::sign] = sign_at(e, t, y, p, row[Rows::last], odd);
+      row[Rows::slope] = P(0);
     }
     return odd;
   }
 
-  /// Of steps that are about to be accepted: where a sign changes, and the odd ones. The others have passed.
+  /// Of steps that are about to be accepted: where a sign changes, or the values leave room for a pair of changes
+  /// (`Events::leaves_room`), and the odd ones. The others have passed.
   INVARIODE_SHARED M scan(const M& accepted, const LaneStep<W>& step, const LaneInterpolant<W>& between, M& odd) {
     M crossing = no_lane<W>();
-    for (std::size_t e = 0; e < job_.count_of_events; ++e) sign_[e] = row(e)[Rows::sign];
+    for (std::size_t e = 0; e < job_.count_of_events; ++e) {
+      sign_[e] = row(e)[Rows::sign];
+      last_[e] = row(e)[Rows::last];
+      change_[e] = P(0);
+      apart_[e] = across_[e] = P(infinity);
+      most_[e] = least_[e] = absolute(last_[e]);
+    }
     for (std::size_t j = 1; j <= intervals_; ++j) {
       const bool at_end = j == intervals_;
       const P part(static_cast<double>(j) / static_cast<double>(intervals_));
@@ -156,17 +169,22 @@ class EventScan {
       if (!at_end) between.corrected((t - step.t0) / step.purified, point_);
       if (!at_end) odd = odd | mend(point_, step.y1, job_.all);
       for (std::size_t e = 0; e < job_.count_of_events; ++e) {
+        const P from = last_[e];
         const P now = sign_at(e, t, at_end ? step.y1 : point_, step.p, last_[e], odd), before = sign_[e];
+        note(e, from, last_[e]);
         const M zero = now * now < P(1);
         crossing = crossing | (now * before < P(0));
         if (at_end) crossing = crossing | (zero & (P(0) < before * before));
         sign_[e] = at_end ? now : choose(zero, before, now);
       }
     }
+    const P width = absolute(step.t1 - step.t0) / P(static_cast<double>(intervals_));
+    for (std::size_t e = 0; e < job_.count_of_events; ++e) crossing = crossing | leaves_room(e, width);
     odd = odd & accepted;
     crossing = crossing & accepted & ~odd;
     const M pass = accepted & ~crossing & ~odd;
     for (std::size_t e = 0; e < job_.count_of_events; ++e) {
+      row(e)[Rows::slope] = choose(pass, change_[e] / width, row(e)[Rows::slope]);
       row(e)[Rows::last] = choose(pass, last_[e], row(e)[Rows::last]);
       row(e)[Rows::sign] = choose(pass, sign_[e], row(e)[Rows::sign]);
     }
@@ -175,6 +193,22 @@ class EventScan {
 
  private:
   [[nodiscard]] P* row(std::size_t event) const { return now_ + Rows::of_event * event; }
+  /// Two neighbours of the scan.
+  void note(std::size_t event, const P& a, const P& b) {
+    const P sum = absolute(a) + absolute(b);
+    const M same = P(0) < a * b;
+    apart_[event] = choose(same, smaller(apart_[event], sum), apart_[event]);
+    across_[event] = choose(same, across_[event], smaller(across_[event], sum));
+    change_[event] = larger(change_[event], absolute(b - a));
+    most_[event] = larger(most_[event], absolute(b));
+    least_[event] = smaller(least_[event], absolute(b));
+  }
+  [[nodiscard]] M leaves_room(std::size_t event, const P& width) const {
+    const P reach = larger(change_[event], row(event)[Rows::slope] * width);
+    const M bends = (apart_[event] <= P(room_between_points) * reach) | (P(room_between_points) * across_[event] < reach);
+    const M condition = (most_[event] <= P(1)) & (P(1) <= least_[event]);
+    return (bends | ~(change_[event] < P(infinity))) & ~condition;
+  }
   P sign_at(std::size_t event, const P& t, const P* y, const P* p, P& value, M& odd) const {
     evaluate(job_.events[event], t, y, &value, p);
     odd = odd | ~(value <= value);
@@ -186,6 +220,9 @@ class EventScan {
   P* now_;
   P* sign_;  // of each event, at the latest point of the scan where it was not zero
   P* last_;  // its latest value
+  P* change_;                 // the largest change between neighbours,
+  P *apart_, *across_;        // the least sum of sizes of neighbours on one side of zero, and of others,
+  P *most_, *least_;          // the largest and the smallest size
   P* point_;
 };
 

@@ -139,7 +139,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (problem.variations && problem.series) return "sensitivities are expanded in series";
   if (problem.variations && !problem.events.empty()) return "there are events and sensitivities";
   for (const EventFunction& event : problem.events) {
-    if (event.action) return "events have actions";
+    if (event.acts()) return "events have actions";
     if (event.samples != 0) return "events have samples of their own";
   }
   if (!problem.breakpoints.empty()) return "there are breakpoints";

@@ -29,9 +29,18 @@ class Points(Protocol):
     def y(self) -> Any: ...
 
 
+class RootFunctions(Protocol):
+    """An `invariode.Roots`."""
+
+    @property
+    def count(self) -> int: ...
+    @property
+    def on_roots(self) -> Callable[..., Any]: ...
+
+
 Function: TypeAlias = Callable[..., Any] | LowLevelCallable
 EventFunction: TypeAlias = Callable[..., float] | LowLevelCallable
-EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
+EventsLike: TypeAlias = EventFunction | RootFunctions | Sequence[EventFunction | RootFunctions] | None
 
 #: One number or several. `ArrayLike` has strings too.
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array

@@ -42,6 +42,7 @@ _EXCEPTIONS = (
     "start_out_of_bounds",
     "event_undefined",
     "action_undefined",
+    "events_endless",
     "interrupted",
 )
 #: The status for each state; states of ensembles only are negative and count from the end.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
 
 from .._base.arguments import Array, call_name, encodable, flag, function, number, positive_integer, shown
 from .._base.types import EventFunction, EventsLike, Function
@@ -76,6 +78,7 @@ class Event:
         samples: int | Literal["adaptive"] | None = None,
         touching: bool = False,
         name: str | None = None,
+        at_jumps: bool = True,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
@@ -91,6 +94,7 @@ class Event:
             )
         self.samples = _samples(samples)
         self.touching = flag("touching", touching)
+        self.at_jumps = flag("at_jumps", at_jumps)
         self.__name__ = call_name(fun, "event") if name is None else _name(name)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
@@ -105,7 +109,119 @@ class Event:
 
     def __repr__(self) -> str:
         at_start = ", at_start=True" if self.at_start else ""
+        at_start += "" if self.at_jumps else ", at_jumps=False"
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
+
+
+class Roots:
+    """Functions of the solution that are evaluated together, with one action for all that cross zero at a time.
+
+    What the triggers of a model need that depend on one another: priorities, delays, conditions made of several
+    comparisons. The list of events has one entry for each function, in the place of this.
+
+    Parameters
+    ----------
+    fun : callable
+        ``fun(t, y, *args)`` -> `count` numbers, or truth values: these are conditions, as in `Event`. NaN is an error.
+    count : int
+        How many they are.
+    on_roots : callable
+        ``on_roots(t, y, which, directions, *args) -> y_new`` of shape (n,): called once for all functions that change
+        sign at t. `which`, the numbers of these functions, ascending; `directions`, 1 for each that rises (becomes
+        True) and -1 for each that falls. The integration continues from y_new, which may be y. Functions whose signs
+        differ at y_new come in a further call at the same t, at most 100 in a row. A function at its root counts as 0:
+        one that the call sends back to where it came from is no further root. Nothing is called at t0.
+    rehold : bool, default True
+        As in `Event`.
+    names : list of str, optional
+        What messages and tables call the functions. Default: the name of `fun` with their numbers.
+
+    Notes
+    -----
+    `fun` may use what `on_roots` remembers, such as ``t - due`` with the time at which a delayed action is due: it is
+    evaluated again after each call. What they remember belongs to one run: give each run functions of its own. The
+    derivatives of `on_roots` are unknown: sensitivities and gradients need `Event`.
+
+    The form is that of the root functions of SUNDIALS (Hindmarsh and Shampine, SAND 80-0180, 1980).
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def fun(t, y):
+    ...     return [y[0] - 1.0, t - 2.5]
+    >>> def on_roots(t, y, which, directions):
+    ...     if which[0] == 1:
+    ...         return [y[0] + 10.0]
+    ...     return [0.0] if directions[0] > 0 else y
+    >>> sol = iv.solve_ivp(lambda t, y: [1.0], (0, 3), [0.0], events=iv.Roots(fun, 2, on_roots))
+    >>> [t.round(6).tolist() for t in sol.t_events]  # the jump at 2.5 crosses y = 1; what follows leads back
+    [[1.0, 2.0, 2.5, 2.5], [2.5]]
+    """
+
+    def __init__(
+        self,
+        fun: Any,
+        count: int,
+        on_roots: Callable[..., Any],
+        *,
+        rehold: bool = True,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        if not callable(fun) and not is_native(fun):
+            raise TypeError(f"fun of Roots must be a function fun(t, y), got {shown(fun)}")
+        self.fun: Any = fun
+        self.count = positive_integer("count of Roots", count)
+        self.on_roots = function("on_roots", on_roots, "on_roots(t, y, which, directions)")
+        self.rehold = flag("rehold", rehold)
+        self.__name__ = call_name(fun, "roots")
+        if names is None:
+            self.names = [f"{self.__name__}[{k}]" for k in range(self.count)]
+        else:
+            self.names = [_name(name) for name in names]
+            if len(self.names) != self.count:
+                raise ValueError(f"names of Roots must be {self.count}, one for each function, got {len(self.names)}")
+
+    def events(self) -> list[Event]:
+        """One event for each function."""
+        return [RootOf(self, k) for k in range(self.count)]
+
+    def __repr__(self) -> str:
+        return f"Roots({self.__name__}, {self.count})"
+
+
+class RootOf(Event):
+    """An event that is one function of a `Roots`."""
+
+    def __init__(self, roots: Roots, number: int) -> None:
+        super().__init__(_Component(roots.fun, number), rehold=roots.rehold, name=roots.names[number])
+        self.roots, self.number = roots, number
+
+
+class _Component:
+    """One value of a function that has several."""
+
+    def __init__(self, fun: Any, number: int) -> None:
+        self.fun, self._number = fun, number
+
+    def __call__(self, t: float, y: Any, *args: Any) -> Any:
+        return self.fun(t, y, *args)[self._number]
+
+
+class _OnRoots:
+    """`on_roots` as the core calls it: the state, and behind it the sign that each function takes on."""
+
+    def __init__(self, on_roots: Callable[..., Any], count: int) -> None:
+        self._on_roots, self._count = on_roots, count
+
+    def __call__(self, t: float, state: Array, *args: Any) -> Any:
+        signs = state[-self._count :].real.astype(int)
+        which = np.flatnonzero(signs)
+        return self._on_roots(t, state[: -self._count], which, signs[which], *args)
+
+
+def acts(event: Event) -> bool:
+    """Whether the solution may jump where the event occurs."""
+    return event.action is not None or isinstance(event, RootOf)
 
 
 def _name(name: object) -> str:
@@ -128,17 +244,23 @@ def to_events(events: EventsLike) -> list[Event]:
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
-    if callable(events) or is_native(events):
+    if callable(events) or is_native(events) or isinstance(events, Roots):
         events = [cast("EventFunction", events)]
     elif not isinstance(events, Sequence):
         raise TypeError(f"events must be a function event(t, y) or a list of these, got {shown(events)}")
-    return [event if isinstance(event, Event) else _from_function(event) for event in events]
+    found: list[Event] = []
+    for event in events:
+        if isinstance(event, Roots):
+            found += event.events()
+        else:
+            found.append(event if isinstance(event, Event) else _from_function(event))
+    return found
 
 
 #: Up to here doubles are integers, and every count fits into the core's.
 _MOST_OCCURRENCES = 2**53
 
-_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples", "touching")
+_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples", "touching", "at_jumps")
 
 
 def _from_function(fun: EventFunction) -> Event:
@@ -181,12 +303,45 @@ class EventSpec(NamedTuple):
     samples: int  # 0: the usual number, -1: adaptive
     series: Any = None  # along polynomials
     touching: bool = False
+    at_jumps: bool = True
+
+
+class VectorSpec(NamedTuple):
+    """The functions of a `Roots` in the form that the core takes; they are events from number `first` on."""
+
+    fun: Any
+    first: int
+    count: int
+    name: str
+    action: Any
+
+
+def vector_specs(events: Sequence[Event], n: int, p: Array) -> list[VectorSpec]:
+    """Those among the events, as the core takes them."""
+    found = []
+    for first, event in enumerate(events):
+        if not isinstance(event, RootOf) or event.number != 0:
+            continue
+        roots = event.roots
+        if event_numbers(events[first : first + roots.count]) != [(roots, k) for k in range(roots.count)]:
+            raise ValueError(f"the events of {roots!r} are not together any more")
+        fun = to_native(f"fun of {roots!r}", roots.fun, n, roots.count, p)
+        found.append(VectorSpec(fun, first, roots.count, roots.__name__, _OnRoots(roots.on_roots, roots.count)))
+    return found
+
+
+def event_numbers(events: Sequence[Event]) -> list[tuple[Roots, int] | None]:
+    """Which function of which `Roots` each event is."""
+    return [(event.roots, event.number) if isinstance(event, RootOf) else None for event in events]
 
 
 def event_spec(event: Event, n: int, p: Array) -> EventSpec:
     """The event as the core takes it; n and p for native ones."""
+    if isinstance(event, RootOf):
+        return EventSpec(None, 0, 0, event.__name__, None, event.rehold, 0)
     fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
     action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
     samples = -1 if event.samples == "adaptive" else event.samples or 0
     count, sign = terminal_count(event), direction_sign(event)
-    return EventSpec(fun, count, sign, event.__name__, action, event.rehold, samples, touching=event.touching)
+    about = {"touching": event.touching, "at_jumps": event.at_jumps}
+    return EventSpec(fun, count, sign, event.__name__, action, event.rehold, samples, **about)

@@ -150,8 +150,8 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
         )
     if run.state == "restart_inconsistent":
         return -1, (
-            f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
-            "it an action that returns a state near the consistent one."
+            f"No consistent values of the algebraic variables were found behind the breakpoint or action at t = "
+            f"{run.t!r}. Give it an action that returns a state near the consistent one."
         )
     return -1, _step_failed(run, laws.names, pairs)
 

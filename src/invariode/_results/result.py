@@ -17,7 +17,7 @@ from .sensitivities import SensitivityData, states_and_sensitivities
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
 #: invariant which f does not conserve.
-LIMIT_REACHED, NOT_CONSERVED = -3, -2
+LIMIT_REACHED, NOT_CONSERVED, STOPPED = -3, -2, 2
 
 
 def at_events(states: Array) -> Array:

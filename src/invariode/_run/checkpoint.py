@@ -283,8 +283,18 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
         whole[name] = np.concatenate([part[name] for part in parts], axis=axis)
     rows = np.cumsum([0, *(len(part["t"]) for part in parts)])
     whole["jumps.row"] += np.repeat(rows[:-1], [len(part["jumps.row"]) for part in parts])
+    if "t_eval" in whole["identity"]["arrays"]:
+        _drop_repeated(whole)
     if whole["identity"]["options"].get("keep") == "end":
         whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
         if "S" in whole:
             whole["S"] = state["S_end"][:, :, None]
     return {**whole, **{name: state[name] for name in END if name in state}, "imposed": False, "added": {}}
+
+
+def _drop_repeated(whole: dict[str, Any]) -> None:
+    """Of outputs at one requested time keeps the last, which a continued run has put out behind a jump there."""
+    repeated = np.flatnonzero(np.diff(whole["t"]) == 0)
+    for name in {"t", "y", "S"} & whole.keys():
+        whole[name] = np.delete(whole[name], repeated, axis=OUTPUT[name].dimensions.index("t"))
+    whole["jumps.row"] -= np.searchsorted(repeated, whole["jumps.row"])

@@ -22,7 +22,7 @@ from .._functions.layout import Parameters, count_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
 from .._problem.description import Description
-from .._problem.events import Event, EventSpec
+from .._problem.events import Event, EventSpec, RootOf
 from .._problem.inputs import Input
 from .._problem.methods import Method
 from .variations import Variations
@@ -117,7 +117,7 @@ def _traceable(fun: Any, method: Method) -> Any:
 
 def _on_graph(event: Event, problem: Description) -> Event:
     """The event; with a function that is traced, if it can be."""
-    if is_native(event.fun) or problem.y0.dtype.kind == "c":
+    if is_native(event.fun) or isinstance(event, RootOf) or problem.y0.dtype.kind == "c":
         return event
     traced = compile(event.fun, by="trace")
     try:

@@ -14,6 +14,7 @@ from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
+from .._problem.events import RootOf
 from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
@@ -213,6 +214,8 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
         functions |= {f"invariant {i} ({name})": one for name, one in vars(law).items()}
     for i, event in enumerate(problem.events):
         functions |= {f"event {i}": event.fun, f"the action of event {i}": event.action}
+        if isinstance(event, RootOf):
+            functions |= {f"event {i}": event.roots.fun, f"the action of event {i}": event.roots.on_roots}
     for point in () if breakpoints is None else to_breakpoints("breakpoints", breakpoints):
         functions[f"the action at t = {point.t!r}"] = point.action
     found = {name: digest_of_code(one) for name, one in functions.items() if callable(one)}
@@ -221,12 +224,12 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
 
 def _described(problem: Description) -> Any:
     """What is compared, by the words for it."""
-    properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None}
+    properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None, "at_jumps": True}
     about = {
         "components": len(problem.y0),
         "complex": problem.y0.dtype.kind == "c",
         "t0": problem.t_span[0],
-        "events (name, terminal, direction, samples)": [
+        "events (name, terminal, direction, samples, at_jumps)": [
             [getattr(event, name, default) for name, default in properties.items()] for event in problem.events
         ],
         "invariants": [vars(law) for law in problem.invariants],

@@ -40,7 +40,7 @@ from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.description import Description, Posed
-from .._problem.events import EventSpec, event_spec
+from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.matrices import Matrices
@@ -143,6 +143,7 @@ class Functions(NamedTuple):
     parameters: Array  # `args` for native functions
     linear: _core.Linear | None
     events: list[EventSpec]
+    vectors: list[VectorSpec]
     breakpoints: list[Breakpoint]
     callback: Any
     invariants: list[InvariantSpec]
@@ -271,6 +272,12 @@ class Plan(NamedTuple):
             at_event = run.event < len(self.event_names)
             what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
             return ValueError(f"the action {what} returned NaN at t = {run.t}")
+        if state == "events_endless":
+            names = ", ".join(self.event_names[event] for event in run.circle)
+            return ValueError(
+                f"more than 100 events occur at t = {run.t!r}, one through the action of the other: {names}. Let an "
+                "action end where its event does not occur again, or set at_jumps=False"
+            )
         return None
 
 
@@ -298,6 +305,7 @@ def solver(plan: Plan) -> _core.Solver:
         parameters=functions.parameters,
         linear=functions.linear,
         events=[_core.Event(*spec) for spec in functions.events],
+        vectors=[_core.RootVector(*spec) for spec in functions.vectors],
         breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
@@ -587,7 +595,8 @@ def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearS
     if isinstance(chosen, GMRES):
         yield chosen.jac_product
     yield from (f for one in problem.invariants for f in (one.fun, one.jac))
-    yield from (f for event in problem.events for f in (event.fun, event.action))
+    for event in problem.events:
+        yield from (event.roots.fun,) if isinstance(event, RootOf) else (event.fun, event.action)
     yield from (point.action for point in breakpoints if point.action is not None)
 
 
@@ -609,6 +618,7 @@ def _functions(
         parameters=parameters,
         linear=linear,
         events=[event_spec(event, n, parameters) for event in problem.events],
+        vectors=vector_specs(problem.events, n, parameters),
         breakpoints=[
             point
             if point.action is None
@@ -671,8 +681,6 @@ def _linear_algebra(
             "GMRES cannot be used with a singular mass matrix, whose algebraic equations need the Jacobian as a "
             "matrix: use linear_solver='direct' with jac_sparsity or jac=Banded(lower, upper)"
         )
-    if any(event.action for event in problem.events):
-        raise ValueError("actions of events are not possible with a singular mass matrix")
     algebraic = _core.Problem(
         n=reals(y0),
         complex=y0.dtype.kind == "c",

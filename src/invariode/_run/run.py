@@ -35,6 +35,7 @@ from .._results.messages import (
 from .._results.result import (
     LIMIT_REACHED,
     NOT_CONSERVED,
+    STOPPED,
     BeforeProjection,
     DenseSolution,
     DiscontinuityWarning,
@@ -581,11 +582,15 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
         origin.checkpoint.go_on(old.stats.mechanics)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if given.get("keep") == "end" else len(old.t)
+    times = now.get("t_eval")
+    if points and times is not None and len(times) and times[0] == old.t[-1]:  # it is put out again
+        points -= 1
     return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 
 
 def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension."""
+    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension. Where
+    a callback has ended the run, the solution may have yet to jump: an output there is put out again."""
     if origin.source.options.get("t_eval") is None:
         raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
@@ -596,7 +601,8 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
             now = now[1:]  # already an output
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
-    return now, np.concatenate([now, beyond])
+    again = old.t[-1:] if old.status == STOPPED and len(old.t) and old.t[-1] == origin.t else old.t[:0]
+    return np.concatenate([again, now]), np.concatenate([now, beyond])
 
 
 def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:

@@ -21,7 +21,7 @@ from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
-from .._problem.events import Event, EventSpec, event_spec
+from .._problem.events import Event, EventSpec, RootOf, event_spec
 from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
@@ -473,6 +473,12 @@ def require_possible(problem: Description) -> None:
     if isinstance(problem.fun, SecondOrder) and problem.fun.native:
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
+        )
+    roots = next((event.roots for event in problem.events if isinstance(event, RootOf)), None)
+    if roots is not None:
+        raise ValueError(
+            f"sensitivities and gradients are not possible with {roots!r}: the derivatives of on_roots are not known. "
+            "Use Event(..., action=)"
         )
 
 

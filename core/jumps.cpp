@@ -1,0 +1,224 @@
+#include "jumps.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <utility>
+
+#include "weights.hpp"
+
+namespace invariode {
+namespace {
+
+constexpr int deepest = 100;      // jumps in a row, each caused by the one before
+constexpr int listed_from = 50;   // of these: the events that occur by them go round in a circle
+
+}  // namespace
+
+Jumps::Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
+             std::function<Status(double t, double* Y)> consistent_tangent, Extent extent)
+    : parts_(parts),
+      consistent_(std::move(consistent)),
+      consistent_tangent_(std::move(consistent_tangent)),
+      extent_(extent),
+      raw_(extent.n) {}
+
+State Jumps::at_events(double t, double* Y, bool inside) {
+  if (const State state = begin(t, Y, inside); state != State::running) return state;
+  for (const Occurrence& one : parts_.events.occurrences())
+    if (one.t == t && parts_.events.function(one.event).acts()) due_.push_back({one.event, one.direction, 0, true});
+  const State state = work(t, Y);
+  parts_.events.forget_occurrences();
+  return state;
+}
+
+State Jumps::at_breakpoints(double t, double* Y, bool inside) {
+  Breaks& breaks = parts_.breaks;
+  acted_ = moved_ = others_ = false;
+  for (; breaks.at(t); breaks.pass()) {
+    Breakpoint& point = breaks.next();
+    if (!point.action) continue;
+    if (!acted_)
+      if (const State state = begin(t, Y, inside); state != State::running) return state;
+    parts_.report.event = parts_.events.count() + breaks.index();
+    before_.assign(Y, Y + extent_.size());
+    State state = take(point.action, point.jump, t, Y);
+    if (state == State::running) state = judge(t, Y, 0);
+    while (state == State::running && !due_.empty()) state = take_next(t, Y);
+    if (state == State::running) continue;
+    breaks.pass();
+    return terminal_ ? ended_by(t, Y) : state;
+  }
+  if (!acted_)
+    if (const State state = without_action(t, Y, inside); state != State::running || !moved_) return state;
+  const State state = work(t, Y);
+  parts_.events.forget_occurrences();
+  return state;
+}
+
+/// Algebraic variables jump where their equations do, and invariants may have other values.
+State Jumps::without_action(double t, double* Y, bool inside) {
+  std::copy_n(Y, extent_.n, raw_.begin());
+  State state = onto_equations(t, Y);
+  if (state != State::running) return state;
+  if (parts_.manifold.compare_values(t, Y, others_) == Status::stop) return State::interrupted;
+  if (!moved_) return state;
+  state = begin(t, raw_.data(), inside);
+  moved_ = true;
+  rehold_ = others_;
+  return state == State::running ? judge(t, Y, 0) : state;
+}
+
+/// Events are judged at the state before all jumps.
+State Jumps::begin(double t, const double* Y, bool inside) {
+  due_.clear();
+  acted_ = moved_ = terminal_ = false;
+  rehold_ = true;
+  occurred_ = 0;
+  parts_.report.circle.clear();
+  const Outcome outcome = parts_.events.leave(t, Y, inside);
+  if (outcome == Outcome::ok) return State::running;
+  if (outcome == Outcome::stop) return State::interrupted;
+  parts_.report.event = parts_.events.undefined().event;
+  parts_.report.t = t;
+  return State::event_undefined;
+}
+
+/// Takes the actions that are due, and those that become due by that, until Y is at rest on the constraints.
+State Jumps::work(double t, double* Y) {
+  State state = State::running;
+  for (int round = 0; state == State::running; ++round) {
+    while (state == State::running && !due_.empty()) state = take_next(t, Y);
+    if (terminal_ || state != State::running) break;
+    std::copy_n(Y, extent_.n, raw_.begin());
+    state = restore(t, Y);
+    if (state != State::running || std::equal(raw_.begin(), raw_.end(), Y)) break;
+    state = judge(t, Y, round);
+    if (due_.empty()) break;
+  }
+  return terminal_ ? ended_by(t, Y) : state;
+}
+
+/// The run ends with the state behind the jump, on the constraints; actions that were due are not taken.
+State Jumps::ended_by(double t, double* y) {
+  for (const Due& due : due_)
+    if (!due.listed) list(due, t, y);
+  due_.clear();
+  const State state = restore(t, y);
+  return state == State::running ? State::terminal_event : state;
+}
+
+/// Of the event that has waited longest; with it those of its vector that became due by the same jump.
+State Jumps::take_next(double t, double* Y) {
+  const Due first = due_.front();
+  EventFunction& function = parts_.events.function(first.event);
+  parts_.report.event = first.event;
+  rehold_ = rehold_ && function.rehold;
+  const bool alone = function.vector == EventFunction::alone;
+  const auto together = [&](const Due& one) {
+    return alone ? one.event == first.event
+                 : parts_.events.function(one.event).vector == function.vector && one.depth == first.depth;
+  };
+  before_.assign(Y, Y + extent_.size());
+  if (!alone) {
+    const RootVector& vector = parts_.events.vector(function.vector);
+    before_.resize(extent_.size() + vector.count);
+    for (const Due& one : due_)
+      if (together(one)) before_[extent_.size() + one.event - vector.first] = one.direction;
+  }
+  bool taken = false;  // the same event may be due again
+  std::erase_if(due_, [&](const Due& one) {
+    if (!together(one) || (alone && taken)) return false;
+    list(one, t, Y);
+    return taken = true;
+  });
+  Callback& action = alone ? function.action : parts_.events.vector(function.vector).action;
+  if (const State state = take(action, function.jump, t, Y); state != State::running) return state;
+  return judge(t, Y, first.depth + 1);
+}
+
+/// Y behind an action that gets `before_`.
+State Jumps::take(Callback& action, Callback& jump, double t, double* Y) {
+  if (action(t, before_.data(), Y) == Status::stop) return State::interrupted;
+  acted_ = true;
+  if (!all_finite(Y, extent_.n)) return State::action_undefined;
+  if (const State state = solve_equations(t, Y); state != State::running) return state;
+  if (jump) {
+    before_.insert(before_.end(), Y, Y + extent_.n);
+    if (jump(t, before_.data(), Y + extent_.n) == Status::stop) return State::interrupted;
+    if (!all_finite(Y, extent_.size())) return State::action_undefined;
+  }
+  return follow_equations(t, Y);
+}
+
+State Jumps::onto_equations(double t, double* Y) {
+  const State state = solve_equations(t, Y);
+  return state == State::running ? follow_equations(t, Y) : state;
+}
+
+State Jumps::solve_equations(double t, double* y) {
+  if (!consistent_) return State::running;
+  switch (consistent_(t, y)) {
+    case Consistency::corrected: moved_ = true; break;
+    case Consistency::stop: return State::interrupted;
+    case Consistency::not_found:
+    case Consistency::index_too_high: return State::restart_inconsistent;
+    case Consistency::consistent:
+    case Consistency::undefined: break;  // the restart says so
+  }
+  return State::running;
+}
+
+/// The sensitivities of algebraic variables.
+State Jumps::follow_equations(double t, double* Y) {
+  const bool stops = consistent_tangent_ && consistent_tangent_(t, Y) == Status::stop;
+  return stops ? State::interrupted : State::running;
+}
+
+/// Which events has the jump to y carried over zero? Theirs are the next actions.
+State Jumps::judge(double t, const double* y, int depth) {
+  Report& report = parts_.report;
+  crossed_.clear();
+  switch (parts_.events.arrive(t, y, crossed_)) {
+    case Outcome::ok: break;
+    case Outcome::stop: return State::interrupted;
+    case Outcome::not_finite:
+      report.event = parts_.events.undefined().event;
+      report.t = t;
+      return State::event_undefined;
+  }
+  occurred_ += crossed_.size();
+  for (const Occurrence& one : crossed_) {
+    const Due due{one.event, one.direction, depth, false};
+    const bool known = std::ranges::find(report.circle, one.event) != report.circle.end();
+    if (depth >= listed_from && !known) report.circle.push_back(one.event);
+    terminal_ = parts_.events.counts_out(one.event) || terminal_;
+    if (parts_.events.function(one.event).acts())
+      due_.push_back(due);
+    else
+      list(due, t, y);
+  }
+  if (terminal_) return State::terminal_event;
+  const bool endless = depth >= deepest || occurred_ > static_cast<std::size_t>(deepest) * parts_.events.count();
+  return endless && !crossed_.empty() ? State::events_endless : State::running;
+}
+
+/// The occurrence, with the state that its action gets.
+void Jumps::list(const Due& due, double t, const double* Y) {
+  Trajectory& all = parts_.occurrences[due.event];
+  if (!due.listed)
+    all.add(t, Y, extent_.size());
+  else if (all.t.size() > 0)  // else it was put out by the run that this one goes on from
+    std::copy_n(Y, extent_.size(), all.y.data() + all.y.size() - extent_.size());
+}
+
+/// Back within bounds and onto constraints, with new values of invariants that are not demanded.
+State Jumps::restore(double t, double* y) {
+  if (!parts_.checks.move_within_bounds(y)) return State::action_out_of_bounds;
+  const Finding finding = parts_.manifold.restart(t, y, rehold_);
+  if (finding.kind == Finding::Kind::none) return State::running;
+  if (finding.kind == Finding::Kind::stop) return State::interrupted;
+  parts_.report.finding = finding;
+  return State::invariant_convicted;
+}
+
+}  // namespace invariode

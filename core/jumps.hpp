@@ -1,0 +1,90 @@
+#pragma once
+// What happens where y jumps (docs/algorithms.md, 'Jumps').
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "breaks.hpp"
+#include "initial_checks.hpp"
+#include "linear/mass.hpp"
+#include "manifold/manifold.hpp"
+#include "output/events.hpp"
+#include "output/output.hpp"
+#include "report.hpp"
+#include "sensitivity/extent.hpp"
+
+namespace invariode {
+
+/// Carries Y = (y, S) over all that moves it at one time: actions of events and of breakpoints, algebraic equations,
+/// constraints, bounds.
+///
+///   y⁺ = h(t, y⁻), moved onto the algebraic equations; S⁺ follows it. Then each event is judged at y⁺: those whose sign
+///   the jump has changed occur, and their actions are taken after those that are due already. When none is due, y is
+///   put back onto constraints and within bounds, and judged once more.
+///
+/// Each method returns `running` if the solution goes on from Y; else the state in which the run ends: at a terminal
+/// event, Y is the state behind the jump that it occurred by.
+class Jumps {
+ public:
+  /// All of these belong to the loop.
+  struct Parts {
+    Events& events;
+    Breaks& breaks;
+    Manifold& manifold;
+    InitialChecks& checks;
+    Report& report;
+    std::vector<Trajectory>& occurrences;  ///< of each event, those of the run
+  };
+  Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
+        std::function<Status(double t, double* Y)> consistent_tangent, Extent extent);
+
+  /// The actions of the events of the last search that occurred at t. `inside`: t is not the end of that step.
+  [[nodiscard]] State at_events(double t, double* Y, bool inside);
+  /// The actions at the breakpoints at t, after those of events there, if there were any.
+  [[nodiscard]] State at_breakpoints(double t, double* Y, bool inside);
+  /// Only moves Y onto the algebraic equations; only S onto their tangent.
+  [[nodiscard]] State onto_equations(double t, double* Y);
+  [[nodiscard]] State follow_equations(double t, double* Y);
+
+  /// Of the latest call of `at_events` or `at_breakpoints`: has an action been taken, has Y been moved?
+  [[nodiscard]] bool acted() const { return acted_; }
+  [[nodiscard]] bool moved() const { return moved_; }
+  /// Without an action: have invariants other values there?
+  [[nodiscard]] bool others() const { return others_; }
+
+ private:
+  /// An event whose action has yet to be taken.
+  struct Due {
+    std::size_t event;
+    int direction;
+    int depth;    ///< so many jumps, each of which caused the next, led to it; 0: it is a root
+    bool listed;  ///< its occurrence is known, but not yet with the state before its action
+  };
+
+  State begin(double t, const double* Y, bool inside);
+  State work(double t, double* Y);
+  State take_next(double t, double* Y);
+  State take(Callback& action, Callback& jump, double t, double* Y);
+  State without_action(double t, double* Y, bool inside);
+  State solve_equations(double t, double* y);
+  State judge(double t, const double* y, int depth);
+  State restore(double t, double* y);
+  State ended_by(double t, double* y);
+  void list(const Due& due, double t, const double* Y);
+
+  Parts parts_;
+  std::function<Consistency(double t, double* y)> consistent_;
+  std::function<Status(double t, double* Y)> consistent_tangent_;
+  Extent extent_;
+  std::vector<Due> due_;
+  std::vector<Occurrence> crossed_;
+  std::vector<double> before_;  // Y before an action, and behind it the state after it, or what a vector is told
+  std::vector<double> raw_;     // y before it is put back onto constraints
+  bool rehold_ = true;          // every event that has acted asks for it
+  std::size_t occurred_ = 0;  // so many events by jumps, at this time
+  bool acted_ = false, moved_ = false, others_ = false, terminal_ = false;
+};
+
+}  // namespace invariode
