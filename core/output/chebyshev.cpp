@@ -55,10 +55,13 @@ bool is_monotonic(const std::vector<double>& c) {
 
 }  // namespace
 
-bool RootSeparator::separate(const Sample& sample, double a, double ea, bool zero_at_start, double b, double eb,
-                             std::vector<double>& points) {
+bool RootSeparator::separate(const Sample& sample, const std::function<bool(double& value)>& noise, const Ends& ends,
+                             bool zero_at_start, std::vector<double>& points) {
+  const auto [a, ea, b, eb] = ends;
   assert(a != b);
   samples_ = 0;
+  noise_ = 0;
+  ask_noise_ = &noise;
   std::vector<Interval> left{{a, ea, b, eb, 0}};
   while (!left.empty()) {
     const Interval on = left.back();
@@ -90,6 +93,10 @@ bool RootSeparator::interpolate(const Sample& sample, const Interval& on, bool& 
     } while (values_.size() <= first_degree);
     transform(values_, coefficients_);
     resolved = decayed();
+    if (!resolved && ask_noise_ != nullptr) {
+      if (!(*std::exchange(ask_noise_, nullptr))(noise_)) return false;
+      resolved = decayed();
+    }
     if (resolved && !confirmed(sample, on, resolved)) return false;
   }
   return true;
@@ -111,12 +118,12 @@ bool RootSeparator::decayed() const {
   double largest = 0;
   for (const double c : coefficients_) largest = std::max(largest, std::abs(c));
   return std::isfinite(largest) && std::all_of(coefficients_.end() - tail, coefficients_.end(),
-                                               [&](double c) { return std::abs(c) <= negligible * largest; });
+                                               [&](double c) { return std::abs(c) <= std::max(negligible * largest, noise_); });
 }
 
 /// Coefficients decay by accident too: does the interpolant agree with the function between its points?
 bool RootSeparator::confirmed(const Sample& sample, const Interval& on, bool& agrees) {
-  const double allowed = doubt * negligible * largest(values_);
+  const double allowed = doubt * std::max(negligible * largest(values_), noise_);
   for (const double x : between) {
     double value = 0;
     if (!sample(on.time(x), value)) return false;
@@ -139,6 +146,7 @@ bool RootSeparator::locate_roots() {
   roots_.clear();
   const std::size_t degree = coefficients_.size() - 1;
   const double resolution = doubt * negligible * largest(coefficients_);
+  if (largest(coefficients_) <= noise_) return true;  // there is nothing to be seen
   std::vector<std::pair<double, double>> left{{-1, 1}};
   while (!left.empty()) {
     const auto [low, high] = left.back();

@@ -15,11 +15,15 @@ class RootSeparator {
   /// The value at t; false: the search is to end.
   using Sample = std::function<bool(double t, double& value)>;
 
+  /// An interval, and the values at its ends.
+  struct Ends {
+    double a, ea, b, eb;
+  };
   /// Appends points between a and b to `points`, in their order, so that no two roots that the function's interpolant
-  /// has lie between neighbours. `ea` and `eb`: the values at the ends. False: a sample was.
-  /// `zero_at_start`: a is a root.
-  bool separate(const Sample& sample, double a, double ea, bool zero_at_start, double b, double eb,
-                std::vector<double>& points);
+  /// has lie between neighbours. False: a sample was. `noise` is asked for what roundoff makes of the function, where it
+  /// is not soon resolved. `zero_at_start`: a is a root.
+  bool separate(const Sample& sample, const std::function<bool(double& value)>& noise, const Ends& ends,
+                bool zero_at_start, std::vector<double>& points);
 
  private:
   struct Interval {
@@ -38,6 +42,8 @@ class RootSeparator {
   void split_between_roots(const Interval& on, std::vector<double>& points) const;
 
   std::size_t samples_ = 0;
+  const std::function<bool(double& value)>* ask_noise_ = nullptr;  // null: it is known
+  double noise_ = 0;
   std::vector<double> values_;        // at cos(kπ / N), k = 0 … N
   std::vector<double> coefficients_;  // of the Chebyshev polynomials
   std::vector<double> part_values_, part_coefficients_;

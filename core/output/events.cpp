@@ -17,6 +17,8 @@ constexpr int few_intervals = 3;          // that shrink do not yet accumulate
 constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
 constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
 constexpr double small_change = 0x1p-26;  // of y and t, to see what the event is made of
+constexpr double straight = 1e-3;         // differences of slopes: it does not turn, but for the last 0.05 % of an interval
+constexpr double noise_ulps = 16;         // of y between steps
 constexpr std::size_t most_evaluated = 64;  // values of a vector that are kept
 
 bool is_sign(int s) { return s >= -1 && s <= 1; }
@@ -294,25 +296,33 @@ Outcome Events::scan(std::size_t event, bool projected) {
 }
 
 /// Do the values of the scan leave room for roots that they do not show: could an event that is no more than
-/// `room_between_points` times as steep as between any two neighbours, in this step or the one before, reach zero and return between two of
-/// them? Neighbours on two sides of zero, or at zero, have one root between them, or it is left to its own: then it
-/// would have to be twice that steep. A condition, ±1, shows nothing between its values.
+/// `room_between_points` times as steep as between any two neighbours, in this step or the one before, reach zero and
+/// return between two of them? Where it is as good as straight, it does not turn. Neighbours on two sides of zero, or at
+/// zero, have one root between them, or it is left to its own: then it would have to be twice that steep. A condition,
+/// ±1, shows nothing between its values.
 bool Events::leaves_room(std::size_t event) {
   const std::vector<double>& values = scan_.values;
-  double most = 0, least = std::abs(values[0]), change = 0;
+  const auto change = [&](std::size_t j) { return values[j] - values[j - 1]; };
+  const auto alike = [&](std::size_t j, std::size_t k) {
+    return k < 1 || k > intervals_ || std::abs(change(k) - change(j)) <= straight * std::abs(change(j));
+  };
+  double most = std::abs(values[0]), least = most, largest = 0;
   double apart = std::numeric_limits<double>::infinity(), across = apart;
   for (std::size_t j = 1; j <= intervals_; ++j) {
     const double a = values[j - 1], b = values[j], sum = std::abs(a) + std::abs(b);
-    (sign_of(a) * sign_of(b) > 0 ? apart : across) = std::min(sign_of(a) * sign_of(b) > 0 ? apart : across, sum);
-    change = std::max(change, std::abs(b - a));
+    if (sign_of(a) * sign_of(b) <= 0)
+      across = std::min(across, sum);
+    else if (!alike(j, j - 1) || !alike(j, j + 1))
+      apart = std::min(apart, sum);
+    largest = std::max(largest, std::abs(change(j)));
     most = std::max(most, std::abs(b));
     least = std::min(least, std::abs(b));
   }
   const double width = std::abs(step_.t1 - step_.t0) / static_cast<double>(intervals_);
-  const double reach = std::max(change, slope_[event] * width);
-  note_size(event, most, change / width);
+  const double reach = std::max(largest, slope_[event] * width);
+  note_size(event, most, largest / width);
   if (most == 1 && least == 1) return false;
-  return !std::isfinite(change) || room_between_points * reach >= apart || reach > room_between_points * across;
+  return !std::isfinite(largest) || room_between_points * reach >= apart || reach > room_between_points * across;
 }
 
 /// How large the event is in the step, and how steep.
@@ -348,7 +358,11 @@ Outcome Events::scan_closely(std::size_t event, int samples) {
   };
   times.assign(1, t0);
   if (samples == EventFunction::adaptive) {
-    if (!separator_.separate(inside, t0, start, sign_[event] == 0, t1, end, times)) return outcome;
+    const auto noise = [&](double& value) {
+      outcome = roundoff_of(event, t1, step_.y1, end, value);
+      return outcome == Outcome::ok;
+    };
+    if (!separator_.separate(inside, noise, {t0, start, t1, end}, sign_[event] == 0, times)) return outcome;
   } else {
     const auto parts = std::max(intervals_, static_cast<std::size_t>(samples) + 1);
     for (std::size_t j = 1; j < parts; ++j)
@@ -360,6 +374,21 @@ Outcome Events::scan_closely(std::size_t event, int samples) {
   times.push_back(t1);
   values.push_back(end);
   find_brackets(event, close_scan_);
+  return Outcome::ok;
+}
+
+/// About what roundoff of t and y makes of the event: y is moved as a whole, so that no terms cancel in both.
+Outcome Events::roundoff_of(std::size_t event, double t, const double* y, double value, double& noise) {
+  double size = 0, moved = 0;
+  for (const double alternating : {1.0, -1.0}) {
+    double sign = 1;
+    for (std::size_t i = 0; i < n_; ++i, sign *= alternating) y_[i] = y[i] * (1 + sign * small_change);
+    if (const Outcome outcome = evaluate(event, t, y_.data(), moved); outcome != Outcome::ok) return outcome;
+    size = std::max(size, std::abs(moved - value));
+  }
+  if (const Outcome outcome = evaluate(event, t * (1 + small_change), y, moved); outcome != Outcome::ok) return outcome;
+  size = std::max(size, std::abs(moved - value));
+  noise = noise_ulps * eps * size / small_change;
   return Outcome::ok;
 }
 

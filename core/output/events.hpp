@@ -177,6 +177,7 @@ class Events {
   Outcome find(std::size_t event);
   Outcome scan(std::size_t event, bool projected);
   Outcome scan_closely(std::size_t event, int samples);
+  Outcome roundoff_of(std::size_t event, double t, const double* y, double value, double& noise);
   void note_size(std::size_t event, double size, double slope);
   void note_size(std::size_t event);
   [[nodiscard]] bool by_turning_points(std::size_t event) const;

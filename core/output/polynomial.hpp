@@ -48,6 +48,6 @@ constexpr std::size_t intervals_of_step(std::size_t degree) {
 }
 
 /// So much steeper than between any two of these ends an event may be between others, before it is resolved.
-inline constexpr double room_between_points = 2;
+inline constexpr double room_between_points = 1.25;
 
 }  // namespace invariode
