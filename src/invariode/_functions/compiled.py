@@ -265,7 +265,7 @@ class CompiledFunction:
 
     def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
-        from .numba_additions import copied, read_only
+        from .numba_additions import condition, copied, read_only
 
         numba = numba_or_say_so()
         jitted = self._jit(shape.is_complex)
@@ -277,7 +277,7 @@ class CompiledFunction:
         body = [*shape.unpacked(), *([f"p = given(carray(p_, ({shape.parameters},)))"] if shape.parameters else [])]
         if shape.event:
             head = "def code(t, y_, p_):"
-            body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
+            body += ["try:", f"    return condition({call})", "except Exception:", "    return nan"]
         else:
             head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
@@ -287,7 +287,7 @@ class CompiledFunction:
             body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size - half)
         text = "\n    ".join([head, *body])
         given = copied if copies else read_only
-        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan}
+        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan, "condition": condition}
         exec(text, namespace)
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         double, pointer, numbers = (
@@ -557,6 +557,11 @@ def as_python(fun: _core.Native, size: int, at_complex: _core.Native | None = No
         return values
 
     return evaluate
+
+
+def condition_value(value: Any) -> Any:
+    """The value of an event: a truth value, also in an array, is 1 or -1."""
+    return np.where(value, 1.0, -1.0) if np.asarray(value).dtype == bool else value
 
 
 def event_value(fun: Any, t: float, y: Array, p: Array) -> float:

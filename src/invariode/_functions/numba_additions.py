@@ -27,6 +27,18 @@ def read_only(context: Any, array: Any) -> Any:
     return array.copy(readonly=True)(array), generate
 
 
+def condition(value: Any) -> Any:
+    """The value of an event: a truth value is 1 or -1."""
+    raise NotImplementedError  # for numba only
+
+
+@_extending.overload(condition, strict=False)  # type: ignore[untyped-decorator]  # numba has no types
+def _condition(value: Any) -> Any:
+    if isinstance(value, _types.Boolean):
+        return lambda value: 1.0 if value else -1.0
+    return lambda value: value
+
+
 @_extending.register_jitable  # type: ignore[untyped-decorator]  # numba has no types
 def copied(array: Any) -> Any:
     """New memory with the same numbers."""

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.compiled import event_value, is_native
+from .._functions.compiled import condition_value, event_value, is_native
 from .._problem.description import Description
 from .._results.solution import Solution
 from .plan import Plan, solver
@@ -28,7 +28,7 @@ def _value(problem: Description, plan: Plan, e: int, t: float | None = None, y: 
     fun = problem.events[e].fun
     if is_native(fun):
         return event_value(plan.functions.events[e].fun, t, y.view(float), plan.functions.parameters)
-    return float(np.asarray(fun(t, y, *problem.args)).item())
+    return float(np.asarray(condition_value(fun(t, y, *problem.args))).item())
 
 
 def _after_one_step(plan: Plan) -> tuple[float, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ... import _core
 from ..._base.arguments import Array
-from ..compiled import CompiledFunction, Shape
+from ..compiled import CompiledFunction, Shape, condition_value
 from ..layout import TRUTHS, Arguments, Constant, Numbers, count_of
 from .nodes import Node, TraceError, in_order
 from .python import Formula
@@ -249,7 +249,15 @@ class TracedFunction(OnGraph):
 
         arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
-        found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace, is_complex=self.is_complex)
+        found = trace(
+            self.fun,
+            shape.n,
+            arguments,
+            second=shape.second,
+            inplace=inplace,
+            is_complex=self.is_complex,
+            conditions=shape.event,
+        )
         if len(found.outputs) != shape.size:
             raise TraceError(f"{self.__name__} returns {len(found.outputs)} values, expected {shape.size}")
         self._compare(found, shape, arguments)
@@ -275,6 +283,7 @@ class TracedFunction(OnGraph):
                 with np.errstate(all="ignore"):
                     returned = self.fun(*given)
                     filled = self.inplace and not shape.event
+                    returned = condition_value(returned) if shape.event else returned
                     expected = out if filled else np.ravel(np.asarray(returned, dtype=kind)).view(float)
             except Exception:  # whatever it raises where it is not defined
                 continue

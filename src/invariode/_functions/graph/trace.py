@@ -25,7 +25,7 @@ from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
 from .selections import helpers, selecting
 from .tables import Table, is_table
-from .traced import _UNARY, TracedArray, cells_of, has_traced, is_complex, number, wrapped
+from .traced import _UNARY, TracedArray, cells_of, condition, has_traced, is_complex, number, wrapped
 
 
 class TraceLimits(NamedTuple):
@@ -63,6 +63,7 @@ def trace(
     second: int = 0,
     inplace: int = 0,
     is_complex: bool = False,
+    conditions: bool = False,
     limits: TraceLimits | None = None,
 ) -> Traced:
     """The graph of a function of (t, y, *args).
@@ -81,6 +82,8 @@ def trace(
         How many values the function writes to an argument after these; 0: it returns them.
     is_complex : bool, default False
         The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
+    conditions : bool, default False
+        Whether truth values count as 1 or -1, as those of events do, not as 1 or 0.
     limits : TraceLimits, optional
         Beyond them it is refused.
 
@@ -94,7 +97,7 @@ def trace(
         It cannot be traced: the message names the line and the reason.
     """
     args, limits = Arguments([]) if args is None else args, limits or TraceLimits()
-    given = (fun, n - second, second, args, inplace, limits, is_complex)
+    given = (fun, n - second, second, args, inplace, limits, is_complex, conditions)
     found = _Run(*given).traced(alone=True)
     if found is not None:
         return found
@@ -133,10 +136,12 @@ class _Run:
         inplace: int,
         limits: TraceLimits,
         is_complex: bool,
+        conditions: bool,
         selections: bool = False,
     ) -> None:
         self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
         self._inplace, self._limits, self._is_complex = inplace, limits, is_complex
+        self._number = condition if conditions else number
         self._graph = Graph()
         self._copies = _Copies(self, selections)
         self._fun = self._copies.of(fun)
@@ -152,7 +157,7 @@ class _Run:
         while True:
             self._at = 0
             found = self._followed(known)
-            outputs = None if found is None else [number(one) for one in found.ravel()]
+            outputs = None if found is None else [self._number(one) for one in found.ravel()]
             if found is not None:
                 shape = found.shape
             known.append(([(condition, answer) for condition, answer, _ in self._decisions[: self._at]], outputs))
@@ -190,6 +195,8 @@ class _Run:
             given += self._args.made(self._parameter, self._copies.of)
             returned = self._fun(*given)
             values = out if out is not None else returned
+            if self._number is condition and isinstance(values, (bool, np.bool_)):  # of a branch
+                values = 1.0 if values else -1.0
             return cells_of(pair(values, self._real).interleaved() if self._is_complex else values, graph)
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None

@@ -389,6 +389,11 @@ def number(node: Node) -> Node:
     return node.graph.select(node, node.graph.node(1.0), node.graph.node(0.0)) if node.is_truth else node
 
 
+def condition(node: Node) -> Node:
+    """A truth as 1 or -1."""
+    return node.graph.select(node, node.graph.node(1.0), node.graph.node(-1.0)) if node.is_truth else node
+
+
 def truth(node: Node) -> Node:
     """A number as whether it is not 0."""
     return node if node.is_truth else node.graph.make("not_equal", node, node.graph.node(0.0))
