@@ -226,7 +226,8 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   for (const VectorSpec& one : spec.vectors)
     problem_.vectors.push_back(make_vector(one, problem_.vectors.size(), functions_, problem_.events));
   for (const EventFunction& event : problem_.events)
-    if (event.vector == EventFunction::alone && !event.function) throw std::invalid_argument("an event has no function");
+    if (event.vector == EventFunction::alone && !event.function)
+      throw std::invalid_argument("an event has no function");
   if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
   if (spec.variations) add_variations(*spec.variations, functions_, problem_);
@@ -295,7 +296,8 @@ void define_functions(nb::module_& module) {
           nb::arg("fun").none(), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
           nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
           nb::arg("at_jumps") = true,
-          "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods "
+          "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. "
+          "series: along polynomials, for methods "
           "whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where "
           "jumps change its sign.");
   nb::class_<VectorSpec>(module, "RootVector", nb::type_slots(slots<VectorSpec>),
@@ -377,9 +379,9 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
-             const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper,
-             std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
+             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, nb::object callback,
+             std::vector<InvariantSpec> invariants, const OptionalVector& value, const OptionalVector& lower,
+             const OptionalVector& upper, std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
              std::optional<SeriesSpec> conditions, std::size_t condition_count) {
             new (self) ProblemSpec{n,
                                    complex,
@@ -402,11 +404,10 @@ void define_description(nb::module_& module) {
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("vectors") = nb::list(),
-          nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
-          nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
-          nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(),
-          nb::arg("condition_count") = 0,
+          nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(),
+          nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(),
+          nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(),
+          nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
           "conditions: condition_count values along a polynomial, of which one changes its sign where f changes its "
           "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")

@@ -374,7 +374,8 @@ bool Integration::conclude() {
     return unless_stopped(emitter_.emit_times(reached_, false)) && end(State::stopped_by_callback);
   if (keeps_last_ && !keep_step_before_jump()) return false;
   const bool breaks = aim_.lands() && breaks_.at(t);
-  if ((events_.acts() || breaks) && !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()})) return false;
+  if ((events_.acts() || breaks) && !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()}))
+    return false;
   return !aim_.lands() || t != settings_.tf || end(State::reached_end);
 }
 

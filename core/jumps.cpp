@@ -9,8 +9,8 @@
 namespace invariode {
 namespace {
 
-constexpr int deepest = 100;      // jumps in a row, each caused by the one before
-constexpr int listed_from = 50;   // of these: the events that occur by them go round in a circle
+constexpr int deepest = 100;     // jumps in a row, each caused by the one before
+constexpr int listed_from = 50;  // of these: the events that occur by them go round in a circle
 
 }  // namespace
 

@@ -20,9 +20,9 @@ namespace invariode {
 /// Carries Y = (y, S) over all that moves it at one time: actions of events and of breakpoints, algebraic equations,
 /// constraints, bounds.
 ///
-///   y⁺ = h(t, y⁻), moved onto the algebraic equations; S⁺ follows it. Then each event is judged at y⁺: those whose sign
-///   the jump has changed occur, and their actions are taken after those that are due already. When none is due, y is
-///   put back onto constraints and within bounds, and judged once more.
+///   y⁺ = h(t, y⁻), moved onto the algebraic equations; S⁺ follows it. Then each event is judged at y⁺: those whose
+///   sign the jump has changed occur, and their actions are taken after those that are due already. When none is due, y
+///   is put back onto constraints and within bounds, and judged once more.
 ///
 /// Each method returns `running` if the solution goes on from Y; else the state in which the run ends: at a terminal
 /// event, Y is the state behind the jump that it occurred by.
@@ -83,7 +83,7 @@ class Jumps {
   std::vector<double> before_;  // Y before an action, and behind it the state after it, or what a vector is told
   std::vector<double> raw_;     // y before it is put back onto constraints
   bool rehold_ = true;          // every event that has acted asks for it
-  std::size_t occurred_ = 0;  // so many events by jumps, at this time
+  std::size_t occurred_ = 0;    // so many events by jumps, at this time
   bool acted_ = false, moved_ = false, others_ = false, terminal_ = false;
 };
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -322,3 +324,130 @@ def test_adaptive_samples_on_the_manifold(method):
 def test_wrong_samples(samples, error):
     with pytest.raises(error, match="samples of an event must be a positive integer"):
         iv.Event(lambda t, y: 1.0, samples=samples)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Pairs of roots, conditions, intervals of zeros
+
+
+def test_pairs_of_roots_within_a_step_are_found(method):
+    """Of a tent, whose kink leaves two roots within a step: at random places, of widths down to a hundredth of it."""
+    rng = np.random.default_rng(4451)
+    for rtol in (1e-3, 1e-6, 1e-9):
+        for width in (0.6, 0.1):
+            low = rng.uniform(1, 9)
+            sol = iv.solve_ivp(
+                lambda t, y: [1.0], (0, 10), [0.0], method, rtol=rtol,
+                events=lambda t, y, a=low, b=low + width: min(y[0] - a, b - y[0]),
+            )  # fmt: skip
+            np.testing.assert_allclose(sol.t_events[0], [low, low + width], rtol=1e-11)
+
+
+@dealt(method=FAMILIES, count=[2, 5, 10, 20])
+def test_random_roots_are_found_by_default(method, count):
+    rng = np.random.default_rng(100 + count)
+    for _ in range(5):
+        roots = np.sort(rng.uniform(0.01, 0.99, count))
+        if np.diff(roots).min() < 1e-3:
+            continue
+        np.testing.assert_allclose(one_long_step(method, many_roots(roots)).t_events[0], roots, atol=1e-9)
+
+
+def test_pairs_are_found_in_ensembles_too():
+    """Side by side in vector registers, as alone."""
+    f = iv.compile(lambda t, y: [1.0])
+    event = iv.compile(lambda t, y: np.minimum(y[0] - 4.5, 5.1 - y[0]), by="trace")
+    y0 = np.linspace(0, 3, 16)[:, None]
+    out = iv.solve_ensemble(f, (0, 10), y0, "dop853", events=event, max_step=np.inf)
+    for i, start in enumerate(y0[:, 0]):
+        np.testing.assert_allclose(out[i].t_events[0], [4.5 - start, 5.1 - start], rtol=1e-12)
+        alone = iv.solve_ivp(f, (0, 10), [start], "dop853", events=event, max_step=np.inf)
+        assert out[i].t_events[0].tolist() == alone.t_events[0].tolist()
+
+
+@families
+def test_an_event_far_from_zero_costs_the_usual_points(method):
+    """Only where values leave room for a pair is an event resolved."""
+    calls = {None: 0, "adaptive": 0}
+
+    def counted(samples):
+        def event(t, y):
+            calls[samples] += 1
+            return 10 + y[0]
+
+        return iv.Event(event, samples=samples)
+
+    for samples in calls:
+        sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 20), [0.0, 1.0], method, events=counted(samples))
+    most = max(iv.METHODS[method].order, 3) + 9  # points in a step: the degree of the extension
+    assert calls[None] <= 1 + most * sol.stats.steps
+    assert calls[None] < calls["adaptive"]
+
+
+def condition(compiled: bool):
+    def above(t, y):
+        return y[0] > 0.5
+
+    return iv.compile(above, by="trace") if compiled else above
+
+
+@dealt(24, method=[*FAMILIES, "taylor"], compiled=[False, True], backwards=[False, True])
+def test_a_condition_is_located_to_roundoff_in_either_direction(method, compiled, backwards):
+    ends, start = ((1, 0), [1.0]) if backwards else ((0, 1), [0.0])
+    for direction, count in ((0, 1), (1, int(not backwards)), (-1, int(backwards))):
+        event = iv.Event(condition(compiled), direction=direction)
+        sol = iv.solve_ivp(lambda t, y: [1.0], ends, start, method, events=event)
+        np.testing.assert_allclose(sol.t_events[0], [0.5] * count, rtol=1e-13)
+
+
+def branching(t, y):
+    above = False
+    if y[0] > 0.5:  # tracing follows both ways
+        above = True
+    return above
+
+
+TRUTHS = [lambda t, y: y > 0.5, lambda t, y: bool(y[0] > 0.5), lambda t, y: [y[0] > 0.5], branching]
+
+
+@pytest.mark.parametrize("above", TRUTHS)
+def test_every_kind_of_truth_is_a_condition(above):
+    for event in (above, iv.compile(above, by="trace")):
+        for method in ("ode45", "taylor"):
+            found = iv.solve_ivp(lambda t, y: [1.0], (0, 1), [0.0], method, events=event).t_events[0]
+            np.testing.assert_allclose(found, [0.5], rtol=1e-13)
+    assert len(iv.solve_ivp(lambda t, y: [1.0], (0, 1), [0.0], events=iv.Event(above, at_start=True)).t_events[0]) == 1
+
+
+def test_numba_compiles_conditions():
+    pytest.importorskip("numba")
+    event = iv.compile(condition(False), by="numba")
+    found = iv.solve_ivp(lambda t, y: [1.0], (0, 1), [0.0], events=event).t_events[0]
+    np.testing.assert_allclose(found, [0.5], rtol=1e-13)
+
+
+def test_an_event_that_is_zero_over_an_interval_is_reported_once_where_that_begins(method):
+    events = [
+        lambda t, y: min(y[0] - 0.3, 0.0),  # to the end
+        lambda t, y: np.clip(y[0] - 0.6, 0, None) + min(y[0] - 0.3, 0.0),  # and rises
+        lambda t, y: min(y[0] - 0.3, 0.0) - max(y[0] - 0.6, 0.0),  # and returns
+    ]
+    for options in ({}, LONG):
+        sol = iv.solve_ivp(lambda t, y: [1.0], (0, 1), [0.0], method, events=events, **options)
+        for found in sol.t_events:
+            np.testing.assert_allclose(found, [0.3], rtol=1e-13)
+
+
+def test_the_state_at_the_end_does_not_depend_on_the_output(method, tmp_path):
+    """Nor on what comes between: files, pickles, ensembles."""
+    sol = run(method, None)
+    for options in ({"t_eval": [1.0, 2.0]}, {"t_eval": []}, {"keep": "end"}):
+        other = run(method, None, **options)
+        assert other.y_end.tolist() == sol.y_end.tolist() == sol.y[:, -1].tolist()
+    early = run(method, None, t_eval=[1.0])
+    early.save(tmp_path / "run.npz")
+    assert iv.load(tmp_path / "run.npz").y_end.tolist() == sol.y_end.tolist()
+    assert pickle.loads(pickle.dumps(early)).y_end.tolist() == sol.y_end.tolist()
+    assert early.extend(12.0).y_end[0] == pytest.approx(12)
+    stopped = run(method, iv.Event(at(3.0), terminal=True), t_eval=[1.0])
+    assert stopped.y_end[0] == pytest.approx(3, rel=1e-13)

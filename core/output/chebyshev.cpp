@@ -117,8 +117,9 @@ bool RootSeparator::refine(const Sample& sample, const Interval& on) {
 bool RootSeparator::decayed() const {
   double largest = 0;
   for (const double c : coefficients_) largest = std::max(largest, std::abs(c));
-  return std::isfinite(largest) && std::all_of(coefficients_.end() - tail, coefficients_.end(),
-                                               [&](double c) { return std::abs(c) <= std::max(negligible * largest, noise_); });
+  return std::isfinite(largest) && std::all_of(coefficients_.end() - tail, coefficients_.end(), [&](double c) {
+           return std::abs(c) <= std::max(negligible * largest, noise_);
+         });
 }
 
 /// Coefficients decay by accident too: does the interpolant agree with the function between its points?

@@ -17,8 +17,8 @@ constexpr int few_intervals = 3;          // that shrink do not yet accumulate
 constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
 constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
 constexpr double small_change = 0x1p-26;  // of y and t, to see what the event is made of
-constexpr double straight = 1e-3;         // differences of slopes: it does not turn, but for the last 0.05 % of an interval
-constexpr double noise_ulps = 16;         // of y between steps
+constexpr double straight = 1e-3;  // differences of slopes: it does not turn, but for the last 0.05 % of an interval
+constexpr double noise_ulps = 16;  // of y between steps
 constexpr std::size_t most_evaluated = 64;  // values of a vector that are kept
 
 bool is_sign(int s) { return s >= -1 && s <= 1; }
@@ -234,8 +234,9 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
 Outcome Events::find(std::size_t event) {
   const bool turns = by_turning_points(event);
   bool closely = turns || functions_[event].samples != 0;
-  Outcome outcome =
-      turns ? scan_turning_points(event) : closely ? scan_closely(event, functions_[event].samples) : scan(event, false);
+  Outcome outcome = turns     ? scan_turning_points(event)
+                    : closely ? scan_closely(event, functions_[event].samples)
+                              : scan(event, false);
   if (outcome == Outcome::ok && !closely && leaves_room(event)) {
     closely = true;
     outcome = scan_closely(event, EventFunction::adaptive);
@@ -297,9 +298,9 @@ Outcome Events::scan(std::size_t event, bool projected) {
 
 /// Do the values of the scan leave room for roots that they do not show: could an event that is no more than
 /// `room_between_points` times as steep as between any two neighbours, in this step or the one before, reach zero and
-/// return between two of them? Where it is as good as straight, it does not turn. Neighbours on two sides of zero, or at
-/// zero, have one root between them, or it is left to its own: then it would have to be twice that steep. A condition,
-/// ±1, shows nothing between its values.
+/// return between two of them? Where it is as good as straight, it does not turn. Neighbours on two sides of zero, or
+/// at zero, have one root between them, or it is left to its own: then it would have to be twice that steep. A
+/// condition, ±1, shows nothing between its values.
 bool Events::leaves_room(std::size_t event) {
   const std::vector<double>& values = scan_.values;
   const auto change = [&](std::size_t j) { return values[j] - values[j - 1]; };
@@ -338,7 +339,8 @@ void Events::note_size(std::size_t event) {
   double most = 0, slope = 0;
   for (std::size_t j = 1; j < times.size(); ++j) {
     most = std::max(most, std::abs(values[j]));
-    if (times[j] != times[j - 1]) slope = std::max(slope, std::abs((values[j] - values[j - 1]) / (times[j] - times[j - 1])));
+    if (times[j] != times[j - 1])
+      slope = std::max(slope, std::abs((values[j] - values[j - 1]) / (times[j] - times[j - 1])));
   }
   note_size(event, most, slope);
 }
@@ -519,7 +521,7 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
   for (std::size_t j = 1; j <= intervals; ++j) {
     const int s = sign_of(values[j]);
     if (s == 0 && sign != 0 && zero == 0) zero = j;
-    if (s == 0 && j < intervals) continue;  // crossing or tangency: the next nonzero value tells
+    if (s == 0 && j < intervals) continue;          // crossing or tangency: the next nonzero value tells
     const bool rested = zero != 0 && zero + 1 < j;  // at zero, and returns: it occurs where that began
     if (sign != 0 && (s != sign || rested)) brackets_.push_back({a, zero != 0 ? zero : j});
     if (sign == 0) woken_ = s;

@@ -21,7 +21,8 @@ struct RootVector {
   Callback function;      ///< g(t, y) -> (count,)
   std::size_t first = 0;  ///< the event that is its first component
   std::size_t count = 0;
-  Callback action;  ///< (t, (y, d)) -> y from there on: d_i is the sign that component i takes on, 0: it does not change
+  Callback
+      action;  ///< (t, (y, d)) -> y from there on: d_i is the sign that component i takes on, 0: it does not change
 };
 
 struct EventFunction {

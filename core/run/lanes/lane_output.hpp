@@ -205,7 +205,8 @@ class EventScan {
   }
   [[nodiscard]] M leaves_room(std::size_t event, const P& width) const {
     const P reach = larger(change_[event], row(event)[Rows::slope] * width);
-    const M bends = (apart_[event] <= P(room_between_points) * reach) | (P(room_between_points) * across_[event] < reach);
+    const M bends =
+        (apart_[event] <= P(room_between_points) * reach) | (P(room_between_points) * across_[event] < reach);
     const M condition = (most_[event] <= P(1)) & (P(1) <= least_[event]);
     return (bends | ~(change_[event] < P(infinity))) & ~condition;
   }
@@ -218,11 +219,11 @@ class EventScan {
   const Job& job_;
   std::size_t intervals_;
   P* now_;
-  P* sign_;  // of each event, at the latest point of the scan where it was not zero
-  P* last_;  // its latest value
-  P* change_;                 // the largest change between neighbours,
-  P *apart_, *across_;        // the least sum of sizes of neighbours on one side of zero, and of others,
-  P *most_, *least_;          // the largest and the smallest size
+  P* sign_;             // of each event, at the latest point of the scan where it was not zero
+  P* last_;             // its latest value
+  P* change_;           // the largest change between neighbours,
+  P *apart_, *across_;  // the least sum of sizes of neighbours on one side of zero, and of others,
+  P *most_, *least_;    // the largest and the smallest size
   P* point_;
 };
 

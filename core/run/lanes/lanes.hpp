@@ -87,7 +87,8 @@ struct Job {
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
 /// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y with its
 /// sensitivities (all,); what the method remembers, such as f there (all,); its parameters; its thresholds
-/// (all,); of each event its value and sign, how often it has occurred, and its slope; then what belongs to the invariant.
+/// (all,); of each event its value and sign, how often it has occurred, and its slope; then what belongs to the
+/// invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, slope, of_event };

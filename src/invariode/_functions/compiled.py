@@ -287,7 +287,8 @@ class CompiledFunction:
             body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size - half)
         text = "\n    ".join([head, *body])
         given = copied if copies else read_only
-        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan, "condition": condition}
+        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan}
+        namespace["condition"] = condition
         exec(text, namespace)
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         double, pointer, numbers = (

@@ -253,7 +253,7 @@ def to_events(events: EventsLike) -> list[Event]:
         if isinstance(event, Roots):
             found += event.events()
         else:
-            found.append(event if isinstance(event, Event) else _from_function(event))
+            found.append(event if isinstance(event, Event) else _from_function(cast("EventFunction", event)))
     return found
 
 
@@ -311,7 +311,7 @@ class VectorSpec(NamedTuple):
 
     fun: Any
     first: int
-    count: int
+    size: int
     name: str
     action: Any
 
@@ -323,16 +323,9 @@ def vector_specs(events: Sequence[Event], n: int, p: Array) -> list[VectorSpec]:
         if not isinstance(event, RootOf) or event.number != 0:
             continue
         roots = event.roots
-        if event_numbers(events[first : first + roots.count]) != [(roots, k) for k in range(roots.count)]:
-            raise ValueError(f"the events of {roots!r} are not together any more")
         fun = to_native(f"fun of {roots!r}", roots.fun, n, roots.count, p)
         found.append(VectorSpec(fun, first, roots.count, roots.__name__, _OnRoots(roots.on_roots, roots.count)))
     return found
-
-
-def event_numbers(events: Sequence[Event]) -> list[tuple[Roots, int] | None]:
-    """Which function of which `Roots` each event is."""
-    return [(event.roots, event.number) if isinstance(event, RootOf) else None for event in events]
 
 
 def event_spec(event: Event, n: int, p: Array) -> EventSpec:

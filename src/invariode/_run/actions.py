@@ -9,7 +9,8 @@ and behind its action y⁺ = h(τ, y⁻, p)
     S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
 
 Where the run puts y⁺ back onto constraints, as after a blow against a mechanism, that is a part of h; so are all
-further actions at the same time.
+further actions at the same time, among them those of events that the jump has carried over zero: their time is that of
+the jump.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.arguments import RTOL, Array, warn
+from .._base.arguments import EPS, RTOL, Array, warn
 from .._functions.compiled import CoreFunction
 from .._functions.directional import Directional, Point
 from .._laws.imposing import impose
@@ -33,6 +34,8 @@ from .mass_derivatives import AlgebraicOverTime
 
 #: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
 _AHEAD = 1e-6
+#: An event at its root is that small, in units of the last place of t and of its terms: the core ties roots within 4.
+_AT_ROOT = 64
 #: Relative differences of ∂τ of events at one time beyond the errors of the run.
 _ALIKE = 1e-3
 
@@ -70,12 +73,23 @@ class Rate:
         return f if M is None else np.asarray(np.linalg.solve(M, f))
 
 
+def is_at_root(event: Directional, t: float, y: Array, f: Array) -> bool:
+    """Whether an event is zero at a state with this slope, to roundoff; if not, a jump has carried it over zero."""
+    none = np.zeros((4, event.k))
+    signs = (-1.0) ** np.arange(len(y))
+    rate, at_t, *terms = event.columns(
+        t, y, np.array([1.0, t, 0.0, 0.0]), np.stack([f, np.zeros_like(y), y, y * signs]), none
+    )[:, 0]
+    size = np.spacing(abs(t)) * abs(rate) + EPS * (abs(at_t) + max(map(abs, terms)))
+    return bool(abs(event.value(t, y)[0]) <= _AT_ROOT * size)
+
+
 class EventTime:
     """The derivatives of the times at which an event occurs."""
 
     def __init__(self, event: Event, derivatives: Callable[..., Directional], rate: Rate, weights: Weights) -> None:
         self._name, self._rate, self._weights = event.__name__, rate, weights
-        self._function = derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
+        self.function = derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
         self._grazing: list[float] = []
 
     def at(self, t: float, Y: Array) -> Array:
@@ -85,7 +99,7 @@ class EventTime:
     def with_slope(self, t: float, Y: Array, f: Array) -> Array:
         """The same with y' before the event."""
         k = len(Y) - 1
-        rates = self._function.columns(
+        rates = self.function.columns(
             t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
         )[:, 0]
         if self._is_grazing(t, Y[0], f, rates[0], k):
@@ -105,12 +119,12 @@ class EventTime:
     def _is_grazing(self, t: float, y: Array, f: Array, rate: float, k: int) -> bool:
         """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
         w, none = self._weights.of(y), np.zeros((2, k))
-        moved = self._function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
+        moved = self.function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
         with np.errstate(all="ignore"):
             ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
             try:
                 there = y + ahead * f
-                then = self._function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
+                then = self.function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
             except (ValueError, ArithmeticError):  # f is not defined there
                 return rate == 0
             bend = abs(then[0] - rate) / ahead
@@ -166,6 +180,8 @@ class _Moment(NamedTuple):
         The derivatives of the state behind them at τ(p).
     behind : ndarray, (1 + k, n)
         Y as the core has it then.
+    fixed : bool
+        Whether the time is that of a breakpoint.
     """
 
     t: float
@@ -174,6 +190,7 @@ class _Moment(NamedTuple):
     times: Array
     moved: Array
     behind: Array
+    fixed: bool = False
 
 
 @dataclass
@@ -207,7 +224,7 @@ class ActionOfEvent:
         before = self._together.before(t, Y)
         if before is None:
             before = self._first(t, Y)
-        else:
+        elif not before.fixed and is_at_root(self._time.function, t, before.start[0], before.f):
             self._time.compare(before)
         parameters = np.eye(len(before.times))
         moved = landed = self._action.columns(t, Y[0], before.times, before.moved, parameters)
@@ -241,11 +258,12 @@ class ActionAtPoint:
     _together: Together
 
     def __call__(self, t: float, Y: Array, after: Array) -> Array:
-        if self._restored is None:
-            return self._action.tangent(t, Y)
         none, parameters = np.zeros(len(Y) - 1), np.eye(len(Y) - 1)
-        before = self._together.before(t, Y) or _Moment(t, Y, none, none, Y[1:], Y)
-        moved = self._action.columns(t, Y[0], none, before.moved, parameters)
-        found = self._restored.columns(t, after, none, moved, parameters)
+        before = self._together.before(t, Y)
+        if before is None or not before.fixed:
+            before = _Moment(t, Y.copy(), np.zeros(Y.shape[1]), none, Y[1:], Y, fixed=True)
+        moved = found = self._action.columns(t, Y[0], none, before.moved, parameters)
+        if self._restored is not None:
+            found = self._restored.columns(t, after, none, moved, parameters)
         self._together.note(before._replace(moved=moved, behind=np.vstack([after, found])))
         return found

@@ -24,7 +24,7 @@ from .._problem.description import Description
 from .._problem.events import Event
 from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
-from .actions import Rate, restoration
+from .actions import Rate, is_at_root, restoration
 from .sections import SectionedSolution
 from .variations import Crossing, Switching, given_derivatives
 
@@ -129,12 +129,20 @@ class Action(NamedTuple):
     reholds: bool
 
 
+#: Relative differences of states that are one, but for the errors of the continuous solution.
+_SAME = 1e-6
 #: Relative differences of derivatives of times that are roundoff.
 _ALIKE = 1e-6
 
 
 def _behind(one: Occurrence) -> Array:
     return one.found().after
+
+
+def _distance(a: Array, b: Array) -> float:
+    """The largest difference of two states, in units of the larger one."""
+    size = max(np.abs(a).max(initial=0), np.abs(b).max(initial=0))
+    return float(np.abs(a - b).max(initial=0) / size) if size else 0.0
 
 
 def _at_one_time(actions: list[Action]) -> list[list[Action]]:
@@ -179,6 +187,7 @@ class Jumps:
         )
         self._n, self._k = n, len(names)
         self._restored = restoration(problem, names, threshold)
+        self._behind: Callable[[float], Array] = lambda t: self._y0
 
     def of(
         self, sol: Result, y: Callable[[float], Array], points: Sequence[Breakpoint], rests: Sequence[Rest]
@@ -192,22 +201,51 @@ class Jumps:
             A condition changes at the time of an action; several actions at one time with a singular mass matrix, or
             of events whose times differ for other parameters.
         """
+        self._behind = y
         events = [one for i in range(len(self._events)) for one in self._of_event(sol, i)]
         actions = [self._of_point(y, one) for one in points if one.action is not None]
         found: list[Occurrence] = []
-        for together in sorted([*_at_one_time(events), *_at_one_time(actions)], key=lambda one: self._order(one[0])):
-            before, t = together[0].before, together[0].t
-            if found and found[-1].t == t:  # events come first
-                before = partial(_behind, found[-1])
+        for together in sorted(_at_one_time([*events, *actions]), key=lambda one: self._order(one[0])):
+            t = together[0].t
             singular = self._rate.is_singular and len(together) > 1
             self._require(not singular, t, "together with others, and the mass matrix is singular")
-            found.append(Occurrence(t, partial(self._jump, together, before)))
+            parts = self._in_order(y, together)
+            before = parts[0][0].before
+            for part in parts:
+                found.append(Occurrence(t, partial(self._jump, part, before)))
+                before = partial(_behind, found[-1])
         conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
         for one in conditions:
             self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
         found += [*conditions, *(Occurrence(one.begin, partial(self._of_rest, y, one)) for one in rests)]
         found.sort(key=self._order)
         return found
+
+    def _in_order(self, y: Callable[[float], Array], together: list[Action]) -> list[list[Action]]:
+        """Actions at one time in the order in which the run takes them: those up to the first breakpoint, and the rest.
+        An event has the state that its action gets; those that are carried over zero by another follow that."""
+        if len(together) == 1:
+            return [together]
+        t = together[0].t
+        events, points = ([one for one in together if (one.event is None) == fixed] for fixed in (False, True))
+        if not events:
+            return [points]
+        state = self._y0 if t == self._t0 else y(np.nextafter(t, self._t0))
+        parts: list[list[Action]] = [[]]
+        while events or points:
+            distances = [_distance(one.before(), state) for one in events]
+            nearest = int(np.argmin(distances)) if distances else -1
+            if distances and distances[nearest] <= _SAME:
+                following = events.pop(nearest)
+            else:
+                self._require(bool(points), t, "in an order that is not known")
+                following = points.pop(0)
+                if parts[-1] and all(one.event is not None for one in parts[-1]):
+                    parts.append([])
+                    state = state if self._restored is None else self._restored.value(t, state)
+            parts[-1].append(following)
+            state = following.action.value(t, state)
+        return parts
 
     @staticmethod
     def last_was_taken(found: list[Occurrence], t_end: float, end: Array) -> bool:
@@ -257,6 +295,8 @@ class Jumps:
             h, y = h.into(Partials.at(one.action, t, y)), one.action.value(t, y)
         if self._restored is not None and reholds:
             h, y = h.into(Partials.at(self._restored, t, y)), self._restored.value(t, y)
+        if self._rate.is_singular:  # algebraic variables follow; costs of theirs are those of the others
+            y = np.asarray(self._behind(t))
         of_state, of_p = self._time(together, before)
         moved = h.of_y @ self._rate(t, before) + h.of_t - self._rate(t, y)
         A, B = h.of_y + np.outer(moved, of_state), h.of_p + np.outer(moved, of_p)
@@ -264,12 +304,16 @@ class Jumps:
 
     def _time(self, together: list[Action], y: Array) -> tuple[Array, Array]:
         """∂τ as multiples of S⁻ and for each parameter."""
-        t, found = together[0].t, []
+        t = together[0].t
+        found: list[tuple[Array, Array]] = []
+        rate_before = self._rate(t, y)
         for one in together:
             if one.event is None:
                 return np.zeros(self._n), np.zeros(self._k)
+            if found and not is_at_root(one.event, t, y, rate_before):
+                continue  # a jump has carried it over zero
             e = Partials.at(one.event, t, y)
-            rate = float(e.of_t[0] + e.of_y[0] @ self._rate(t, y)) or np.inf
+            rate = float(e.of_t[0] + e.of_y[0] @ rate_before) or np.inf
             found.append((-e.of_y[0] / rate, -e.of_p[0] / rate))
         alike = all(np.allclose(np.concatenate(found[0]), np.concatenate(one), rtol=_ALIKE) for one in found)
         self._require(alike, t, "together with that of another event, which has another time for other parameters")

@@ -197,7 +197,8 @@ def event_of_pairs_in_complex(one: Event) -> Event:
     def acting(t: float, y: Array, *args: Any) -> Array:
         return np.ascontiguousarray(action(t, y.view(float), *args)).view(complex)
 
-    made = Event(fun if is_native(fun) else called, action=None if action is None else acting, rehold=one.rehold)
+    acts = None if action is None else acting
+    made = Event(fun if is_native(fun) else called, action=acts, rehold=one.rehold, at_jumps=one.at_jumps)
     made.__name__ = one.__name__
     return made
 

@@ -583,7 +583,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if given.get("keep") == "end" else len(old.t)
     times = now.get("t_eval")
-    if points and times is not None and len(times) and times[0] == old.t[-1]:  # it is put out again
+    if points and times is not None and np.any(np.asarray(times)[:1] == old.t[-1]):  # it is put out again
         points -= 1
     return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 

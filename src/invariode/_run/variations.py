@@ -307,7 +307,6 @@ class _Derivatives:
             )
             for event, time in zip(problem.events, times, strict=True)
         ]
-        together = Together()
         actions = {id(one.action): one.action for one in points if one.action is not None}
         made = {
             key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
@@ -373,7 +372,7 @@ class Switching:
     @property
     def event(self) -> Event:
         """The condition as an event, which starts the new branch."""
-        made = Event(self.function, action=self.action, rehold=False)
+        made = Event(self.function, action=self.action, rehold=False, at_jumps=False)
         made.__name__ = self.name
         return made
 
