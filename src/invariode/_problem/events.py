@@ -21,7 +21,8 @@ class Event:
     ----------
     fun : callable
         ``fun(t, y, *args) -> float``, with y of shape (n,). Its sign changes are events; a touch
-        without a sign change is not. NaN is an error.
+        without a sign change is not. One that returns True or False is a condition, whose changes are events: True
+        counts as rising. A function that is exactly 0 for some time occurs once, where that begins. NaN is an error.
     terminal : bool or int, default False
         True ends the integration at the first occurrence, a positive integer at that occurrence.
     direction : float, default 0
@@ -29,7 +30,9 @@ class Event:
     action : callable, optional
         ``action(t, y, *args) -> y_new`` of shape (n,): the solution jumps there (impact, switching, dosing) and
         continues from y_new. The output has both states at the same t; ``sol(t)`` gives the later one there. The event
-        is not reported again until it has left zero. No action is taken at an occurrence that ends the integration.
+        is not reported again until it has left zero, which the action itself may do. With a singular mass matrix
+        algebraic components of y_new follow from the others. No action is taken at an occurrence that ends the
+        integration. `y_events` holds the states before their own actions.
         Events that accumulate, like the impacts of a ball that comes to rest, need a `terminal` count.
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
@@ -41,22 +44,33 @@ class Event:
         it has left zero, so that a run that starts at an event does not find it again. Not possible with an `action`.
     samples : int or 'adaptive', optional
         The least number of equally spaced points inside each step at which `fun` is evaluated to find sign changes.
-        Default: the degree of the method's continuous extension, at least 3. 'adaptive': enough points to resolve `fun`
-        along the step by Chebyshev interpolation, from which all of its roots follow: from 9 for a smooth function to
-        hundreds around a kink.
+        'adaptive': enough points to resolve `fun` along the step by Chebyshev interpolation, from which all of its
+        roots follow: from 9 for a smooth function to hundreds around a kink. Default: as many points as the degree of
+        the method's continuous extension, at least 3; and 'adaptive' in those steps in which `fun`, if it is as steep
+        somewhere as between the steepest two of these, could reach zero and return between others.
     touching : bool, default False
         With ``method="taylor"``: whether a zero of `fun` without a change of sign, to roundoff, is an event too. Other
         methods cannot tell it from a near miss.
     name : str, optional
         What messages, tables and ``Experiment(event_times=)`` call the event. Default: the name of `fun`.
+    at_jumps : bool, default True
+        Whether a change of sign by a jump is an occurrence: where the action of another event, or of a breakpoint,
+        carries the solution over the surface `fun` = 0, once for each jump, at its time, with `direction`. The action
+        of this event then follows; if it is terminal, the run ends with the state behind the jump.
 
     Notes
     -----
-    An odd number of roots between two neighbouring points is seen as one, an even number as none. Roots are sign
-    changes of `fun` along the continuous solution, to two units in the last place of t; 'adaptive' finds all sign
-    changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each. With ``method="taylor"``
+    Roots are sign changes of `fun` along the continuous solution, to two units in the last place of t; 'adaptive' finds
+    all sign changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each. A pair of roots
+    is missed only if `fun` shows nothing of it at the points of the step: a condition that is True between two of them,
+    a pulse on a constant. Write ``y[0] - 1`` for ``y[0] > 1`` where a pair may be shorter than a step. With ``method="taylor"``
     `fun` is expanded along the polynomial of the step, if it can be traced and has no branches: then every sign change
     is found, without samples; roots closer than 1e-8 of the step count once.
+
+    Actions at one time follow one another: those of the events that occur there, in the order of the list, then those
+    at breakpoints, each followed by those of the events that it sets off. More than 100 in a row, each set off by the
+    one before, are an error that names the events. For events that depend on one another in other ways, such as by
+    priorities or delays, see `Roots`.
 
     Examples
     --------

@@ -471,6 +471,9 @@ def _selected(condition: Node, yes: Any, no: Any, decide: Callable[[Node], bool]
         return _selected(condition, yes, _undefined(yes), decide)
     if not has_traced(yes) and not has_traced(no) and type(yes) is type(no) and bool(yes == no):
         return yes
+    if isinstance(yes, bool) and isinstance(no, bool):  # which differ: the condition, or its opposite
+        answer = condition if yes else condition.graph.make("not", condition)
+        return TracedArray(np.array(answer, dtype=object), decide)
     try:
         a, b = cells_of(yes, condition.graph), cells_of(no, condition.graph)
     except TraceError:
