@@ -63,9 +63,9 @@ class Event:
     Roots are sign changes of `fun` along the continuous solution, to two units in the last place of t; 'adaptive' finds
     all sign changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each. A pair of roots
     is missed only if `fun` shows nothing of it at the points of the step: a condition that is True between two of them,
-    a pulse on a constant. Write ``y[0] - 1`` for ``y[0] > 1`` where a pair may be shorter than a step. With ``method="taylor"``
-    `fun` is expanded along the polynomial of the step, if it can be traced and has no branches: then every sign change
-    is found, without samples; roots closer than 1e-8 of the step count once.
+    a pulse on a constant. Write ``y[0] - 1`` for ``y[0] > 1`` where a pair may be shorter than a step. With
+    ``method="taylor"`` `fun` is expanded along the polynomial of the step, if it can be traced and has no branches:
+    then every sign change is found, without samples; roots closer than 1e-8 of the step count once.
 
     Actions at one time follow one another: those of the events that occur there, in the order of the list, then those
     at breakpoints, each followed by those of the events that it sets off. More than 100 in a row, each set off by the
