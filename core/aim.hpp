@@ -13,8 +13,9 @@
 
 namespace invariode {
 
-inline constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
-inline constexpr double stretch = 1.1;   // a step that comes this close to the target lands on it
+inline constexpr double hmin_ulps = 16;      // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
+inline constexpr double growth_of_hmin = 2;  // from step to step after a start at 1 ulp(t)
+inline constexpr double stretch = 1.1;       // a step that comes this close to the target lands on it
 inline constexpr double huge =
     std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
 
@@ -52,12 +53,17 @@ class Aim {
   /// `forward`: 1, or −1 for a run backwards.
   Aim(double forward, double hmax) : forward_(forward), hmax_(hmax) {}
 
+  /// A method starts: its first step may be as short as one spacing of t, the next ones twice as long each, until they
+  /// reach hmin.
+  void start() { ulps_ = 1; }
+
   /// Steps lead to this t from now on: the next breakpoint, or the end of the interval.
   void at(double target) { target_ = target; }
 
   /// The first attempt of a step from t. One that comes close to the target is stretched or cut to land on it.
   void begin(double t, double proposed) {
-    hmin_ = smallest(t);
+    hmin_ = ulps_ * ulp(t);
+    ulps_ = std::min(hmin_ulps, growth_of_hmin * ulps_);
     take(t, proposed, stretch);
   }
   /// The attempt of that step after one that failed. None is stretched: what was too long would become so again.
@@ -76,7 +82,10 @@ class Aim {
   [[nodiscard]] Step::Span span(double t) const { return {target_, hmax_, smallest(t)}; }
 
   /// Of the attempt; the target belongs to the run that reads this.
-  void state(Archive& archive) { archive(h_, t1_, hmin_, lands_); }
+  void state(Archive& archive) {
+    archive(h_, t1_, hmin_, lands_, ulps_);
+    archive.require(ulps_ >= 1 && ulps_ <= hmin_ulps);
+  }
 
  private:
   static double smallest(double t) { return hmin_ulps * ulp(t); }
@@ -84,13 +93,15 @@ class Aim {
   void take(double t, double proposed, double reach) {
     assert(forward_ * (target_ - t) > 0);
     const auto [h, t1, lands] = aimed<bool>(t, proposed, reach, hmin_, std::min(hmax_, huge), forward_, target_);
-    h_ = h, t1_ = t1, lands_ = lands;
+    // Of so few spacings of t, h is what they are; of more it is t₁ − t but for what a method does not notice.
+    h_ = std::abs(h) < hmin_ulps * ulp(t) ? t1 - t : h, t1_ = t1, lands_ = lands;
   }
 
   double forward_, hmax_;
   double target_ = 0;
   double h_ = 0, t1_ = 0;
   double hmin_ = 0;
+  double ulps_ = 1;  // hmin of the next step, in spacings of t
   bool lands_ = false;
 };
 

@@ -104,8 +104,9 @@ void Integration::move_start(double t, const double* y) {
 bool Integration::start_memory(double t, const double* y) {
   memory_outdated_ = false;
   discontinuities_.restart();
+  aim_.start();
   switch (step_->start(t, y, aim_.span(t))) {
-    case Outcome::ok: return true;
+    case Outcome::ok: return settings_.first_step > 0 || t == settings_.tf || resolve_first_step(t, y);
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite: break;
   }
@@ -113,6 +114,23 @@ bool Integration::start_memory(double t, const double* y) {
   report_.coefficient = step_->undefined_coefficient();
   report_.linear = linear_work(*step_);
   return end(State::start_undefined);
+}
+
+/// A first step shorter than the spacing of t becomes as long as that, unless f changes within it: nothing that a
+/// method could see would then be what f is beside the start.
+bool Integration::resolve_first_step(double t, const double* y) {
+  const double h = step_->h(), spacing = ulp(t);
+  if (h >= spacing) return true;
+  bool changes = false;
+  if (!unless_stopped(discontinuities_.changes_at_once(t, y, step_->slope(), forward_, changes))) return false;
+  if (!changes) {
+    step_->set_h(spacing);
+    return true;
+  }
+  report_.t = t;
+  report_.h = h;
+  report_.cause = Cause::spacing;
+  return end(State::step_failed);
 }
 
 bool Integration::watch_events(Outcome outcome) {
@@ -255,7 +273,7 @@ bool Integration::reconcile() {
 bool Integration::settle_at_bounds() {
   if (manifold_.bounds() == nullptr) return false;
   std::vector<double> y = y0_;
-  if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), y.data())) return false;
+  if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return false;
   return start_step_anew(y.data());
 }
 
@@ -279,7 +297,14 @@ bool Integration::explain_failure(Cause cause) {
   if (cause == Cause::projection && manifold_.undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = manifold_.undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = manifold_.outside_component();
-  if ((cause != Cause::error && cause != Cause::newton) || undefined_function(report_.linear.unsolved)) return true;
+  if ((cause != Cause::error && cause != Cause::newton) || report_.linear.unsolved != Unsolved::none) return true;
+  if (aim_.hmin() < hmin_ulps * ulp(t0_)) {  // the method has just started
+    bool changes = false;
+    if (!unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, changes)))
+      return false;
+    if (changes) report_.cause = Cause::spacing;
+    if (changes) return true;
+  }
   if (!unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target())))
     return false;
   if (cause != Cause::error) return true;

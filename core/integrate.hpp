@@ -121,6 +121,7 @@ class Integration {
   bool nothing_to_integrate();
   bool start_again();
   bool start_memory(double t, const double* y);
+  bool resolve_first_step(double t, const double* y);
   bool watch_events(Outcome outcome);
 
   bool begin_step();

@@ -161,6 +161,7 @@ State Jumps::solve_equations(double t, double* y) {
     case Consistency::corrected: moved_ = true; break;
     case Consistency::stop: return State::interrupted;
     case Consistency::not_found:
+    case Consistency::undetermined:
     case Consistency::index_too_high: return State::restart_inconsistent;
     case Consistency::consistent:
     case Consistency::undefined: break;  // the restart says so

@@ -17,8 +17,8 @@
 namespace invariode {
 
 /// Why an attempt was rejected.
-/// `bounds`: the candidate is outside of them.
-enum class Cause { error, newton, projection, not_finite, bounds };
+/// `bounds`: the candidate is outside of them. `spacing`: none was made; f changes within less than the spacing of t.
+enum class Cause { error, newton, projection, not_finite, bounds, spacing };
 
 /// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at some θ ∈ [0, 1], into out
 /// (count of θ, n). A plain function of the data alone, so that a step can be interpolated long after the method has

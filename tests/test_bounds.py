@@ -423,10 +423,10 @@ def test_an_action_must_stay_within_the_bounds(method):
 
 
 def test_f_that_drives_out_of_a_bound_without_tolerance_is_told():
-    """With atol = 0 nothing may be outside, and with a mass matrix f is not changed: the run ends and says where. (Not
-    if a step ends exactly on the bound.)"""
+    """With atol = 0 nothing may be outside, and with M(t) f is not changed: the run ends and says where. (Not if a step
+    ends exactly on the bound.)"""
     sol = iv.solve_ivp(
-        lambda t, y: [-1.0], (0, 2), [1.0], "ode15s", mass=[[1.0]], nonnegative=True, atol=0, max_step=0.4
+        lambda t, y: [-1.0], (0, 2), [1.0], "ode15s", mass=lambda t: [[1.0]], nonnegative=True, atol=0, max_step=0.4
     )
     assert sol.status == -1
     assert "Component 0 of y leaves its bounds" in sol.message
@@ -497,3 +497,24 @@ def test_bounds_that_the_exact_solution_touches_are_kept(method):
     sol = iv.solve_ivp(cycle.fun, cycle.t_span, cycle.y0, method, rtol=1e-5, atol=1e-7, bounds=(-largest, largest))
     assert sol.success, sol.message
     assert (np.abs(sol.y) <= largest[:, None]).all()
+
+
+@pytest.mark.parametrize("method", [name for name in IMPLICIT if METHODS[name].mass != "none"])
+def test_components_rest_at_bounds_beside_a_coupled_mass(method):
+    """M y' = M (-1, -0.6 y1): y' = (-1, -0.6 y1) until y0 is 0, then (0, -0.6 y1), as with M = 1."""
+    for M in ([[2.0, 0.5], [0.0, 2.0]], [[2.0, 0.5], [0.5, 2.0]], [[2.0, 0.0], [0.0, 2.0]]):
+        M = np.array(M)
+        sol = iv.solve_ivp(
+            lambda t, y, M=M: M @ [-1.0, -0.6 * y[1]], (0, 3), [0.5, 1.5], method, mass=M, nonnegative=[0], rtol=1e-5
+        )
+        assert sol.success
+        assert sol.stats.steps < 400
+        np.testing.assert_allclose(sol.y[:, -1], [0, 1.5 * np.exp(-1.8)], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_bound_is_met_where_t_does_not_resolve_the_tolerance(method):
+    """y' = -1 from 1e6: at t = 1e6 neighbouring times are 1.2e-10 apart, more than atol."""
+    sol = iv.solve_ivp(lambda t, y: [-1.0], (0, 2e6), [1e6], method, atol=1e-10, nonnegative=True)
+    assert sol.success
+    assert sol.y[0, -1] == 0

@@ -364,7 +364,7 @@ def test_starts_that_singular_mass_matrices_refuse_are_told_apart():
             iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[i]), **about)
         assert out.messages[i] == f"ValueError: {refused.value}"
         assert np.isnan(out.y_end[i]).all()
-    assert "index 1" in out.messages[1]
+    assert "Differences of fun do not prove that" in out.messages[1]
     assert "no consistent values" in out.messages[2]
     assert out.messages[3] == iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[3]), **about).message
     assert "fun is not finite at the start" in out.messages[3]

@@ -383,7 +383,7 @@ def test_systems_that_are_not_solved_are_a_failure_with_advice(method):
     """With a cyclic shift as preconditioner GMRES gets nowhere until its space is the whole one; and f is so large that
     it matters in the smallest step."""
     shift = {"preconditioner": lambda t, y, c: lambda b: np.roll(b, 1), "jac_product": lambda t, y, v: -1e20 * v}
-    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, **gmres(**shift))
+    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, first_step=1e-3, **gmres(**shift))
     assert sol.status == -1
     assert "GMRES does not solve the linear systems" in sol.message
     assert "give a better preconditioner, or a larger GMRES" in sol.message

@@ -148,4 +148,23 @@ void DiscontinuityDetector::state(Archive& archive) {
   archive.require(found_.size() <= most);
 }
 
+Status DiscontinuityDetector::changes_at_once(double t, const double* y, const double* slope, double forward,
+                                              bool& changes) {
+  constexpr double part = 0.5;  // of f: by less, a step of one spacing is as good as any
+  const std::size_t n = weights_.size();
+  std::vector<double> before(n), after(n), moved(y, y + n);
+  const double h = forward * ulp(t);
+  for (std::size_t i = 0; i < n; ++i) moved[i] += h * slope[i];
+  evaluations_ahead_ += 2;
+  if (f_(t, y, before.data()) == Status::stop) return Status::stop;
+  const bool defined = all_finite(moved.data(), n);
+  if (defined && f_(t + h, moved.data(), after.data()) == Status::stop) return Status::stop;
+  changes = !defined || !all_finite(after.data(), n);
+  for (std::size_t i = 0; i < n && !changes; ++i) {
+    const double change = std::abs(after[i] - before[i]), size = std::max(std::abs(after[i]), std::abs(before[i]));
+    changes = change > part * size && std::abs(h) * change > weights_.rtol() * weights_.at(i, y[i], moved[i]);
+  }
+  return Status::ok;
+}
+
 }  // namespace invariode

@@ -79,6 +79,10 @@ class DiscontinuityDetector {
   Status watch_pace(double t, const double* y, const double* slope, double target, std::int64_t steps,
                     std::int64_t attempts);
 
+  /// Does f change by more than half of itself over one spacing of t along y' = `slope`, and move a component by more
+  /// than its tolerance with that? For starts whose first step is shorter than t can represent.
+  Status changes_at_once(double t, const double* y, const double* slope, double forward, bool& changes);
+
   /// Where f jumps, as far as it was seen: at most `most` places.
   [[nodiscard]] const std::vector<double>& found() const { return found_; }
   /// From when on the solution sticks where f jumps.

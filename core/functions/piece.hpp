@@ -53,6 +53,10 @@ class Piece {
     return {&Piece::set_up_entry, &Piece::solve_entry, &preconditioners_.emplace_back(*this, preconditioner)};
   }
 
+  /// The first and the last time at which its functions see the time that they get.
+  [[nodiscard]] double low() const { return low_; }
+  [[nodiscard]] double high() const { return high_; }
+
  private:
   template <class Function>
   struct PieceFunction {

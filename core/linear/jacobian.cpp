@@ -21,6 +21,7 @@ const double first_factor = std::sqrt(eps);
 constexpr double least_factor = 1000 * eps;
 constexpr double greatest_factor = 0.1;
 constexpr double factor_step = 10;
+constexpr double bolder = 100;      // of increments that have to change f
 constexpr double noise_units = 10;  // of ε |f_i|: a change of f_i up to this is roundoff in every digit that matters
 const double wide_factor = large;   // its truncation error is far below the roundoff that it replaces
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
@@ -313,6 +314,48 @@ Status Jacobian::difference(Callback& f, double t, const double* y, const double
     if (column.change <= small * column.size) factor_[j] = std::min(factor_step * factor_[j], greatest_factor);
     if (column.change > large * column.size) factor_[j] = std::max(factor_[j] / factor_step, least_factor);
   }
+  measure_noise(y, slope);
+  return Status::ok;
+}
+
+Status Jacobian::evaluate_boldly(Callback& f, double t, const double* y, const double* slope) {
+  assert(kind_ == Kind::differences);
+  const std::size_t n = matrix_.n();
+  if (difference(f, t, y, slope) == Status::stop) return Status::stop;
+  double largest = 1;
+  for (std::size_t j = 0; j < n; ++j) largest = std::max(largest, std::abs(y[j]));
+  std::vector<double> before;  // entries of the column, and whether they stand above roundoff
+  std::vector<char> stands;
+  for (std::size_t j = 0; j < n; ++j) {
+    const double factor = factor_[j], first = std::abs(columns_[j].increment);
+    std::size_t missing = 0;
+    stands.clear();
+    for_each_in_column(j, [&](std::size_t i, double& value) {
+      stands.push_back(std::abs(value) * first > small * std::abs(slope[i]));
+      missing += stands.back() == 0;
+    });
+    for (double reached = first; missing > 0 && reached > 0 && reached < largest;) {
+      before.clear();
+      for_each_in_column(j, [&](std::size_t, double& value) { before.push_back(value); });
+      factor_[j] *= bolder;
+      drowned_.assign(1, j);
+      if (difference_group(f, t, y, slope, drowned_) == Status::stop) return Status::stop;
+      if (!(std::abs(columns_[j].increment) > reached)) break;
+      reached = std::abs(columns_[j].increment);
+      std::size_t k = 0;
+      for_each_in_column(j, [&](std::size_t i, double& value) {
+        if (stands[k] != 0 || !std::isfinite(value)) {
+          value = before[k];
+        } else if (std::abs(value) * reached > small * std::abs(slope[i])) {
+          stands[k] = 1;
+          --missing;
+        }
+        ++k;
+      });
+    }
+    factor_[j] = factor;
+  }
+  drowned_.clear();
   measure_noise(y, slope);
   return Status::ok;
 }

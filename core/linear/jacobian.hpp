@@ -92,6 +92,9 @@ class Jacobian {
   [[nodiscard]] bool adapted() const { return adapted_; }
   /// The same as `evaluate`, with those increments; they are adapted anew afterwards.
   Status evaluate_plainly(Callback& f, double t, const double* y, const double* slope);
+  /// The same as `evaluate` of differences, where entries whose increments have changed f_i by no more than its
+  /// roundoff are formed again with ever larger ones, up to the size of the largest component, or 1.
+  Status evaluate_boldly(Callback& f, double t, const double* y, const double* slope);
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();
   /// Counts and increments; `matrix_state`: the matrix.

@@ -11,6 +11,7 @@ namespace invariode {
 namespace {
 
 constexpr double singular_growth = 1e13;  // of a solution over its right-hand side, with rows and columns scaled
+constexpr int equilibrating_sweeps = 3;   // over rows and columns; each halves what the logarithms of scales are off
 constexpr int consistency_iterations = 25;
 constexpr int consistency_halvings = 10;
 constexpr int tangent_corrections = 3;   // of linear equations: one, and what differences leave of the Jacobian
@@ -37,6 +38,34 @@ std::vector<std::size_t> own_rows(const Mass::Basis& Z) {
   if (std::ranges::find(own, none) != own.end())
     throw std::invalid_argument("a column of the null basis has no row in which the others are zero");
   return own;
+}
+
+/// Scales the rows and columns of A by powers of 2, which change no digits, until the largest entries of all of them
+/// are between 1/2 and 2. False: a row or column is zero, or not finite.
+bool equilibrate(Matrix& A, std::vector<double>& row_scale, std::vector<double>& column_scale) {
+  const std::size_t n = A.n();
+  row_scale.assign(n, 1);
+  column_scale.assign(n, 1);
+  std::vector<double> largest(n);
+  const auto scale = [&](std::vector<double>& scales, auto place) {
+    std::fill(largest.begin(), largest.end(), 0);
+    A.for_each([&](std::size_t i, std::size_t j, double a) {
+      double& most = largest[place(i, j)];
+      most = std::abs(a) <= most ? most : std::abs(a);  // NaN stays
+    });
+    for (std::size_t k = 0; k < n; ++k) {
+      if (!(largest[k] > 0) || !std::isfinite(largest[k])) return false;
+      largest[k] = std::ldexp(1.0, -std::ilogb(largest[k]));
+      scales[k] *= largest[k];
+    }
+    A.for_each([&](std::size_t i, std::size_t j, double& a) { a *= largest[place(i, j)]; });
+    return true;
+  };
+  for (int sweep = 0; sweep < equilibrating_sweeps; ++sweep)
+    if (!scale(row_scale, [](std::size_t i, std::size_t) { return i; }) ||
+        !scale(column_scale, [](std::size_t, std::size_t j) { return j; }))
+      return false;
+  return true;
 }
 
 }  // namespace
@@ -103,20 +132,10 @@ Matrix Mass::completed(const Matrix& J) const {
   return out;
 }
 
-bool MassSolver::factor(const Mass& mass, const Matrix& J, const double* w, const Lapack* lapack) {
+bool MassSolver::factor(const Mass& mass, const Matrix& J, const Lapack* lapack) {
   Matrix A = mass.completed(J);
+  if (!equilibrate(A, row_scale_, column_scale_)) return false;
   const std::size_t n = A.n();
-  column_scale_.assign(w, w + n);
-  row_scale_.assign(n, 0);
-  A.for_each([&](std::size_t i, std::size_t j, double& a) {
-    a *= w[j];
-    row_scale_[i] = std::max(row_scale_[i], std::abs(a));
-  });
-  for (double& scale : row_scale_) {
-    if (scale == 0) return false;
-    scale = 1 / scale;
-  }
-  A.for_each([&](std::size_t i, std::size_t, double& a) { a *= row_scale_[i]; });
   lu_ = make_factorization(A.structure, lapack);
   if (!lu_->factor(&A, 0, Matrix(A.structure))) return false;
   std::vector<double> probe(n);
@@ -167,7 +186,14 @@ Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weig
   for (int iteration = 0; iteration < consistency_iterations; ++iteration) {
     weights.fill(y, w.data());
     if (jacobian.evaluate(f, t, y, slope.data()) == Status::stop) return Consistency::stop;
-    if (!solver.factor(mass, jacobian.matrix(), w.data(), linear.lapack)) return Consistency::index_too_high;
+    bool regular = solver.factor(mass, jacobian.matrix(), linear.lapack);
+    if (!regular && jacobian.kind() == Jacobian::Kind::differences) {
+      // Increments on the scale of y may have changed f by less than its roundoff.
+      if (jacobian.evaluate_boldly(f, t, y, slope.data()) == Status::stop) return Consistency::stop;
+      regular = solver.factor(mass, jacobian.matrix(), linear.lapack);
+      if (!regular) return Consistency::undetermined;
+    }
+    if (!regular) return Consistency::index_too_high;
     delta = slope;
     solver.correction(mass, delta.data());
     const double distance = size(delta);
@@ -194,13 +220,12 @@ Status make_tangent_consistent(const LinearAlgebra& linear, double t, double* Y)
   Mass& mass = *linear.mass;
   Jacobian jacobian = *linear.jacobian;
   Callback uncounted = *f, slopes = *sensitivities;
-  std::vector<double> slope(n), w(n), delta(extent.k * n);
+  std::vector<double> slope(n), delta(extent.k * n);
   if (mass.evaluate(t) == Status::stop || uncounted(t, Y, slope.data()) == Status::stop) return Status::stop;
   if (!all_finite(slope.data(), n)) return Status::ok;
   if (jacobian.evaluate(uncounted, t, Y, slope.data()) == Status::stop) return Status::stop;
-  weights->fill(Y, w.data());
   MassSolver solver;
-  if (!solver.factor(mass, jacobian.matrix(), w.data(), linear.lapack)) return Status::ok;
+  if (!solver.factor(mass, jacobian.matrix(), linear.lapack)) return Status::ok;
   for (int correction = 0; correction < tangent_corrections; ++correction) {
     if (slopes(t, Y, delta.data()) == Status::stop) return Status::stop;
     if (!all_finite(delta.data(), delta.size())) return Status::ok;
@@ -244,14 +269,8 @@ Status AlgebraicConstraints::tangent_entry(void* self, double t, const double* Y
   return Status::ok;
 }
 
-MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear, const Weights& weights)
-    : f_(f),
-      jacobian_(*linear.jacobian),
-      mass_(*linear.mass),
-      weights_(weights),
-      lapack_(linear.lapack),
-      w_(weights.size()),
-      rate_(weights.size()) {
+MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear)
+    : f_(f), jacobian_(*linear.jacobian), mass_(*linear.mass), lapack_(linear.lapack), rate_(mass_.matrix().n()) {
   jacobian_.provide();  // with a regular M its values do not matter, and are never evaluated
 }
 
@@ -265,8 +284,7 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   }
   if (!factored_ || !factors_stay()) {
     if (mass_.evaluate(t) == Status::stop) return Status::stop;
-    weights_.fill(y, w_.data());
-    factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
+    factored_ = solver_.factor(mass_, jacobian_.matrix(), lapack_);
   }
   if (factored_)
     solver_.slope(mass_, ft, out);
@@ -278,9 +296,8 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
 void MassSlope::state(Archive& archive) {
   f_.state(archive);
   jacobian_.state(archive);
-  archive(w_, factored_);
-  if (archive.reading() && factored_ && factors_stay())
-    factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
+  archive(factored_);
+  if (archive.reading() && factored_ && factors_stay()) factored_ = solver_.factor(mass_, jacobian_.matrix(), lapack_);
 }
 
 }  // namespace invariode

@@ -87,9 +87,9 @@ struct LinearAlgebra {
 /// Solves M y' = f for y', with Zᵀ f = 0 kept along it: in the rows of the algebraic equations Zᵀ J y' = −Zᵀ f_t.
 class MassSolver {
  public:
-  /// Factorises `Mass::completed`, its rows and columns scaled by the weights w. False: singular, so M y' = f has no
-  /// unique y', or the index is above 1.
-  [[nodiscard]] bool factor(const Mass& mass, const Matrix& J, const double* w, const Lapack* lapack);
+  /// Factorises `Mass::completed`, equilibrated: units of y and of f say nothing about its rank. False: singular, so M
+  /// y' = f has no unique y', or the index is above 1.
+  [[nodiscard]] bool factor(const Mass& mass, const Matrix& J, const Lapack* lapack);
   /// y' from f, in place. ft may be null: 0.
   void slope(const Mass& mass, const double* ft, double* f);
   /// The change of y that solves the linearised algebraic equations, M δ = 0 and Zᵀ J δ = −Zᵀ f, from f, in place.
@@ -102,8 +102,9 @@ class MassSolver {
   std::vector<double> row_scale_, column_scale_;
 };
 
-/// How the search for consistent initial values ended.
-enum class Consistency { consistent, corrected, not_found, index_too_high, undefined, stop };
+/// How the search for consistent initial values ended. `undetermined`: the algebraic equations do not determine the
+/// components that M leaves free, as far as differences of f can tell; with derivatives, `index_too_high`.
+enum class Consistency { consistent, corrected, not_found, undetermined, index_too_high, undefined, stop };
 
 /// Moves y, in its components that M leaves undetermined, until the algebraic equations hold to roundoff.
 Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weights& weights, double t, double* y);
@@ -140,7 +141,7 @@ class AlgebraicConstraints {
 /// y'(t, y) of M y' = f.
 class MassSlope final : public Slope {
  public:
-  MassSlope(const Callback& f, const LinearAlgebra& linear, const Weights& weights);
+  MassSlope(const Callback& f, const LinearAlgebra& linear);
 
   Status evaluate(double t, const double* y, double h, double* out) override;
   /// A singular M needs ∂f/∂y and ∂f/∂t, which may be forward differences.
@@ -153,12 +154,11 @@ class MassSlope final : public Slope {
   Jacobian jacobian_;
   Mass mass_;
   MassSolver solver_;
-  const Weights& weights_;
   const Lapack* lapack_;
   /// The factors, where they serve for the whole run.
   [[nodiscard]] bool factors_stay() const { return !mass_.singular() && mass_.constant(); }
 
-  std::vector<double> w_, rate_;
+  std::vector<double> rate_;
   bool factored_ = false;
 };
 

@@ -58,11 +58,12 @@ double Bounds::clip(double* y) const {
   return added;
 }
 
-bool Bounds::settle(const Weights& weights, double forward, const double* slope, double* y) const {
+bool Bounds::settle(const Weights& weights, double forward, const double* slope, double shortest, double* y) const {
   bool any = false;
   for (const auto& [i, lower, upper] : intervals_) {
     const double end = forward * slope[i] < 0 ? lower : upper;
-    const bool there = y[i] != end && std::abs(y[i] - end) <= roundoff_at_bound * weights.threshold()[i];
+    const double near = std::max(roundoff_at_bound * weights.threshold()[i], shortest * std::abs(slope[i]));
+    const bool there = y[i] != end && std::abs(y[i] - end) <= near;
     if (there) y[i] = end;
     any = any || there;
   }
@@ -92,6 +93,21 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
   slope_.resize(bounds.n());
 }
 
+BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
+                           const Matrix& mass, std::unique_ptr<Factorization> factors)
+    : BoundedSlope(f, bounds, forward, of_implicit_method) {
+  coupled_ = &mass;
+  factors_ = std::move(factors);
+  rate_.resize(bounds.n());
+}
+
+/// f, and of a coupled M y'.
+Status BoundedSlope::evaluate(double t, const double* y, double* slope) {
+  const Status status = f_(t, y, slope);
+  if (status == Status::ok && coupled_ != nullptr && all_finite(slope, bounds_.n())) factors_->solve(slope);
+  return status;
+}
+
 Status BoundedSlope::begin_step(double t, const double* y, bool& changed) {
   if (!by_step_) return Status::ok;
   rested_ = rests_;
@@ -114,7 +130,7 @@ Status BoundedSlope::look(double t, const double* y) {
   }
   if (!any) return Status::ok;
   ++evaluations_;
-  if (f_(t, y, slope_.data()) == Status::stop) return Status::stop;
+  if (evaluate(t, y, slope_.data()) == Status::stop) return Status::stop;
   for (const Bounds::Interval& one : bounds_.intervals()) slope_[one.component] *= mass(one.component);  // its sign
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const Bounds::Interval& one = bounds_.intervals()[k];
@@ -135,15 +151,28 @@ void BoundedSlope::hold_what_rests(double* slope) {
   }
 }
 
+void BoundedSlope::remove_outward(const double* y, double* slope) {
+  if (by_step_)
+    hold_what_rests(slope);
+  else
+    bounds_.remove_outward(y, forward_, slope, notes_held_ ? &held_ : nullptr);
+}
+
 Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   auto& bounded = *static_cast<BoundedSlope*>(self);
   const Status status = bounded.f_(t, y, out);
   if (status != Status::ok) return status;
   bounded.held_.clear();
-  if (bounded.by_step_)
-    bounded.hold_what_rests(out);
-  else
-    bounded.bounds_.remove_outward(y, bounded.forward_, out, bounded.notes_held_ ? &bounded.held_ : nullptr);
+  if (bounded.coupled_ == nullptr) {
+    bounded.remove_outward(y, out);
+    return status;
+  }
+  if (bounded.by_step_ && std::ranges::none_of(bounded.rests_, [](char side) { return side != 0; })) return status;
+  if (!all_finite(out, bounded.bounds_.n())) return status;
+  std::copy_n(out, bounded.rate_.size(), bounded.rate_.data());
+  bounded.factors_->solve(bounded.rate_.data());
+  bounded.remove_outward(y, bounded.rate_.data());
+  bounded.coupled_->multiply(bounded.rate_.data(), out);
   return status;
 }
 

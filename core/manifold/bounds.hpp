@@ -4,9 +4,11 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/matrix.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -40,9 +42,9 @@ class Bounds {
   [[nodiscard]] Excess excess(const double* y, const Weights& weights) const;
   /// Moves what is outside onto its bound. Returns the sum of what it added to the components.
   double clip(double* y) const;
-  /// Moves components that have come to a bound, but for roundoff, onto it, if the slope leads them there. Returns
-  /// whether there were any.
-  bool settle(const Weights& weights, double forward, const double* slope, double* y) const;
+  /// Moves components that have come to a bound, but for roundoff, or for what the slope moves them in `shortest`, the
+  /// smallest step, onto it, if the slope leads them there. Returns whether there were any.
+  bool settle(const Weights& weights, double forward, const double* slope, double shortest, double* y) const;
   /// Whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
   /// Of a slope at y, takes away what leads out of the bounds where y is at one or beyond. `forward`: +1 or −1, the
@@ -68,6 +70,10 @@ class BoundedSlope {
   /// and stays. Empty: f is y'.
   BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
                std::vector<double> mass = {});
+  /// Of a constant regular M that is not diagonal: what is not to be led out is a component of y' = M⁻¹ f, and f
+  /// without it is M y' with 0 in its place.
+  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method, const Matrix& mass,
+               std::unique_ptr<Factorization> factors);
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
 
@@ -89,6 +95,8 @@ class BoundedSlope {
  private:
   Status look(double t, const double* y);
   void hold_what_rests(double* slope);
+  void remove_outward(const double* y, double* slope);
+  Status evaluate(double t, const double* y, double* slope);
   [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
 
@@ -97,6 +105,9 @@ class BoundedSlope {
   double forward_;
   bool by_step_;
   std::vector<double> mass_;
+  const Matrix* coupled_ = nullptr;  // M that is not diagonal, with its factors
+  std::unique_ptr<Factorization> factors_;
+  std::vector<double> rate_;  // y', of such an M
   // Of the bounded components, for implicit methods: whether they rest, now and in the step before; whether they are at
   // a bound, and have come there in the step before.
   std::vector<char> rests_, rested_, at_bound_, arrived_;

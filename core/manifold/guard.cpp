@@ -330,10 +330,12 @@ Outcome Guard::examine(double t, const double* y, std::vector<Examination>& resu
   return Outcome::ok;
 }
 
-/// The derivative along the flow over a length s: (g_i(t + s, y + s f) − g_i(t − s, y − s f)) / 2s.
-Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const double* f, double s, double& quotient) {
+/// The derivative along the flow from t − `back` to t + `ahead`: of length s on both sides or on one,
+/// (g_i(t + ahead, y + ahead f) − g_i(t − back, y − back f)) / (ahead + back).
+Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const double* f, const Invariants::Reach& s,
+                               double& quotient) {
   const std::size_t n = invariants_.n();
-  const double later = t + s, earlier = t - s;  // y moves by what is left of s in these
+  const double later = t + s.ahead, earlier = t - s.back;  // y moves by what is left of s in these
   for (std::size_t j = 0; j < n; ++j) moved_[j] = y[j] + (later - t) * f[j];
   if (invariants_.residual(later, moved_.data(), plus_.data()) == Status::stop) return Outcome::stop;
   for (std::size_t j = 0; j < n; ++j) moved_[j] = y[j] - (t - earlier) * f[j];
@@ -342,7 +344,8 @@ Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const d
   return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with the time in which a
+/// Richardson's extrapolation of differences, central ones, or one-sided ones at an edge of the piece, whose errors
+/// have odd powers of s too. They begin long, for less roundoff: with the time in which a
 /// component changes by a tenth of its size, between h / 32 and 32 h, so that no population becomes negative. An entry
 /// of the table is never better than the roundoff of its shortest difference.
 Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
@@ -350,27 +353,33 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
   const double roundoff = invariants_.roundoff(i, y, J);
   double s = std::clamp(scale_of_time(t, y, f), std::abs(h) / longest_flow, longest_flow * std::abs(h));
+  Invariants::Reach reach = invariants_.reach(t, s);
+  const double base = reach.one_sided() ? 2 : 4;
+  s = std::max(reach.back, reach.ahead);
+  if (s == 0) return {.outcome = Outcome::not_finite};  // the piece is one point
   int k = 0, shorter = 0;
   while (k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow)) {
     double next = 0;
-    const Outcome outcome = flow_difference(i, t, y, f, s, next);
+    const Outcome outcome = flow_difference(i, t, y, f, reach, next);
     if (outcome == Outcome::stop) return {.outcome = outcome};
     if (outcome == Outcome::not_finite) {
       if (k > 0 || ++shorter > shorter_flows) return {.outcome = outcome};
       s /= 10;
+      reach = {reach.back / 10, reach.ahead / 10};
       continue;
     }
     double factor = 1;
     for (int l = 0; l <= k; ++l) {
       const double previous = std::exchange(row[l], next);
       if (l == k) break;
-      factor *= 4;
+      factor *= base;
       next = (factor * row[l] - previous) / (factor - 1);
       const double error = std::max({std::abs(next - row[l]), std::abs(next - previous), roundoff / s});
       if (error < best.error) best.rate = next, best.error = error;
     }
     ++k;
     s /= 2;
+    reach = {reach.back / 2, reach.ahead / 2};
   }
   return best;
 }
@@ -437,7 +446,7 @@ double Guard::limit(std::size_t i) const {
 double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, double h) const {
   if (!time_dependent_) return 0;
   const double roundoff = invariants_.roundoff(i, at.y.data(), at.jacobian.data());
-  return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / Invariants::time_increment(t, h);
+  return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / invariants_.resolution_in_time(t, h);
 }
 
 /// Whether a rate of invariant i counts, in a step or in the whole interval.

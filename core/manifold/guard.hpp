@@ -98,7 +98,8 @@ class Guard {
     double rate = 0, error = 0;
   };
   FlowRate flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h);
-  Outcome flow_difference(std::size_t i, double t, const double* y, const double* f, double s, double& quotient);
+  Outcome flow_difference(std::size_t i, double t, const double* y, const double* f, const Invariants::Reach& s,
+                          double& quotient);
   Outcome persists(std::size_t i, double t, double h, double rate, bool& persistent);
   [[nodiscard]] Finding undefined(double t) const;
 

@@ -14,6 +14,7 @@ const double sqrt_eps = std::sqrt(eps);      // optimal relative increment of a 
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
 constexpr double smaller_increment = 10;
+constexpr double one_sided_noise = 4;  // of one-sided differences in t of the second order, in units of central ones
 
 }  // namespace
 
@@ -230,8 +231,17 @@ Status Invariants::difference_column(InvariantBlock& block, double t, const doub
   return Status::ok;
 }
 
+Invariants::Reach Invariants::reach(double t, double size) const {
+  if (piece_ == nullptr) return {size, size};
+  const double back = t - piece_->low(), ahead = piece_->high() - t;
+  if (back >= size && ahead >= size) return {size, size};
+  if (ahead >= back) return {0, std::clamp(ahead, 0.0, size)};
+  return {std::clamp(back, 0.0, size), 0};
+}
+
 Status Invariants::time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor) {
   const double delta = factor * time_increment(t, h);
+  if (reach(t, delta).one_sided()) return one_sided_time_derivative(t, 2 * delta, y, J, gt);
   const double later = t + delta, earlier = t - delta;
   if (residual(later, y, plus_.data()) == Status::stop) return Status::stop;
   if (residual(earlier, y, minus_.data()) == Status::stop) return Status::stop;
@@ -240,6 +250,27 @@ Status Invariants::time_derivative(double t, double h, const double* y, const do
     gt[i] = std::abs(change) <= roundoffs_of_change * roundoff(i, y, J) ? 0 : change / (later - earlier);
   }
   return Status::ok;
+}
+
+/// (4 (g(t + L/2) − g(t)) − (g(t + L) − g(t))) / L, of |L| up to `length`.
+Status Invariants::one_sided_time_derivative(double t, double length, const double* y, const double* J, double* gt) {
+  const auto [back, ahead] = reach(t, length);
+  const double far = t + (ahead - back), middle = t + (ahead - back) / 2;
+  if (residual(t, y, minus_.data()) == Status::stop) return Status::stop;
+  if (residual(middle, y, plus_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < m(); ++i) gt[i] = 4 * (plus_[i] - minus_[i]);
+  if (residual(far, y, plus_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < m(); ++i) {
+    const double change = gt[i] - (plus_[i] - minus_[i]);
+    const bool lost = far == t || std::abs(change) <= one_sided_noise * roundoffs_of_change * roundoff(i, y, J);
+    gt[i] = lost ? 0 : change / (far - t);
+  }
+  return Status::ok;
+}
+
+double Invariants::resolution_in_time(double t, double h) const {
+  const double delta = time_increment(t, h);
+  return reach(t, delta).one_sided() ? delta / one_sided_noise : delta;
 }
 
 double Invariants::time_increment(double t, double h) {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "functions/piece.hpp"
 #include "linear/rows.hpp"
 #include "manifold/metric.hpp"
 #include "weights.hpp"
@@ -88,6 +89,17 @@ class Invariants {
     return sense_[i] == 0 ? rate != 0 : sense_[i] * rate < 0;
   }
 
+  /// Functions of t are called by way of a piece of the interval, which outlives this: differences with respect to t
+  /// stay inside it.
+  void keep_within(const Piece& piece) { piece_ = &piece; }
+  /// How far a difference of this size may reach from t to either side: as far on both, or, at an edge of the piece, on
+  /// one side alone, and no farther than the piece does.
+  struct Reach {
+    double back, ahead;
+    [[nodiscard]] bool one_sided() const { return back == 0 || ahead == 0; }
+  };
+  [[nodiscard]] Reach reach(double t, double size) const;
+
   /// g(t, y)
   Status evaluate(double t, const double* y, double* g);
   /// g(t, y) − value
@@ -98,8 +110,8 @@ class Invariants {
   [[nodiscard]] Row row(std::size_t i, const double* J) const { return layout_.row(i, J); }
   /// Central differences, increments ε^{1/3} `sizes` times `factor`, of all invariants: (m, n).
   Status difference_jacobian(double t, const double* y, double* J, double factor = 1);
-  /// Central differences with `time_increment`; what is below their roundoff counts as 0. J and y tell the size of the
-  /// terms that g sums.
+  /// Differences of the second order with `time_increment`, central ones, at an edge of the piece one-sided ones; what
+  /// is below their roundoff counts as 0. J and y tell the size of the terms that g sums.
   Status time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor = 1);
 
   /// s_j = max(|y_j|, min(thr_j, max_i |y_i|)): sizes of the components for increments. thr can be far above all of y,
@@ -107,6 +119,8 @@ class Invariants {
   const double* sizes(const double* y);
   /// (ε max(|t|, |h|) h²)^{1/3}: the solution changes in times like h, t has roundoff.
   [[nodiscard]] static double time_increment(double t, double h);
+  /// Roundoff of g over this is what it does to g_t: that increment, less where differences are one-sided.
+  [[nodiscard]] double resolution_in_time(double t, double h) const;
   /// Size below which the residual of invariant i is roundoff: 10 ε (|value_i| + Σ_j |J_ij y_j|).
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
   /// Its part that is known without J.
@@ -117,6 +131,7 @@ class Invariants {
   double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 
  private:
+  Status one_sided_time_derivative(double t, double length, const double* y, const double* J, double* gt);
   void note_kinds();
   Status difference_block(InvariantBlock& block, double t, const double* y, double factor, double* rows);
   Status complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite);
@@ -128,6 +143,7 @@ class Invariants {
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
+  const Piece* piece_ = nullptr;  // null: all times
   RowLayout layout_;
   double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none

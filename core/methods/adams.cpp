@@ -50,7 +50,9 @@ Outcome Adams::start(double t, const double* y, const Span& span) {
   if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
-  h_ = initial_step(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
+  const double reciprocal = norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol()));
+  h_ = initial_step(reciprocal, t, span);
+  rest_.begin(reciprocal, t, span);
   return Outcome::ok;
 }
 
@@ -87,7 +89,10 @@ Step::Attempt Adams::attempt(double h, double t1) {
   const double size = compare_orders();
   const auto k = static_cast<std::size_t>(order_);
   for (std::size_t i = 0; i < n(); ++i) candidate_[i] += h * (g_[k + 1] * defect_[i]);
-  return {Outcome::ok, h_ * size * (g_[k] - g_[k + 1]), candidate_};
+  double error = h_ * size * (g_[k] - g_[k + 1]);
+  const auto start_norm = [this](const double* v) { return norm(v); };  // the weights are those of the step's start
+  const Outcome judged = rest_.judge(f_, t_, y(), slope_, h, weights_.rtol(), n(), error, start_norm);
+  return {judged, error, candidate_};
 }
 
 bool Adams::errors(double* out) const {
@@ -201,13 +206,14 @@ double Adams::compare_orders() {
 bool Adams::reject(Cause, double hmin) {
   restore();
   previous_h_ = 0;
-  phase1_ = false;
+  const double limit = rest_.reject();
+  phase1_ = phase1_ && limit > 0;  // which is a start with another h
   if (h_ <= hmin) return false;
   ++failures_;
   order_ = failures_ >= 3 ? 1 : lower_;
   const double goal = 0.5 * weights_.rtol();
   const double factor = failures_ > 3 && goal < 0.25 * erk_ ? std::sqrt(goal / erk_) : 0.5;
-  h_ = std::max(hmin, h_ * factor);
+  h_ = std::max(hmin, limit > 0 ? limit : h_ * factor);
   return true;
 }
 
@@ -232,6 +238,7 @@ Outcome Adams::accept(const double* y1) {
   previous_h_ = signed_h_;
   predicted_ = false;
   failures_ = 0;
+  rest_.accept();
   choose_order_and_step();
   return Outcome::ok;
 }
@@ -268,6 +275,7 @@ void Adams::choose_order_and_step() {
 void Adams::state(Archive& archive) {
   Step::state(archive);
   archive(order_, previous_order_, previous_h_, steps_at_h_, phase1_, lower_, erk_, erkm1_, failures_);
+  rest_.state(archive);
   archive(phi_);
   for (Coefficients* one : {&psi_, &alpha_, &beta_, &sigma_, &g_, &v_, &w_}) archive.values(one->data(), one->size());
   archive.values(slope_, n());

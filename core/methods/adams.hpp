@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "methods/initial_step.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -76,6 +77,7 @@ class Adams final : public Step {
   double signed_h_ = 0;
   double t1_ = 0;
   int steps_at_h_ = 0;  // ns: steps in a row with the present h, so many coefficients stay what they are
+  RestingStart rest_;
   bool phase1_ = true;  // the start: order and step are raised in every step
   bool predicted_ = false;
   int failures_ = 0;  // in this step

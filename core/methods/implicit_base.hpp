@@ -59,11 +59,11 @@ class ImplicitBase : public Step, public ImplicitInterface {
     std::copy(y, y + n(), y_.begin());
     failed_ = false;
     weights_.fill(y, weight_.data());
-    return initial_.first(solver_, t, y, weight_.data(), f, slope);
+    return initial_.first(solver_, t, y, f, slope);
   }
   /// y'' there, for a first |h| of 1 / reciprocal. `ft`: becomes ∂f/∂t.
   Status bend(const Span& span, double reciprocal, const double* f, double* slope, double* ft, double* second) {
-    const double h = std::copysign(initial_step(reciprocal, t_, span), span.tf - t_);
+    const double h = std::copysign(std::max(initial_step(reciprocal, t_, span), span.hmin), span.tf - t_);
     return initial_.second(solver_, t_, y(), h, f, slope, ft, second);
   }
   /// 1/h is 1.25 rtol^{-1/q} times the larger one of ‖y'‖ and √(‖y''‖ / 2), where the estimate is O(h^q).
@@ -71,8 +71,23 @@ class ImplicitBase : public Step, public ImplicitInterface {
     const double scale = starting_safety * std::pow(weights_.rtol(), -1 / q);
     const double first = scale * norm(slope);
     if (bend(span, first, f, slope, ft, second) == Status::stop) return Outcome::stop;
-    h_ = initial_step(std::max(first, scale * std::sqrt(0.5 * norm(second))), t_, span);
-    return Outcome::ok;
+    const double reciprocal = std::max(first, scale * std::sqrt(0.5 * norm(second)));
+    return choose_initial_step(span, first, reciprocal, f, slope, ft, second);
+  }
+  /// 1 / h is `reciprocal`, or what f beside the start says, if it is at rest by `first`, the reciprocal from y' alone.
+  Outcome choose_initial_step(const Span& span, double first, double reciprocal, const double* f, const double* slope,
+                              double* point, double* quotient) {
+    h_ = initial_step(reciprocal, t_, span);
+    if (gives_scale(first, t_, span.tf)) return Outcome::ok;
+    const double h = std::copysign(initial_step(first, t_, span), span.tf - t_);
+    const Status looked = look_beside_start(t_, h, weights_.rtol(), first, [&](double delta, double& size) {
+      const Status status = initial_.beside(solver_, t_, y(), delta, f, slope, point, quotient);
+      const double algebraic = norm(point);
+      size = std::max(norm(quotient), 2 * algebraic * algebraic);  // so that h ‖y'‖ is at most √rtol / 1.25 there
+      return status;
+    });
+    h_ = initial_step(std::max(reciprocal, first), t_, span);
+    return looked == Status::stop ? Outcome::stop : Outcome::ok;
   }
 
   // --------------------------------------------------------------------------------------------------------- attempts

@@ -82,7 +82,11 @@ Outcome Ndf::start(double t, const double* y, const Span& span) {
   const double first = starting_safety * norm(slope_.data()) / std::sqrt(weights_.rtol());
   if (bend(span, first, candidate_.data(), slope_.data(), predictor_.data(), scratch_.data()) == Status::stop)
     return Outcome::stop;
-  h_ = memory_h_ = initial_step(starting_safety * std::sqrt(0.5 * norm(scratch_.data()) / weights_.rtol()), t, span);
+  const double reciprocal = starting_safety * std::sqrt(0.5 * norm(scratch_.data()) / weights_.rtol());
+  if (choose_initial_step(span, first, reciprocal, candidate_.data(), slope_.data(), predictor_.data(),
+                          scratch_.data()) == Outcome::stop)
+    return Outcome::stop;
+  memory_h_ = h_;
   const double forward = span.tf >= t ? 1 : -1;
   for (std::size_t i = 0; i < n(); ++i) D(1)[i] = forward * memory_h_ * slope_[i];
   return Outcome::ok;

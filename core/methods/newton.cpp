@@ -1,4 +1,5 @@
 #include "methods/newton.hpp"
+#include "methods/initial_step.hpp"
 
 #include <algorithm>
 #include <bit>
@@ -444,8 +445,7 @@ LinearWork AgingJacobian::work() const {
   return work;
 }
 
-Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y, const double* w, double* f,
-                             double* slope) {
+Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y, double* f, double* slope) {
   if (const Outcome outcome = jacobian.evaluate(t, y, f); outcome != Outcome::ok) return outcome;
   if (jacobian.take_jacobian(t, y, f) == Status::stop) return Outcome::stop;
   const Extent extent = jacobian.extent();
@@ -453,7 +453,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
   Mass* mass = jacobian.mass();
   if (!mass) return Outcome::ok;
   if (mass->evaluate(t) == Status::stop) return Outcome::stop;
-  if (!solver_.factor(*mass, jacobian.jacobian(), w, lapack_)) {
+  if (!solver_.factor(*mass, jacobian.jacobian(), lapack_)) {
     jacobian.note_singular();
     return Outcome::not_finite;
   }
@@ -480,6 +480,33 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
   if (jacobian.matrix_free() && !all_finite(second, n)) std::fill(second, second + n, 0);
   for (std::size_t i = 0; i < all; ++i) second[i] += ft[i];
   for (std::size_t first = 0; first < all && mass; first += n) solver_.slope(*mass, nullptr, second + first);
+  return Status::ok;
+}
+
+/// Where M is singular, f at t + δ along y' shows at which rates the algebraic variables leave y, and f along these
+/// what they do to the others.
+Status InitialSlopes::beside(AgingJacobian& jacobian, double t, const double* y, double delta, const double* f,
+                             const double* slope, double* rates, double* quotient) {
+  const auto& [n, k] = jacobian.extent();
+  const std::size_t all = jacobian.extent().size();
+  const Mass* mass = jacobian.mass();
+  std::vector<double> point(all), slopes(slope, slope + all);
+  std::fill(rates, rates + all, 0);
+  const auto evaluate = [&jacobian](double at, const double* Y, double* out) { return jacobian.evaluate(at, Y, out); };
+  for (int looks = mass && mass->singular() ? 2 : 1; looks > 0; --looks) {
+    switch (quotient_along(t, y, slopes.data(), f, delta, all, point.data(), quotient, evaluate)) {
+      case Outcome::stop: return Status::stop;
+      case Outcome::not_finite:
+        std::fill(quotient, quotient + all, std::numeric_limits<double>::quiet_NaN());
+        return Status::ok;
+      case Outcome::ok: break;
+    }
+    if (looks == 1) break;
+    std::copy(f, f + all, slopes.data());
+    for (std::size_t first = 0; first < all; first += n) solver_.slope(*mass, quotient + first, slopes.data() + first);
+    for (std::size_t i = 0; i < all; ++i) rates[i] = slopes[i] - slope[i];
+  }
+  for (std::size_t first = 0; first < all && mass; first += n) solver_.slope(*mass, nullptr, quotient + first);
   return Status::ok;
 }
 

@@ -260,12 +260,17 @@ class InitialSlopes {
  public:
   explicit InitialSlopes(const LinearAlgebra& linear) : lapack_(linear.lapack) {}
 
-  /// J, and f and y' at (t, y), all (n,), in the weights w.
-  Outcome first(AgingJacobian& jacobian, double t, const double* y, const double* w, double* f, double* slope);
+  /// J, and f and y' at (t, y), all (n,).
+  Outcome first(AgingJacobian& jacobian, double t, const double* y, double* f, double* slope);
   /// y'' from f; f_t by a difference in the direction of the step h. What f_t adds to y' where M is singular enters y'
   /// too.
   Status second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f, double* slope,
                 double* ft, double* second);
+
+  /// (y'(t + δ, y + δ y') − y') / δ from f and y' = `slope`, both at (t, y); NaN if f is not finite there. `rates`:
+  /// what f at t + δ adds to y' where M is singular, else 0.
+  Status beside(AgingJacobian& jacobian, double t, const double* y, double delta, const double* f, const double* slope,
+                double* rates, double* quotient);
 
  private:
   const Lapack* lapack_;

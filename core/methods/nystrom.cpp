@@ -58,7 +58,9 @@ class NystromStep final : public Step {
     if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
     const double speed = size_of(k_[0], [&](std::size_t i) { return weights_.at(i, y[i]); });
-    h_ = initial_step(speed / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    const double reciprocal = speed / (safety * std::pow(weights_.rtol(), exponent));
+    h_ = initial_step(reciprocal, t_, span);
+    rest_.begin(reciprocal, t_, span);
     return Outcome::ok;
   }
 
@@ -76,6 +78,7 @@ class NystromStep final : public Step {
     }
     if (outcome == Outcome::ok) propose_velocities();
     if (outcome == Outcome::ok) error_ = error_norm();
+    if (outcome == Outcome::ok) outcome = judge_start();
     return {outcome, error_, candidate_};
   }
 
@@ -88,13 +91,14 @@ class NystromStep final : public Step {
   }
 
   bool reject(Cause cause, double hmin) override {
+    const double limit = rest_.reject();
     if (h_ <= hmin) return false;
     double factor = halved;
     if (!failed_ && cause == Cause::error)
       factor = cut(std::pow(weights_.rtol() / error_, exponent), T.floor);
     else if (!failed_ && cause == Cause::not_finite)
       factor = T.floor;
-    h_ = std::max(hmin, h_ * factor);
+    h_ = std::max(hmin, limit > 0 ? limit : h_ * factor);
     failed_ = true;
     return true;
   }
@@ -114,6 +118,7 @@ class NystromStep final : public Step {
     if (!failed_) h_ = grown(h_, std::pow(error_ / weights_.rtol(), exponent));
     failed_ = false;
     accepted_ = true;
+    rest_.accept();
     return Outcome::ok;
   }
 
@@ -123,6 +128,7 @@ class NystromStep final : public Step {
     if (archive.reading()) accepted_ = false;
     archive.values(k_[accepted_ ? last : 0], n());
     archive(remainder_, failed_);
+    rest_.state(archive);
   }
 
   [[nodiscard]] Interpolate interpolate() const override { return in_turn<runge_kutta::nested_polynomial>; }
@@ -159,6 +165,13 @@ class NystromStep final : public Step {
   }
 
  private:
+  Outcome judge_start() {
+    const auto norm = [this](const double* v) {
+      return size_of(v, [this](std::size_t i) { return weights_.at(i, y_[i]); });
+    };
+    return rest_.judge(f_, t_, y_.data(), k_[0], purified_, weights_.rtol(), n(), error_, norm);
+  }
+
   /// each(q, v) with the indices of every position and of its velocity.
   template <class Each>
   void for_positions(Each each) const {
@@ -312,6 +325,7 @@ class NystromStep final : public Step {
   std::size_t evaluated_ = 0;              // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;
+  RestingStart rest_;
   double purified_ = 0;    // t₁ − t
   bool failed_ = false;    // an attempt of this step failed
   bool accepted_ = false;  // and the next has not begun

@@ -26,8 +26,8 @@ Outcome Rosenbrock::start(double t, const double* y, const Span& span) {
   ft_known_ = false;
   solver_.forget();
   if (const Outcome outcome = begin(t, y, f0_.data(), slope_.data()); outcome != Outcome::ok) return outcome;
-  h_ = initial_step(starting_safety * norm(slope_.data()) * std::pow(weights_.rtol(), -1 / third), t, span);
-  return Outcome::ok;
+  const double reciprocal = starting_safety * norm(slope_.data()) * std::pow(weights_.rtol(), -1 / third);
+  return choose_initial_step(span, reciprocal, reciprocal, f0_.data(), slope_.data(), k1_.data(), k2_.data());
 }
 
 Step::Attempt Rosenbrock::attempt(double h, double t1) {

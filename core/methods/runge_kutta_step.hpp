@@ -46,7 +46,9 @@ class RungeKuttaStep final : public Step {
     if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
     const double speed = Kernel::size_of_stage(0, k_, n(), [&](std::size_t i) { return weights_.at(i, y[i]); });
-    h_ = initial_step(speed / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    const double reciprocal = speed / (safety * std::pow(weights_.rtol(), exponent));
+    h_ = initial_step(reciprocal, t_, span);
+    rest_.begin(reciprocal, t_, span);
     return Outcome::ok;
   }
 
@@ -66,6 +68,7 @@ class RungeKuttaStep final : public Step {
       if constexpr (T.last_in_error()) outcome = evaluate(t1, candidate_, last);
     }
     if (outcome == Outcome::ok) error_ = error_norm();
+    if (outcome == Outcome::ok) outcome = judge_start();
     return {outcome, error_, candidate_};
   }
 
@@ -81,13 +84,14 @@ class RungeKuttaStep final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return evaluated_in_attempt; }
 
   bool reject(Cause cause, double hmin) override {
+    const double limit = rest_.reject();
     if (h_ <= hmin) return false;
     double factor = halved;
     if (!failed_ && cause == Cause::error)
       factor = cut(std::pow(weights_.rtol() / error_, exponent), T.floor);
     else if (!failed_ && cause == Cause::not_finite)
       factor = T.floor;
-    h_ = std::max(hmin, h_ * factor);
+    h_ = std::max(hmin, limit > 0 ? limit : h_ * factor);
     failed_ = true;
     return true;
   }
@@ -110,6 +114,7 @@ class RungeKuttaStep final : public Step {
     if (!failed_) h_ = grown(h_, std::pow(error_ / weights_.rtol(), exponent));
     failed_ = false;
     accepted_ = true;
+    rest_.accept();
     return Outcome::ok;
   }
 
@@ -119,6 +124,7 @@ class RungeKuttaStep final : public Step {
     if (archive.reading()) accepted_ = false;
     archive.values(next_first_stage(), n());
     archive(failed_);
+    rest_.state(archive);
   }
 
   [[nodiscard]] Interpolate interpolate() const override { return in_turn<nested_polynomial>; }
@@ -175,6 +181,13 @@ class RungeKuttaStep final : public Step {
   double* next_first_stage() {
     if (!accepted_) return k_[0];
     return T.last_in_error() && evaluates_again() ? reevaluated_ : k_[last];
+  }
+
+  Outcome judge_start() {
+    const auto norm = [this](const double* v) {
+      return max_norm(n(), [&](std::size_t i) { return v[i] / weights_.at(i, y_[i]); });
+    };
+    return rest_.judge(f_, t_, y_.data(), k_[0], purified_, weights_.rtol(), n(), error_, norm);
   }
 
   /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later
@@ -240,7 +253,8 @@ class RungeKuttaStep final : public Step {
   std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;
-  double purified_ = 0;               // t₁ − t
+  double purified_ = 0;  // t₁ − t
+  RestingStart rest_;
   bool reevaluation_failed_ = false;  // f(t₁, y₁) was not finite
   bool failed_ = false;               // an attempt of this step failed
   bool accepted_ = false;

@@ -76,6 +76,7 @@ void integrate_until(Solver& solver, const Ensemble& ensemble, std::size_t i, St
   switch (run.prepare(t0, y0.data())) {
     case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
     case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
+    case Consistency::undetermined: return result.refuse(i, EnsembleResult::undetermined, t0, given);
     case Consistency::consistent:
     case Consistency::corrected:
     case Consistency::undefined:  // the run says so

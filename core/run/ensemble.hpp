@@ -34,7 +34,7 @@ class EnsembleResult {
     Report report;
   };
   /// In place of a State, of a trajectory that could not start: its initial value is not finite, or not consistent.
-  static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3;
+  static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3, undetermined = -4;
   static constexpr std::size_t counts = RunResult::count_size;
   /// Trajectories that were left to the code for one at a time, by `lanes::Why`.
   using Left = std::array<std::size_t, lanes::whys>;

@@ -44,11 +44,9 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"action_out_of_bounds", State::action_out_of_bounds},
                                                {"events_endless", State::events_endless}};
 
-inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
-                                               {"newton", Cause::newton},
-                                               {"projection", Cause::projection},
-                                               {"not_finite", Cause::not_finite},
-                                               {"bounds", Cause::bounds}};
+inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},           {"newton", Cause::newton},
+                                               {"projection", Cause::projection}, {"not_finite", Cause::not_finite},
+                                               {"bounds", Cause::bounds},         {"spacing", Cause::spacing}};
 
 inline constexpr Named<Unsolved> unsolved_names[] = {{"none", Unsolved::none},
                                                      {"slow", Unsolved::slow},
@@ -68,10 +66,13 @@ inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind:
                                                          {"wrong_jacobian", Finding::Kind::wrong_jacobian},
                                                          {"not_conserved", Finding::Kind::not_conserved}};
 
-inline constexpr Named<Consistency> consistency_names[] = {
-    {"consistent", Consistency::consistent}, {"corrected", Consistency::corrected},
-    {"not_found", Consistency::not_found},   {"index_too_high", Consistency::index_too_high},
-    {"undefined", Consistency::undefined},   {"stop", Consistency::stop}};
+inline constexpr Named<Consistency> consistency_names[] = {{"consistent", Consistency::consistent},
+                                                           {"corrected", Consistency::corrected},
+                                                           {"not_found", Consistency::not_found},
+                                                           {"undetermined", Consistency::undetermined},
+                                                           {"index_too_high", Consistency::index_too_high},
+                                                           {"undefined", Consistency::undefined},
+                                                           {"stop", Consistency::stop}};
 
 inline constexpr Named<Derivative> derivative_names[] = {{"given", Derivative::given},
                                                          {"complex step", Derivative::complex_step},

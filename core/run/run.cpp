@@ -108,16 +108,26 @@ LinearAlgebra Run::linear_algebra() {
           .state = state_equations_ ? &*state_equations_ : nullptr};
 }
 
-/// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.
+/// With M(t), or a singular M that is not diagonal, f does not tell y_i' without more, and stays as it is; so it does
+/// beside sensitivities, whose slopes are masked like f.
 void Run::keep_within_bounds() {
   const Problem& problem = solver_.problem();
   if (!problem.bounds) return;
   manifold_.bounds = &*problem.bounds;
   std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
-  if (!mass) return;
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
   const bool implicit = solver_.method().implicit();
-  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass)).callback();
+  if (mass) {
+    bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass));
+  } else {
+    if (!mass_->constant() || mass_->singular() || problem.variations) return;
+    const Matrix& M = mass_->matrix();
+    const std::optional<Lapack>& lapack = problem.linear->lapack;
+    auto factors = make_factorization(M.structure, lapack ? &*lapack : nullptr);
+    if (!factors->factor(&M, 0, Matrix(M.structure))) return;
+    bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, M, std::move(factors));
+  }
+  bounded_f_ = bounded_slope_->callback();
   method_f_ = &bounded_f_;
 }
 
@@ -126,7 +136,7 @@ void Run::derive_slope() {
   if (problem().invariants.empty() && !moves_off_algebraic_equations()) return;
   const Callback f = confined_ ? confined_->defined(users_f_) : f_;
   if (mass_)
-    slope_ = std::make_unique<MassSlope>(f, linear_algebra(), solver_.weights());
+    slope_ = std::make_unique<MassSlope>(f, linear_algebra());
   else
     slope_ = std::make_unique<ExplicitSlope>(f, problem().f_error);
   manifold_.slope = slope_.get();
@@ -182,7 +192,9 @@ Invariants Run::with_algebraic_equations() {
 Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
   if (solver_.settings().tf < solver_.settings().t0)
     for (InvariantBlock& block : blocks) block.sense = -block.sense;
-  return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
+  Invariants invariants(problem().n, std::move(blocks), std::move(value), solver_.weights());
+  invariants.keep_within(piece_);
+  return invariants;
 }
 
 /// Within bounds S rests with the components of the state that do.

@@ -154,10 +154,11 @@ class LaneIntegrator {
     P* y = ready_ + Rows::y;
     unsigned doubted = 0, inside = 0;
     if (holds() && job_.varied.k > 0) doubted = bits(held_.start_tangent(t0, y, p));
-    M not_defined;
-    const P h = stepper_.start(t0, y, p, not_defined);
+    M not_defined, rests = no_lane<W>();
+    const P h = stepper_.start(t0, y, p, not_defined, rests);
     ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step) : h;
-    const unsigned undefined = bits(not_defined);
+    ready_[Rows::rests] = choose(rests, P(1), P(0));
+    const unsigned undefined = bits(not_defined | (ready_[Rows::h] < hmin_ulps * ulp(t0)));
     if (holds()) doubted |= bits(held_.start(t0, y, stepper_.slope_at_start(), job_.forward() * ready_[Rows::h], p));
     if (watches()) inside = bits(watched_.start(ready_ + rows_.events, t0, y, p));
     for_each_lane(taken, [&](int l) {
@@ -225,6 +226,10 @@ class LaneIntegrator {
     const P error = stepper_.attempt(step, candidate_, odd);
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
+    const M looks = accepted & (P(0) < row(Rows::rests));  // single runs look at f beside the start
+    odd = odd | looks;
+    accepted = accepted & ~looks;
+    row(Rows::rests) = P(0);
     doubted_ = inside_ = cut_ = 0;
     if (holds()) project(accepted, step);
     const M undefined = accepted & stepper_.finish(step);

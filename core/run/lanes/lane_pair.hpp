@@ -49,13 +49,15 @@ class LanePair {
   [[nodiscard]] static std::size_t degree(const Job&) { return T.degree; }
   static constexpr auto evaluate_extension = nested_polynomial<P>;
 
-  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it. Sets where f is not defined.
-  P start(const P& t0, const P* y, const P* p, M& undefined) {
+  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it. Sets where f is not defined, and where the start is
+  /// at rest.
+  P start(const P& t0, const P* y, const P* p, M& undefined, M& rests) {
     evaluate_all(t0, y, first_, p);
     const P speed = Kernel::size_of_stage(0, {first_}, job_.all, weight(ready_thresholds_, y, y));
     undefined = ~(speed < P(infinity));
     const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
-    return initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin_ulps * ulp(t0));
+    rests = ~gives_scale(reciprocal, t0, job_.tf);
+    return initial_step(reciprocal, t0, job_.tf, job_.hmax);
   }
   /// y′ at the starts.
   [[nodiscard]] const P* slope_at_start() const { return first_; }

@@ -54,14 +54,13 @@ class LaneTaylor {
   static constexpr auto evaluate_extension = power_series<P>;
 
   /// |h| of the first steps, as `Taylor::start` chooses it. Sets where f or its series is not defined.
-  P start(const P& t0, const P* y, const P* p, M& undefined) {
-    const P hmin = hmin_ulps * ulp(t0);
+  P start(const P& t0, const P* y, const P* p, M& undefined, M& /*rests*/) {
     evaluate(job_.f, t0, y, f_, p);
     undefined = not_finite(f_, job_.n);
     const auto weight = weight_of<W>(job_, y, y);
     for (std::size_t i = 0; i < job_.n; ++i) inverse_weight_[i] = P(1) / weight(i);
     const auto first = [&](const P& reciprocal) {
-      return taylor::with_exact_square(initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin));
+      return taylor::with_exact_square(initial_step(reciprocal, t0, job_.tf, job_.hmax));
     };
     *ready_unit_ = taylor::unit_near(first(taylor::norm(f_, job_.n, inverse_weight_)));
     expand(t0, *ready_unit_, y, ready_, p);

@@ -85,12 +85,12 @@ struct Job {
 };
 
 /// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
-/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y with its
-/// sensitivities (all,); what the method remembers, such as f there (all,); its parameters; its thresholds
-/// (all,); of each event its value and sign, how often it has occurred, and its slope; then what belongs to the
-/// invariant.
+/// whether it is still at rest at its start, counts of steps, failures, looks at steps that stability limits, steps
+/// that were looked into; y with its sensitivities (all,); what the method remembers, such as f there (all,); its
+/// parameters; its thresholds (all,); of each event its value and sign, how often it has occurred, and its slope; then
+/// what belongs to the invariant.
 struct Rows {
-  enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
+  enum : std::size_t { t, h, retries, rests, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, slope, of_event };
   /// The value, the largest residuals of candidates and at outputs or the end, the largest correction in units of rtol;
   /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is tested for a change with t,

@@ -45,14 +45,16 @@ _EXCEPTIONS = (
     "events_endless",
     "interrupted",
 )
-#: The status for each state; states of ensembles only are negative and count from the end.
-_CODES = np.array(
-    [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES] + 3 * [_RAISED], dtype=np.int8
-)
-_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
-_INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
+_INCONSISTENT = {-2: "not_found", -3: "index_too_high", -4: "undetermined"}
+#: The status for each state; states of ensembles only are negative and count from the end.
+_CODES = np.array(
+    [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES]
+    + (1 + len(_INCONSISTENT)) * [_RAISED],
+    dtype=np.int8,
+)
+_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 #: Trajectories that failed, and runs that tell why they ended.
 Failures = Sequence[tuple[int, _core.Run]]
 

@@ -190,6 +190,12 @@ def _without_series(run: Run, pairs: bool) -> str:
 
 
 def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
+    if run.cause == "spacing":
+        return (
+            f"fun changes within {abs(run.h):.2g} of t = {run.t!r}, but times near {run.t:.6g} are "
+            f"{math.ulp(run.t):.2g} apart: measure t from {run.t:.6g}, so that the start is at t = 0. If fun should "
+            "not change so fast, check its units and y0."
+        )
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
     if run.cause == "not_finite" and run.coefficient is not None:
         return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"
@@ -294,6 +300,12 @@ def inconsistent_start(verdict: str, t0: float) -> str:
             f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
             "the algebraic equations do not determine the components that mass leaves free. Differentiate the "
             "constraints until they do"
+        )
+    if verdict == "undetermined":
+        return (
+            f"at t = {t0} the algebraic equations of the singular mass matrix do not seem to determine the components "
+            "that mass leaves free: no change of them that was tried changes these equations as it should. Differences "
+            "of fun do not prove that: pass jac=, a function or 'trace', with which index and start are certain"
         )
     return (
         f"y0 does not satisfy the algebraic equations of the singular mass matrix at t = {t0}, and no consistent "

@@ -651,16 +651,17 @@ def _linear_algebra(
     traced: Any,
     parameters: Array,
     weights: Tolerances,
+    jac: str | None = None,
 ) -> tuple[_core.Linear | None, Array]:
     """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
-    matrix ask for it."""
+    matrix ask for it. `jac`: instead of the problem's."""
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
     from .._linear.matrices import Start, prepare, too_large_to_be_dense
 
     t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
-    matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    matrices = replace(problem.matrices, jac=jac or fed(problem.matrices.jac, problem.inputs))
     direct = options["linear_solver"] == "direct"
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
@@ -691,7 +692,12 @@ def _linear_algebra(
         **({} if bounds is None else bounds._asdict()),
     )
     y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
-    if verdict in ("index_too_high", "not_found"):
+    if verdict == "undetermined" and matrices.jac is None and y0.dtype.kind != "c":
+        with suppress(TypeError), np.errstate(all="ignore"):  # unless it can be traced, nothing more is known
+            traced, jac = compile(problem.fun, by="trace"), "trace"
+        if jac is not None:
+            return _linear_algebra(problem, method, options, fun, traced, parameters, weights, jac)
+    if verdict in ("index_too_high", "undetermined", "not_found"):
         raise ValueError(inconsistent_start(verdict, t0))
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
 
