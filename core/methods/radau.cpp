@@ -42,7 +42,8 @@ int most_iterations(const RadauFormula& formula) { return 7 + 5 * (static_cast<i
 
 Convergence::Rules newton_rules(const RadauFormula& formula) {
   const double goal = std::pow(safety / least_growth, estimate_order(formula)) / amplification(formula);
-  return {.most_iterations = most_iterations(formula), .goal = goal, .first_goal = first_goal * goal};
+  const double first = first_goal * goal;
+  return {.most_iterations = most_iterations(formula), .goal = goal, .first_goal = first, .jump_goal = first};
 }
 
 const RadauFormula* formula_up_to(int order) {
