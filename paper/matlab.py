@@ -38,7 +38,7 @@ RULES = {"1e-11": LAST_DIGIT, "1e-13": SIZE}
 def matlab_rows() -> list[Row]:
     """Solves these problems and holds the results against what MATLAB prints."""
     third_order = [row for method in ("ode45", "ode113") for row in _third_order(method)]
-    return [*third_order, *_hires(), *_flame(), *_scalar_linear(), *_points(), *_blow_up()]
+    return [*third_order, *_hires(), *_van_der_pol(), *_flame(), *_scalar_linear(), *_points(), *_blow_up()]
 
 
 def _third_order(method: OwnName) -> list[Row]:
@@ -83,6 +83,28 @@ def _hires() -> list[Row]:
         Row(title, "LU factorisations", str(printed["nlu"]), sol.nlu, SOURCE),
         Row(title, "solutions of linear systems", str(printed["solves"]), sol.stats.nsolve, SOURCE),
     ]
+
+
+def _van_der_pol() -> list[Row]:
+    """The counts of Stats for van der Pol's equation, mu = 1000, with ode15s and the default tolerances."""
+    rows = []
+    for printed in matlab("van der Pol", "ode15s"):
+        sol = ode15s(lambda t, y: [y[1], 1000 * (1 - y[0] ** 2) * y[1] - y[0]], (0, printed["t_end"]), [2, 0])
+        here = {
+            "steps": ("successful steps", sol.stats.steps),
+            "failed": ("failed attempts", sol.stats.failed),
+            "nfev": ("evaluations of f", sol.nfev),
+            "njev": ("Jacobians", sol.njev),
+            "nlu": ("LU factorisations", sol.nlu),
+            "solves": ("solutions of linear systems", sol.stats.nsolve),
+        }
+        title = f"van der Pol, μ = 1000, ode15s, default tolerances, to t = {printed['t_end']}"
+        rows += [
+            Row(title, quantity, str(printed[key]), count, SOURCE, stats=sol.stats)
+            for key, (quantity, count) in here.items()
+            if key in printed
+        ]
+    return rows
 
 
 def _counts(title: str, printed: Mapping[str, Any], sol: Solution) -> list[Row]:

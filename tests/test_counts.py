@@ -94,6 +94,21 @@ def test_hires():
     )
 
 
+@pytest.mark.parametrize("row", rows("van der Pol", "ode15s"), ids=lambda row: row["t_end"])
+def test_van_der_pol(row):
+    sol = iv.ode15s(lambda t, y: [y[1], 1000 * (1 - y[0] ** 2) * y[1] - y[0]], (0, row["t_end"]), [2, 0])
+    s = sol.stats
+    here = {
+        "steps": s.steps,
+        "failed": s.failed,
+        "nfev": sol.nfev,
+        "njev": sol.njev,
+        "nlu": sol.nlu,
+        "solves": s.nsolve,
+    }
+    assert {key: here[key] for key in here if key in row} == {key: row[key] for key in here if key in row}
+
+
 def counts(sol: iv.Solution) -> tuple[int, ...]:
     return sol.stats.steps, sol.stats.failed, sol.nlu, sol.stats.nsolve, sol.nfev
 

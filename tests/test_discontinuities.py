@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -196,6 +197,27 @@ def test_a_run_may_start_where_f_jumps_with_y(method, rtol, unit):
     )
     assert sol.success
     assert sol.y[1, -1] == pytest.approx(unit * (1 - np.exp(-10)), rel=100 * rtol)
+
+
+def climbed(y: float, t: float) -> float:
+    """y(t) of y' = 1.1 - 0.3 floor(2 y)."""
+    while True:
+        level = math.floor(2 * y)
+        duration = ((level + 1) / 2 - y) / (1.1 - 0.3 * level)
+        if duration >= t:
+            return y + (1.1 - 0.3 * level) * t
+        y, t = (level + 1) / 2, t - duration
+
+
+@dealt(jac=[None, [[0.0]]], rtol=[1e-4, 1e-6, 1e-8, 1e-10])
+@untold
+def test_radau_sees_a_jump_from_beyond_which_all_stages_come(jac, rtol):
+    """An estimate with f at y + e in place of f(y) is 0 where e crosses the jump as all stages do."""
+    for end in (1.0, 2.0, 3.0, 4.0):
+        sol = iv.solve_ivp(
+            lambda t, y: [1.1 - 0.3 * math.floor(2 * y[0])], (0, end), [0.2], "radau", rtol=rtol, atol=rtol, jac=jac
+        )
+        assert abs(sol.y[0, -1] - climbed(0.2, end)) <= 100 * rtol
 
 
 @explicit_and_implicit

@@ -11,6 +11,7 @@ import pytest
 import invariode as iv
 import stiff_ends
 from cases import IMPLICIT, dealt
+from stiff import PROBLEMS as STIFF
 
 TOLERANCES = [1e-3, 1e-6, 1e-8]
 
@@ -119,6 +120,24 @@ def test_a_jacobian_from_stiffer_times_costs_no_accuracy(method, what):
     sol = iv.solve_ivp(fun, (0, 60), y0, method, rtol=rtol, atol=rtol)
     assert sol.success
     assert np.abs(sol.y[:, -1] - exact).max() <= 3 * error_of_ode23s + 10 * rtol
+
+
+SMOOTH = [name for name, problem in STIFF.items() if problem.mass is None and len(problem.y0) < 100]
+
+
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb"])
+def test_residuals_change_no_step_where_f_is_smooth(method):
+    """With a mass matrix, be it the identity, residuals are not tested: the steps are those of the plain iteration."""
+    for name in SMOOTH:
+        p = STIFF[name]
+        for rtol in (1e-2, 1e-3, 1e-5):
+            given = {"args": p.args, "jac": p.jac, "rtol": rtol, "atol": rtol * p.scale, "keep": "end"}
+            sol, plain = (
+                iv.solve_ivp(p.fun, p.t_span, p.y0, method, **given, **mass)
+                for mass in ({}, {"mass": np.eye(len(p.y0))})
+            )
+            for count in ("steps", "failed", "nfev", "nlu", "nsolve"):
+                assert sol.stats[count] == plain.stats[count], (name, rtol)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

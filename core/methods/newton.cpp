@@ -20,6 +20,8 @@ constexpr double noise_growth = 100;       // of |c|, after which a J that may b
 // a residual that is as good as nothing. (The old Jacobians of HIRES, whose counts are published, leave 56 of it at
 // 1e-6, by iterations that remove 6 % of a residual.)
 constexpr double most_left = 60, hardly = 0.03;
+// Differences of f that tell branches apart consist of so many roundoffs, and differ by more than this part from J e.
+constexpr double resolved = 1000, of_another_branch = 0.5;
 constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its terms
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
 constexpr int careful_steps = 10, careful_iterations = 20;
@@ -60,8 +62,7 @@ Convergence::Verdict Convergence::judge(double size) {
     if (rate_known_ && size * rate / (1 - rate) <= rules_.first_goal * rtol_) return Verdict::converged;
     if (!rate_known_) rate_ = 0;
   } else if (size > slowest_rate * previous_) {
-    // Where f jumps between the iterates, an update far below the error test is no sign of divergence, but of the jump.
-    if (size > rules_.first_goal * rtol_) return Verdict::diverged;
+    if (size > rules_.jump_goal * rtol_) return Verdict::diverged;
   } else {
     rate_ = std::max(rate_memory * rate_, size / previous_);
     rate_known_ = true;
@@ -100,7 +101,8 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
       scratch_(linear.krylov ? 0 : extent_.n),
-      reach_(scratch_.size()) {
+      reach_(scratch_.size()),
+      branch_y_(scratch_.size()) {
   if (linear.state) sensitivities_ = *linear.state->sensitivities;
   if (linear.krylov)
     free_.emplace(state_f_, weights_, linear, complex);
@@ -198,6 +200,8 @@ Status AgingJacobian::take_jacobian(double t, const double* y, const double* slo
   current_ = true;
   age_ = 0;
   too_large_ = beside_ = false;
+  branch_examined_ = false;
+  if (!free_) note_branch(t, y);
   if (plainly_) return jacobian_.evaluate_plainly(state_f_, t, y, slope);
   if (jacobian_.evaluate(state_f_, t, y, slope) == Status::stop) return Status::stop;
   return slope != nullptr && fit_due(y) ? make_fit(t, y, slope) : Status::ok;
@@ -262,6 +266,7 @@ Status AgingJacobian::take_beside(Callback& f, double t, const double* y) {
   if (f(t, point.data(), slope.data()) == Status::stop) return Status::stop;
   if (!all_finite(slope.data(), n)) return Status::ok;
   beside_ = true;
+  note_branch(t, point.data());
   if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
   switch (fit(f, t, point.data(), slope.data(), on_one_side)) {
     case JacobianCheck::Fit::stop: return Status::stop;
@@ -309,6 +314,77 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
     if (evaluate_state(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
   }
   return take_jacobian(t, y, slope);
+}
+
+void AgingJacobian::note_branch(double t, const double* y) {
+  branch_t_ = t;
+  std::copy_n(y, branch_y_.size(), branch_y_.begin());
+}
+
+AgingJacobian::Fitness AgingJacobian::examine(double c, double t, const double* y, const double* r, const double* w) {
+  const std::size_t n = extent_.n;
+  const auto evaluate_here = [](void* self, double at, const double* point, double* out) {
+    return static_cast<AgingJacobian*>(self)->evaluate_apart(at, point, out) == Outcome::stop ? Status::stop
+                                                                                              : Status::ok;
+  };
+  Callback f(evaluate_here, this);
+  find_increment(y, r, w);
+  const auto norm = [&](const double* v) { return max_norm(n, [&](std::size_t i) { return v[i] / w[i]; }); };
+  const double change = norm(changes_.data());
+  if (!(change > 0)) return Fitness::fits;
+  if (!branch_examined_) {
+    const Outcome outcome = examine_branch(f, w);
+    if (outcome == Outcome::stop) return Fitness::stop;
+    if (outcome == Outcome::not_finite) return Fitness::of_another_branch;
+    branch_examined_ = true;
+  }
+  switch (kinks_.search(f, branch_t_, branch_y_.data(), t, y, increment_.data(), {w, n}, reach_.data())) {
+    case KinkSearch::Verdict::stop: return Fitness::stop;
+    case KinkSearch::Verdict::kink: return Fitness::of_another_branch;
+    case KinkSearch::Verdict::smooth: break;
+  }
+  note_branch(t, y);
+  const bool stiff = std::abs(c) * norm(kinks_.at_end()) > large_stiffness * norm(increment_.data());
+  return stiff ? Fitness::fits : Fitness::stiffness_has_gone;
+}
+
+/// The increment e along r is the shortest that f resolves, since kinks are not seen any sharper: J e, in `changes_`,
+/// is so many roundoffs of f in its largest row. `reach_`: that roundoff, between where J was taken and y.
+void AgingJacobian::find_increment(const double* y, const double* r, const double* w) {
+  const std::size_t n = extent_.n;
+  increment_.resize(n);
+  changes_.resize(n);
+  std::fill(reach_.begin(), reach_.end(), 0);
+  jacobian().for_each([&](std::size_t i, std::size_t j, double value) {
+    reach_[i] += roundoffs_of_f * eps * std::abs(value) * std::max(std::abs(y[j]), std::abs(branch_y_[j]));
+  });
+  jacobian().multiply(r, changes_.data());
+  std::size_t row = 0;
+  for (std::size_t i = 1; i < n; ++i)
+    if (std::abs(changes_[i] / w[i]) > std::abs(changes_[row] / w[row])) row = i;
+  const double part = changes_[row] != 0 ? resolved * reach_[row] / std::abs(changes_[row]) : 0;
+  for (std::size_t j = 0; j < n; ++j) {
+    increment_[j] = part * r[j];
+    changes_[j] *= part;
+  }
+}
+
+/// Is J e the change of f to both sides of where J was taken? `not_finite`: it is not, beyond the roundoff in `reach_`:
+/// the point is on a kink, or differences have led through one.
+Outcome AgingJacobian::examine_branch(Callback& f, const double* w) {
+  const std::size_t n = extent_.n;
+  std::vector<double> here(n), there(n), point(n);
+  if (f(branch_t_, branch_y_.data(), here.data()) == Status::stop) return Outcome::stop;
+  const double change = max_norm(n, [&](std::size_t i) { return changes_[i] / w[i]; });
+  for (const double side : {1.0, -1.0}) {
+    for (std::size_t j = 0; j < n; ++j) point[j] = branch_y_[j] + side * increment_[j];
+    if (f(branch_t_, point.data(), there.data()) == Status::stop) return Outcome::stop;
+    const auto off = [&](std::size_t i) {
+      return std::max(0.0, std::abs(side * (there[i] - here[i]) - changes_[i]) - reach_[i]) / w[i];
+    };
+    if (max_norm(n, off) > of_another_branch * change) return Outcome::not_finite;
+  }
+  return Outcome::ok;
 }
 
 void AgingJacobian::be_careful() { careful_ = careful_steps; }
@@ -423,7 +499,7 @@ void AgingJacobian::fields(Archive& archive) {
   if (free_) free_->state(archive);
   archive(work_.checks, fitting_, misfit_, first_);
   archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_,
-          beside_, careful_);
+          beside_, careful_, branch_t_, branch_y_, branch_examined_);
   archive.require(careful_ >= 0);
 }
 
@@ -676,10 +752,10 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
   return Result::converged;
 }
 
-/// Updates say that the iteration has converged. Whether its residuals do, too: of an update of that size, after a
-/// residual of the size `before` and, if it is not the first, one of the size `last`. J of another point, or of another
-/// branch of f, may be so much too large that updates are too small to show that nothing is solved. What is not stiff
-/// cannot be: there the solution is not farther off than its residual.
+/// Updates say that the iteration has converged. Do its residuals: of an update of that size, after a residual of the
+/// size `before` and, if it is not the first, one of the size `last`? J of another branch of f may be so much too large
+/// that updates are too small to show that nothing is solved. What is not stiff cannot be: there the solution is not
+/// farther off than its residual.
 Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
   if (matrix_free() || mass() != nullptr || noisy()) return Result::converged;
   const bool several = convergence_.iterations() > 1;
@@ -690,20 +766,34 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
   const bool stiff = this->stiff(place_.c, place_.w);
   forget_roundoff(place_.c, place_.y, {&before_, &earlier_});
   before = norm(before_);
-  if (several && !solved(size, norm(earlier_), before)) return Result::failed;
-  if (before <= tolerated_residual() || !stiff) return Result::converged;
+  const bool slow = several && !solved(size, norm(earlier_), before);
+  if (!slow && (before <= tolerated_residual() || !stiff)) return Result::converged;
   switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
-    case Outcome::not_finite: return Result::converged;
+    case Outcome::not_finite: return slow ? Result::failed : Result::converged;
     case Outcome::ok: break;
   }
   residual(place_.c, psi, d, 0, extent().n);
   forget_roundoff(place_.c, place_.y, {&residual_});
-  if (unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly)) {
-    be_careful();
-    return Result::failed;
+  const bool stuck = unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly);
+  if (!slow && !stuck && solved(size, before, norm(residual_))) return Result::converged;
+  for (std::size_t i = 0; i < extent().n; ++i) residual_[i] -= before_[i];
+  const Result result = doubt(norm(residual_) <= large_stiffness * size);
+  if (result == Result::failed && stuck) be_careful();
+  return result;
+}
+
+/// Residuals contradict the updates. As long as f is smooth and stiff this is left to the rule of the suite, whose
+/// steps are published: what is left of the solution is much less than the residual. `soft`: f is not stiff along the
+/// update.
+Newton::Result Newton::doubt(bool soft) {
+  switch (examine(place_.c, place_.t, place_.y, before_.data(), place_.w)) {
+    case Fitness::stop: return Result::stop;
+    case Fitness::of_another_branch: return Result::failed;
+    case Fitness::stiffness_has_gone: return soft ? Result::failed : Result::converged;
+    case Fitness::fits: break;
   }
-  return solved(size, before, norm(residual_)) ? Result::converged : Result::failed;
+  return Result::converged;
 }
 
 /// Whether an update of that size, after a residual of the size `last` and before one of the size `residual`, leaves

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "linear/kink.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix_free.hpp"
 #include "step.hpp"
@@ -21,14 +22,16 @@ namespace invariode {
 class Convergence {
  public:
   /// How many iterations there may be, and what error they may leave, in units of rtol: the last one, and the first,
-  /// where the rate is an old one.
+  /// where the rate is an old one. An update up to the jump's goal that has not shrunk is no sign of divergence: f may
+  /// jump between the iterates.
   struct Rules {
     int most_iterations;
     double goal;
     double first_goal;
+    double jump_goal = 0;
 
     /// For sensitivities, of which an iteration costs less than a step that is given up with the state known.
-    [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal}; }
+    [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal, jump_goal}; }
   };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
   // The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
@@ -117,6 +120,12 @@ class AgingJacobian {
   /// An iteration had converged, and solved nothing: those of the next steps are to leave less than others.
   void be_careful();
   [[nodiscard]] bool careful() const { return careful_ > 0; }
+  /// How J fits the iterate y at t, of which updates by J have not removed the residual r. It is `of_another_branch` if
+  /// J r was not the derivative of f where J was taken, or if this derivative jumps between there and (t, y); otherwise
+  /// `stiffness_has_gone` says that c times the derivative along r is not large any more. (r points to where J is
+  /// large; the updates do not, since it is large there.) `w`: weights.
+  enum class [[nodiscard]] Fitness { fits, of_another_branch, stiffness_has_gone, stop };
+  Fitness examine(double c, double t, const double* y, const double* r, const double* w);
   /// Residuals say that updates with J are much too small.
   void note_too_large() { too_large_ = true; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
@@ -199,6 +208,9 @@ class AgingJacobian {
   bool defined_mass();
   bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
+  void note_branch(double t, const double* y);
+  void find_increment(const double* y, const double* r, const double* w);
+  Outcome examine_branch(Callback& f, const double* w);
   void fields(Archive& archive);
   Outcome finite_or_noted(const double* out, std::size_t count);
   Status solve_below(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
@@ -216,8 +228,14 @@ class AgingJacobian {
   std::optional<JacobianCheck> check_;
   std::vector<double> reach_;             // of the check
   std::vector<double> beyond_, changed_;  // a point beside Y, and the slopes of the sensitivities there
-  std::optional<double> fitting_;         // the largest size of a J that the check has passed
-  std::optional<Misfit> misfit_;          // of a J that is given
+  KinkSearch kinks_;
+  std::vector<double> increment_;  // of its differences, and
+  std::vector<double> changes_;    // of f along it by J
+  double branch_t_ = 0;            // as far as f is known to be smooth from where J was taken,
+  std::vector<double> branch_y_;   // and empty if matrix-free
+  bool branch_examined_ = false;   // J is known to be that of its branch
+  std::optional<double> fitting_;  // the largest size of a J that the check has passed
+  std::optional<Misfit> misfit_;   // of a J that is given
   LinearWork work_;
   std::optional<double> factored_;  // c of the factors at hand
   double factored_at_ = 0;          // t of the M in them
@@ -329,6 +347,7 @@ class Newton : public AgingJacobian {
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
   Result confirm(const double* psi, const double* d, double size, double last, double before);
+  Result doubt(bool soft);
   [[nodiscard]] bool solved(double size, double last, double residual) const;
   [[nodiscard]] double tolerated_residual() const;
   Result renew_in_place();

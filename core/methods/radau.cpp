@@ -42,7 +42,8 @@ int most_iterations(const RadauFormula& formula) { return 7 + 5 * (static_cast<i
 
 Convergence::Rules newton_rules(const RadauFormula& formula) {
   const double goal = std::pow(safety / least_growth, estimate_order(formula)) / amplification(formula);
-  return {.most_iterations = most_iterations(formula), .goal = goal, .first_goal = first_goal * goal};
+  const double first = first_goal * goal;
+  return {.most_iterations = most_iterations(formula), .goal = goal, .first_goal = first, .jump_goal = first};
 }
 
 const RadauFormula* formula_up_to(int order) {
@@ -239,8 +240,8 @@ double Radau::update_stages() {
   return size.value();
 }
 
-/// The error of the attempt. Where a first look would fail it in a step that starts anew, f is taken once more, at
-/// y + error: what remains is what is not damped by the problem itself (Hairer & Wanner, eq. IV.8.20).
+/// The error of the attempt. Where a first look would fail it in a step that starts anew, the estimate is damped once
+/// more: of stiff components, whose estimate does not vanish with h, nothing remains (Hairer & Wanner, eq. IV.8.20).
 Newton::Result Radau::estimate() {
   weights_.fill(y(), candidate_.data(), weight_.data());
   std::fill(scratch_.begin(), scratch_.end(), 0);
@@ -248,25 +249,29 @@ Newton::Result Radau::estimate() {
     const double weight = -formula_->initial_slope[stage] / formula_->mu;
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] += weight * Z(stage)[i];
   }
-  gap_ = scratch_;
-  if (Mass* mass = solver_.mass()) {
-    if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
-    solver_.multiply_blocks(mass->matrix(), scratch_.data(), gap_.data());
-  }
-  const Newton::Result first = solve_for_error(f_.data());
+  Mass* mass = solver_.mass();
+  if (mass && !mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
+  multiply_by_mass(scratch_, error_vector_);
+  const double c = signed_h_ / formula_->mu;
+  for (std::size_t i = 0; i < n(); ++i) error_vector_[i] += c * f_[i];
+  const Newton::Result first = damp_error();
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
-  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + error_vector_[i];
-  switch (solver_.evaluate(t_, scratch_.data(), residuals_.data())) {
-    case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: solver_.forget_undefined(); return first;  // the first look has to do
-    case Outcome::ok: break;
-  }
-  return solve_for_error(residuals_.data());
+  // HW take f at y + e in place of f(y). Where f is linear, that is (M − c J)⁻¹ M e; where f jumps between these
+  // points, it is what stages beyond the jump agree with, and they alone: the estimate would be blind.
+  scratch_ = error_vector_;
+  multiply_by_mass(scratch_, error_vector_);
+  return damp_error();
 }
 
-Newton::Result Radau::solve_for_error(const double* f) {
-  const double c = signed_h_ / formula_->mu;
-  for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
+void Radau::multiply_by_mass(const std::vector<double>& v, std::vector<double>& out) {
+  if (const Matrix* M = solver_.mass_matrix())
+    solver_.multiply_blocks(*M, v.data(), out.data());
+  else
+    out = v;
+}
+
+/// e ← (M − c J)⁻¹ e.
+Newton::Result Radau::damp_error() {
   const double tolerance = linear_part * weights_.rtol();
   const Newton::Result result = solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), tolerance, t_,
                                                    y(), f_.data(), error_vector_.data());

@@ -71,7 +71,8 @@ class Radau final : public ImplicitBase<RadauSystems> {
   double update_stages();
   void weigh_first_update();
   Newton::Result estimate();
-  Newton::Result solve_for_error(const double* f);
+  void multiply_by_mass(const std::vector<double>& v, std::vector<double>& out);
+  Newton::Result damp_error();
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
   Newton::Result look_at_end();
