@@ -30,6 +30,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
+  Attempt inspect_extension(const Attempt& attempt) override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
@@ -72,6 +73,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
   void weigh_first_update();
   Newton::Result estimate();
   Newton::Result solve_for_error(const double* f);
+  Newton::Result filter_defect(double* defect);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
   Newton::Result look_at_end();

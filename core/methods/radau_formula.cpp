@@ -95,6 +95,36 @@ constexpr Row<s> derivative_of_increments(const Row<s>& c, std::size_t i) {
   return rest;
 }
 
+/// Where |x ∏ (x − c_i)| is largest in [0, 1], to a thousandth.
+template <std::size_t s>
+constexpr double farthest_from(const Row<s>& c) {
+  constexpr int parts = 1000;
+  double where = 0, largest = 0;
+  for (int k = 1; k < parts; ++k) {
+    const double x = static_cast<double>(k) / parts;
+    double size = x;
+    for (const double node : c) size *= absolute(x - node);
+    if (size > largest) where = x, largest = size;
+  }
+  return where;
+}
+
+/// Weights of increments in the polynomial of degree s through 0 and them, and in its derivative, at x between nodes.
+template <std::size_t s>
+struct Between {
+  Row<s> value{}, slope{};
+
+  constexpr Between(const Row<s>& c, double x) {
+    for (std::size_t j = 0; j < s; ++j) {
+      double weight = x / c[j], sum = 1 / x;
+      for (std::size_t k = 0; k < s; ++k)
+        if (k != j) weight *= (x - c[k]) / (c[j] - c[k]), sum += 1 / (x - c[k]);
+      value[j] = weight;
+      slope[j] = weight * sum;
+    }
+  }
+};
+
 /// M^{(j)}(x) of M(x) = ∏ (x − c_i), j = 0 … s.
 template <std::size_t s>
 constexpr Row<s + 1> derivatives(const Row<s>& c, double x) {
@@ -147,8 +177,11 @@ template <std::size_t s>
 struct Matrices {
   Square<s> A_inverse{}, T{}, T_inverse{}, coefficients{};
   Row<s> initial_slope{};
+  double farthest;
+  Between<s> there;
 
-  constexpr explicit Matrices(const Numbers<s>& of) : initial_slope(derivative_of_increments(of.c, 0)) {
+  constexpr explicit Matrices(const Numbers<s>& of)
+      : initial_slope(derivative_of_increments(of.c, 0)), farthest(farthest_from(of.c)), there(of.c, farthest) {
     const ComplexRow<s> first = eigenvector(of.c, of.mu);
     for (std::size_t i = 0; i < s; ++i) {
       A_inverse[i] = derivative_of_increments(of.c, i + 1);
@@ -226,15 +259,9 @@ constexpr RadauFormula formula() noexcept {
   constexpr std::size_t s = of.c.size();
   constexpr const Matrices<s>& m = matrices<of>;
   static_assert(is_diagonal(of, m) && has_its_order(of, m));
-  return {s,
-          of.c.data(),
-          m.A_inverse[0].data(),
-          of.mu,
-          of.pairs,
-          m.T[0].data(),
-          m.T_inverse[0].data(),
-          m.initial_slope.data(),
-          m.coefficients[0].data(),
+  return {s,           of.c.data(),          m.A_inverse[0].data(), of.mu,
+          of.pairs,    m.T[0].data(),        m.T_inverse[0].data(), m.initial_slope.data(),
+          m.farthest,  m.there.value.data(), m.there.slope.data(),  m.coefficients[0].data(),
           transform<s>};
 }
 
