@@ -311,7 +311,7 @@ class Newton : public AgingJacobian {
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
   /// v becomes (M − c J)⁻¹ v, with the factors at hand, or with J where `solve` has ended.
   Result filter(double* v);
-  /// The same of M v.
+  /// v becomes (M − c J)⁻¹ M v: what is stiff in it is gone.
   Result damp(double* v);
   void state(Archive& archive);
 

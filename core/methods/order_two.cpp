@@ -83,8 +83,8 @@ double OrderTwo::undamped_error() const {
   return std::max(undamped_error_, ratio * ratio * ratio * last_undamped_error_);
 }
 
-/// (M − d h J)⁻¹ d h (f(P) − M P') at θ. Where J is large that is y − P, and in algebraic equations too,
-/// whose interpolant nothing else tests; in the smooth part it is d h times the defect.
+/// (M − d h J)⁻¹ d h (f(P) − M P') at θ. Where J is large that is y − P, and in algebraic equations too, which nothing
+/// else tests between the ends of a step; in the smooth part it is d h times the defect.
 Newton::Result OrderTwo::filter_defect(double theta) {
   if (extend(theta, psi_.data(), base_.data()) == Status::stop) return Newton::Result::stop;
   const double t = t_ + theta * signed_h_;

@@ -238,6 +238,26 @@ constexpr bool has_its_order(const Numbers<s>& of, const Matrices<s>& matrices) 
   return true;
 }
 
+/// Σ_i v_i c_i^k = θ^k and Σ_i d_i c_i^k = k θ^{k−1} for k = 1 … s: the polynomial and its slope at θ.
+template <std::size_t s>
+constexpr bool interpolates(const Numbers<s>& of, const Matrices<s>& matrices) {
+  constexpr double roundoff = 1e-13;
+  const double theta = matrices.farthest;
+  Row<s> power = of.c;
+  double before = 1;  // θ^{k−1}
+  for (std::size_t k = 1; k <= s; ++k) {
+    double value = -theta * before, slope = -static_cast<double>(k) * before;
+    for (std::size_t i = 0; i < s; ++i) {
+      value += matrices.there.value[i] * power[i];
+      slope += matrices.there.slope[i] * power[i];
+      power[i] *= of.c[i];
+    }
+    if (absolute(value) > roundoff || absolute(slope) > roundoff) return false;
+    before *= theta;
+  }
+  return true;
+}
+
 template <const auto& of, std::size_t s = of.c.size()>
 constexpr Matrices<s> matrices{of};
 
@@ -258,7 +278,7 @@ template <const auto& of>
 constexpr RadauFormula formula() noexcept {
   constexpr std::size_t s = of.c.size();
   constexpr const Matrices<s>& m = matrices<of>;
-  static_assert(is_diagonal(of, m) && has_its_order(of, m));
+  static_assert(is_diagonal(of, m) && has_its_order(of, m) && interpolates(of, m));
   return {s,           of.c.data(),          m.A_inverse[0].data(), of.mu,
           of.pairs,    m.T[0].data(),        m.T_inverse[0].data(), m.initial_slope.data(),
           m.farthest,  m.there.value.data(), m.there.slope.data(),  m.coefficients[0].data(),
