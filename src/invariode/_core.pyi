@@ -707,7 +707,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 9
+MEMORY_VERSION: int = 10
 
 STATES: list = ...
 
