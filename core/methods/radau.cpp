@@ -282,8 +282,8 @@ Step::Attempt Radau::inspect_extension(const Attempt&) {
 }
 
 /// (M − (h/μ) J)⁻¹ (h/μ) (f(P) − M P') where the polynomial P is farthest from what it interpolates. Where J is large,
-/// and in algebraic equations, that is y − P; for y' = λ (y − t^{s+1}) + (s+1) t^s with any λ < 0 it is 0.8 to 1.15 times
-/// the largest error of P.
+/// and in algebraic equations, that is y − P; for y' = λ (y − t^{s+1}) + (s+1) t^s with any λ < 0 it is 0.8 to 1.15
+/// times the largest error of P.
 Newton::Result Radau::filter_defect(double* defect) {
   std::copy(y_.begin(), y_.end(), scratch_.begin());
   std::fill(gap_.begin(), gap_.end(), 0);

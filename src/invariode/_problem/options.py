@@ -387,9 +387,9 @@ class OutputOptions(TypedDict, total=False):
         Option(
             None,
             "array_like",
-            "Times of the output, sorted in the direction of integration. Default: the ends of the steps. Values between "
-            "steps are within the tolerance like those at the steps: with radau, ode23t and ode23tb output may shorten "
-            "steps (never lengthen them), with the other methods steps do not depend on it.",
+            "Times of the output, sorted in the direction of integration. Default: the ends of the steps. Values "
+            "between steps are within the tolerance like those at the steps: with radau, ode23t and ode23tb output may "
+            "shorten steps (never lengthen them), with the other methods steps do not depend on it.",
             command=True,
         ),
     ]
