@@ -78,6 +78,18 @@ def test_stiff_components_are_within_the_tolerance_between_steps(method):
             assert excess(sol, exact, tolerance) <= 1, (rate, tolerance, errors(sol, exact, tolerance))
 
 
+@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in [*IMPLICIT, "auto", "dop853"]])
+def test_mildly_stiff_components_too(method):
+    """The steps of explicit methods are limited by stability there. (The extension of dop853, SciPy's, is off by up to
+    60 tolerances.)"""
+    for rate in (1.0, 10.0, 100.0):
+        problem, exact = relaxing(rate)
+        for tolerance in (1e-3, 1e-6):
+            sol = problem.solve(method, rtol=tolerance, atol=tolerance, dense_output=True)
+            assert excess(sol, exact, tolerance) <= 1, (rate, tolerance, errors(sol, exact, tolerance))
+
+
 @pytest.mark.parametrize("method", ALGEBRAIC)
 def test_algebraic_variables_are_within_the_tolerance_between_steps(method):
     problem, exact = algebraic()
