@@ -42,6 +42,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
+  looks_between_ = settings_.looks_between() || !events_.empty();
   if (!events_.empty()) event_y_.resize(n_);
 }
 
@@ -198,12 +199,12 @@ bool Integration::meet_bounds() {
 
 Integration::Verdict Integration::attempt() {
   assert(aim_.defined());
-  const Step::Attempt proposal = step_->attempt(aim_.h(), aim_.t1());
-  if (proposal.outcome == Outcome::stop) return ended(State::interrupted);
-  attempt_.error = proposal.error;
-  if (!proposal.converged) return reject(Cause::newton);
-  if (proposal.outcome == Outcome::not_finite || !std::isfinite(proposal.error)) return reject(Cause::not_finite);
-  if (!(proposal.error <= weights_.rtol())) return reject(Cause::error);
+  Step::Attempt proposal = step_->attempt(aim_.h(), aim_.t1());
+  if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
+  if (looks_between_ && std::abs(aim_.h()) > aim_.hmin()) {  // in the shortest step there is no time to be wrong at
+    proposal = step_->inspect_extension(proposal);
+    if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
+  }
 
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};
   if (manifold_.any())
@@ -215,6 +216,15 @@ Integration::Verdict Integration::attempt() {
   }
   assert(step_->t() == aim_.t1());
   return Verdict::accepted;
+}
+
+/// The error test.
+Integration::Verdict Integration::test(const Step::Attempt& proposal) {
+  if (proposal.outcome == Outcome::stop) return ended(State::interrupted);
+  attempt_.error = proposal.error;
+  if (!proposal.converged) return reject(Cause::newton);
+  if (proposal.outcome == Outcome::not_finite || !std::isfinite(proposal.error)) return reject(Cause::not_finite);
+  return proposal.error <= weights_.rtol() ? Verdict::accepted : reject(Cause::error);
 }
 
 /// y₁ from the candidate: a candidate outside of the bounds, or a correction that is too large, fails the attempt.

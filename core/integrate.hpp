@@ -85,7 +85,7 @@ class Integration {
   [[nodiscard]] const Output& output() const { return emitter_.output; }
   /// From now on `last_step` also knows a step at whose end the solution jumps or f does: it is then put together
   /// before the method starts again, which may take evaluations of f.
-  void keep_last_step() { keeps_last_ = true; }
+  void keep_last_step() { keeps_last_ = looks_between_ = true; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
   /// Of that solution, at most.
@@ -127,6 +127,7 @@ class Integration {
   bool begin_step();
   bool meet_bounds();
   Verdict attempt();
+  Verdict test(const Step::Attempt& proposal);
   Verdict place(StepEnds& ends);
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
@@ -193,6 +194,7 @@ class Integration {
   std::vector<double> left_;             // Y where it jumps, before all actions
   bool due_ = false;                     // the run that is continued ended before the actions of events
   bool keeps_last_ = false;              // see `keep_last_step`
+  bool looks_between_ = false;           // values between steps are used, and are under error control
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached
   bool in_step_ = false;                 // a limit was reached between two attempts

@@ -23,6 +23,9 @@ void Integration::state(Archive& archive) {
   }
   due_ = state_ == State::stopped_by_callback && events_.acts();
   archive(reached_.t, y, anew_, target, due_, breaks_);
+  bool looked_between = looks_between_;
+  archive(looked_between);
+  looks_between_ = looks_between_ || looked_between;
   archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
   manifold_.archive_drift(archive);
   archive(in_step_);  // interrupted between two attempts of a step: what comes next

@@ -1,6 +1,7 @@
 #pragma once
 // What a run is to do, beyond the problem and the method.
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <memory>
@@ -26,6 +27,10 @@ class Times {
   [[nodiscard]] bool empty() const { return size() == 0; }
   [[nodiscard]] const double* data() const { return values_ ? values_->data() : nullptr; }
   [[nodiscard]] double operator[](std::size_t i) const { return (*values_)[i]; }
+  /// Some of them are inside an interval, not only at its ends.
+  [[nodiscard]] bool any_inside(double t0, double tf) const {
+    return std::any_of(data(), data() + size(), [&](double t) { return t != t0 && t != tf; });
+  }
   /// From number i on.
   [[nodiscard]] std::span<const double> from(std::size_t i) const { return {data() + i, size() - i}; }
 
@@ -56,6 +61,12 @@ struct Settings {
   double time_limit = std::numeric_limits<double>::infinity();  ///< seconds of the wall clock
   std::int64_t max_points = unlimited;                          ///< kept
   std::int64_t max_bytes = unlimited;                           ///< of all that is kept
+
+  /// Whether results have values between steps, and not only at their ends.
+  [[nodiscard]] bool looks_between() const {
+    if (dense || sections) return true;
+    return save_all && (output_at_times ? times.any_inside(t0, tf) : refine > 1);
+  }
 };
 
 }  // namespace invariode

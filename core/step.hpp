@@ -69,6 +69,10 @@ class Step : public StepReport, public Archived {
   /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
   virtual Attempt attempt(double h, double t1) = 0;
 
+  /// The attempt, which has passed the error test, with the larger one of its error and of that of its continuous
+  /// extension, by which the controller goes from then on. Where the extension is as accurate as the step, the attempt.
+  virtual Attempt inspect_extension(const Attempt& attempt) { return attempt; }
+
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
 

@@ -150,7 +150,8 @@ class TestStepping:
     @pytest.mark.parametrize("method", GOING_ON)
     def test_one_step_and_relax(self, method):
         """`step` returns the next end of a step, `relax` the first one at or beyond the requested time."""
-        ends = iv.solve_ivp(KEPLER.fun, (0, np.inf), KEPLER.y0, method, rtol=1e-5, atol=1e-12, max_steps=40)
+        options = {"rtol": 1e-5, "atol": 1e-12, "max_steps": 40, "dense_output": True}  # values between steps are used
+        ends = iv.solve_ivp(KEPLER.fun, (0, np.inf), KEPLER.y0, method, **options)
         run = started(method, rtol=1e-5)
         for i in (1, 2, 3):
             np.testing.assert_array_equal(run.integrate(1e3, step=True), ends.y[:, i])

@@ -125,7 +125,7 @@ def test_times_of_output(method, backwards):
 
 @dealt(method=FAMILIES, problem=PROBLEMS)
 def test_stepping_by_hand_is_the_solve(method, problem):
-    ours = problem.solve(method)
+    ours = problem.solve(method, dense_output=True)  # as the solver has, whose steps answer for values between them
     solver = CLASSES[method](
         problem.fun, problem.t_span[0], problem.y0, problem.t_span[1], invariants=problem.invariants()
     )

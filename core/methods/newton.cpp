@@ -849,6 +849,10 @@ Newton::Result Newton::damp(double* v) {
     std::copy(v, v + sum_.size(), sum_.begin());
     multiply_blocks(*M, sum_.data(), v);
   }
+  return filter(v);
+}
+
+Newton::Result Newton::filter(double* v) {
   if (!matrix_free()) {
     assert(has_factors());
     solve_blocks(*lu_, v, 0, extent().size());

@@ -332,7 +332,9 @@ class Newton : public AgingJacobian {
   bool forget_other_factors();
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
-  /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
+  /// v becomes (M − c J)⁻¹ v, with the factors at hand, or with J where `solve` has ended.
+  Result filter(double* v);
+  /// v becomes (M − c J)⁻¹ M v: what is stiff in it is gone.
   Result damp(double* v);
   void state(Archive& archive);
 

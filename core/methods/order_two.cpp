@@ -17,8 +17,9 @@ constexpr double least_worthwhile = 1.2;  // a change of h up to this is not wor
 
 }  // namespace
 
-OrderTwo::OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d)
-    : ImplicitBase(f, weights, linear, rules), d_(d) {
+OrderTwo::OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d,
+                   const Extension& extension)
+    : ImplicitBase(f, weights, linear, rules), d_(d), extension_(extension) {
   provide({&slope_, &second_, &last_y_, &last_slope_, &base_, &psi_, &increment_, &error_vector_});
 }
 
@@ -38,9 +39,10 @@ Step::Attempt OrderTwo::attempt(double h, double t1) {
   Newton::Result result = stages();
   if (result == Newton::Result::converged) {
     estimate(error_vector_.data());
+    undamped_error_ = error_norm(error_vector_);
     result = damp(error_vector_.data());
   }
-  if (result == Newton::Result::converged) error_ = error_norm(error_vector_);
+  if (result == Newton::Result::converged) error_ = end_error_ = error_norm(error_vector_);
   return proposal(result);
 }
 
@@ -55,6 +57,49 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
   return result;
 }
 
+/// The estimate before it is damped measures the slopes of which P is made. Where it is within the tolerance, it is all
+/// that is needed; f is evaluated where damping has hidden something.
+Step::Attempt OrderTwo::inspect_extension(const Attempt&) {
+  const double undamped = undamped_error();
+  double error = extension_.error * undamped;
+  if (!(undamped <= weights_.rtol())) {
+    error = 0;
+    for (const double theta : extension_.theta) {
+      const Newton::Result result = filter_defect(theta);
+      if (result != Newton::Result::converged) return proposal(result);
+      error = std::max(error, error_norm(increment_));
+      if (!(error <= weights_.rtol())) break;
+    }
+  }
+  error_ = std::max(error_, error);
+  return proposal(Newton::Result::converged);
+}
+
+/// The larger one of that of the attempt and that of the last step, as h³ scales it: one of them may be small by
+/// chance.
+double OrderTwo::undamped_error() const {
+  if (last_h_ == 0) return std::numeric_limits<double>::infinity();
+  const double ratio = signed_h_ / last_h_;
+  return std::max(undamped_error_, ratio * ratio * ratio * last_undamped_error_);
+}
+
+/// (M − d h J)⁻¹ d h (f(P) − M P') at θ. Where J is large that is y − P, and in algebraic equations too, which nothing
+/// else tests between the ends of a step; in the smooth part it is d h times the defect.
+Newton::Result OrderTwo::filter_defect(double theta) {
+  if (extend(theta, psi_.data(), base_.data()) == Status::stop) return Newton::Result::stop;
+  const double t = t_ + theta * signed_h_;
+  const Newton::Result evaluated = newton_result(solver_.evaluate(t, psi_.data(), increment_.data()));
+  if (evaluated != Newton::Result::converged) return evaluated;
+  if (Mass* mass = solver_.mass()) {
+    if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
+    psi_ = base_;
+    solver_.multiply_blocks(mass->matrix(), psi_.data(), base_.data());
+    if (!mass->constant() && mass->evaluate(t1_) == Status::stop) return Newton::Result::stop;
+  }
+  for (std::size_t i = 0; i < n(); ++i) increment_[i] = d_ * (signed_h_ * increment_[i] - base_[i]);
+  return solver_.filter(increment_.data());
+}
+
 bool OrderTwo::reject(Cause cause, double hmin) {
   if (cause == Cause::newton) return retry_newton(hmin, newton_cut);
   return retry_of_order_two(cause, hmin);
@@ -67,6 +112,7 @@ Outcome OrderTwo::accept(const double* y1) {
   last_y_.swap(y_);
   commit(y1);
   last_h_ = signed_h_;
+  last_undamped_error_ = undamped_error_;
   if (!failed_) {
     const double divisor = divisor_of_order_two();
     if (divisor > 1 || divisor * least_worthwhile < 1) h_ /= divisor;
@@ -78,7 +124,7 @@ Outcome OrderTwo::accept(const double* y1) {
 void OrderTwo::state(Archive& archive) {
   Step::state(archive);
   solver_.state(archive);
-  archive(slope_, last_y_, last_slope_, last_h_, failed_);
+  archive(slope_, last_y_, last_slope_, last_h_, last_undamped_error_, failed_);
 }
 
 }  // namespace invariode

@@ -279,6 +279,40 @@ Newton::Result Radau::damp_error() {
   return result;
 }
 
+Step::Attempt Radau::inspect_extension(const Attempt&) {
+  double* defect = residuals_.data() + n();
+  const Newton::Result result = filter_defect(defect);
+  if (result == Newton::Result::converged) error_ = std::max(error_, norm(defect));
+  return proposal(result);
+}
+
+/// (M − (h/μ) J)⁻¹ (h/μ) (f(P) − M P') where the polynomial P is farthest from what it interpolates. Where J is large,
+/// and in algebraic equations, that is y − P; for y' = λ (y − t^{s+1}) + (s+1) t^s with any λ < 0 it is 0.8 to 1.15
+/// times the largest error of P.
+Newton::Result Radau::filter_defect(double* defect) {
+  std::copy(y_.begin(), y_.end(), scratch_.begin());
+  std::fill(gap_.begin(), gap_.end(), 0);
+  for (std::size_t stage = 0; stage < stages(); ++stage) {
+    const double value = formula_->value_there[stage], slope = formula_->slope_there[stage] / formula_->mu;
+    for (std::size_t i = 0; i < n(); ++i) {
+      scratch_[i] += value * Z(stage)[i];
+      gap_[i] += slope * Z(stage)[i];
+    }
+  }
+  const double t = t_ + formula_->farthest * signed_h_, c = signed_h_ / formula_->mu;
+  const Newton::Result evaluated = newton_result(solver_.evaluate(t, scratch_.data(), residuals_.data()));
+  if (evaluated != Newton::Result::converged) return evaluated;
+  const double* rate = gap_.data();
+  if (Mass* mass = solver_.mass()) {
+    if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
+    solver_.multiply_blocks(mass->matrix(), gap_.data(), scratch_.data());
+    rate = scratch_.data();
+  }
+  for (std::size_t i = 0; i < n(); ++i) defect[i] = c * residuals_[i] - rate[i];
+  return solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), linear_part * weights_.rtol(), t_, y(),
+                            f_.data(), defect);
+}
+
 std::size_t Radau::directions(const double** vectors) const {
   for (std::size_t i = 0; i < stages(); ++i) vectors[i] = increments_.data() + i * n();
   return stages();

@@ -30,6 +30,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
+  Attempt inspect_extension(const Attempt& attempt) override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
@@ -73,6 +74,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Newton::Result estimate();
   void multiply_by_mass(const std::vector<double>& v, std::vector<double>& out);
   Newton::Result damp_error();
+  Newton::Result filter_defect(double* defect);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
   Newton::Result look_at_end();

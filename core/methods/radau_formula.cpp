@@ -95,6 +95,36 @@ constexpr Row<s> derivative_of_increments(const Row<s>& c, std::size_t i) {
   return rest;
 }
 
+/// Where |x ∏ (x − c_i)| is largest in [0, 1], to a thousandth.
+template <std::size_t s>
+constexpr double farthest_from(const Row<s>& c) {
+  constexpr int parts = 1000;
+  double where = 0, largest = 0;
+  for (int k = 1; k < parts; ++k) {
+    const double x = static_cast<double>(k) / parts;
+    double size = x;
+    for (const double node : c) size *= absolute(x - node);
+    if (size > largest) where = x, largest = size;
+  }
+  return where;
+}
+
+/// Weights of increments in the polynomial of degree s through 0 and them, and in its derivative, at x between nodes.
+template <std::size_t s>
+struct Between {
+  Row<s> value{}, slope{};
+
+  constexpr Between(const Row<s>& c, double x) {
+    for (std::size_t j = 0; j < s; ++j) {
+      double weight = x / c[j], sum = 1 / x;
+      for (std::size_t k = 0; k < s; ++k)
+        if (k != j) weight *= (x - c[k]) / (c[j] - c[k]), sum += 1 / (x - c[k]);
+      value[j] = weight;
+      slope[j] = weight * sum;
+    }
+  }
+};
+
 /// M^{(j)}(x) of M(x) = ∏ (x − c_i), j = 0 … s.
 template <std::size_t s>
 constexpr Row<s + 1> derivatives(const Row<s>& c, double x) {
@@ -147,8 +177,11 @@ template <std::size_t s>
 struct Matrices {
   Square<s> A_inverse{}, T{}, T_inverse{}, coefficients{};
   Row<s> initial_slope{};
+  double farthest;
+  Between<s> there;
 
-  constexpr explicit Matrices(const Numbers<s>& of) : initial_slope(derivative_of_increments(of.c, 0)) {
+  constexpr explicit Matrices(const Numbers<s>& of)
+      : initial_slope(derivative_of_increments(of.c, 0)), farthest(farthest_from(of.c)), there(of.c, farthest) {
     const ComplexRow<s> first = eigenvector(of.c, of.mu);
     for (std::size_t i = 0; i < s; ++i) {
       A_inverse[i] = derivative_of_increments(of.c, i + 1);
@@ -205,6 +238,26 @@ constexpr bool has_its_order(const Numbers<s>& of, const Matrices<s>& matrices) 
   return true;
 }
 
+/// Σ_i v_i c_i^k = θ^k and Σ_i d_i c_i^k = k θ^{k−1} for k = 1 … s: the polynomial and its slope at θ.
+template <std::size_t s>
+constexpr bool interpolates(const Numbers<s>& of, const Matrices<s>& matrices) {
+  constexpr double roundoff = 1e-13;
+  const double theta = matrices.farthest;
+  Row<s> power = of.c;
+  double before = 1;  // θ^{k−1}
+  for (std::size_t k = 1; k <= s; ++k) {
+    double value = -theta * before, slope = -static_cast<double>(k) * before;
+    for (std::size_t i = 0; i < s; ++i) {
+      value += matrices.there.value[i] * power[i];
+      slope += matrices.there.slope[i] * power[i];
+      power[i] *= of.c[i];
+    }
+    if (absolute(value) > roundoff || absolute(slope) > roundoff) return false;
+    before *= theta;
+  }
+  return true;
+}
+
 template <const auto& of, std::size_t s = of.c.size()>
 constexpr Matrices<s> matrices{of};
 
@@ -225,16 +278,10 @@ template <const auto& of>
 constexpr RadauFormula formula() noexcept {
   constexpr std::size_t s = of.c.size();
   constexpr const Matrices<s>& m = matrices<of>;
-  static_assert(is_diagonal(of, m) && has_its_order(of, m));
-  return {s,
-          of.c.data(),
-          m.A_inverse[0].data(),
-          of.mu,
-          of.pairs,
-          m.T[0].data(),
-          m.T_inverse[0].data(),
-          m.initial_slope.data(),
-          m.coefficients[0].data(),
+  static_assert(is_diagonal(of, m) && has_its_order(of, m) && interpolates(of, m));
+  return {s,           of.c.data(),          m.A_inverse[0].data(), of.mu,
+          of.pairs,    m.T[0].data(),        m.T_inverse[0].data(), m.initial_slope.data(),
+          m.farthest,  m.there.value.data(), m.there.slope.data(),  m.coefficients[0].data(),
           transform<s>};
 }
 

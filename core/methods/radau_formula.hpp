@@ -23,7 +23,10 @@ struct RadauFormula {
   const double* T;                 ///< columns: eigenvector of mu, real and imaginary part of that of each pair
   const double* T_inverse;         ///< T⁻¹
   const double* initial_slope;     ///< row: h times the derivative of the collocation polynomial at the start
-  const double* coefficients;      ///< of that polynomial in the form of `runge_kutta::nested_polynomial`
+  double farthest;  ///< θ where θ ∏ (θ − c_i) is largest: P is farthest from a smooth function through its points
+  const double* value_there;   ///< row: the collocation polynomial P at that θ, less its start
+  const double* slope_there;   ///< row: h P' there
+  const double* coefficients;  ///< of that polynomial in the form of `runge_kutta::nested_polynomial`
   void (*transform)(const double* matrix, std::size_t n, const double* in, double* out);  ///< see below
 
   [[nodiscard]] int order() const { return 2 * static_cast<int>(stages) - 1; }

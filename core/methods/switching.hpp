@@ -37,6 +37,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   Outcome start(double t, const double* y, const Span& span) override;
   Outcome hand_over(const Span& span) override;
   Attempt attempt(double h, double t1) override { return active_->attempt(h, t1); }
+  Attempt inspect_extension(const Attempt& attempt) override { return active_->inspect_extension(attempt); }
   bool errors(double* out) const override { return active_->errors(out); }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;

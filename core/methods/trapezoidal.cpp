@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "methods/runge_kutta.hpp"
 
@@ -10,11 +11,13 @@ namespace {
 
 /// The cubic through the last y serves as a prediction up to this many last steps ahead, the parabola beyond.
 constexpr double longest_reach = 2;
+constexpr double looked_at[] = {0.5};     // where P is tested
+constexpr double extension_error = 0.75;  // of P, in units of the estimate: smooth parts, and stiff ones that ring
 
 }  // namespace
 
 Trapezoidal::Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear)
-    : OrderTwo(f, weights, linear, d) {
+    : OrderTwo(f, weights, linear, d, {.theta = looked_at, .error = extension_error}) {
   for (std::vector<double>* v : {&z0_, &z1_, &bent_, &missed_, &last_missed_, &rise_[0], &rise_[1], &rise_[2]})
     v->resize(weights.size());
 }
@@ -31,6 +34,7 @@ std::array<double, 3> Trapezoidal::growth() const {
 /// y₁ is predicted from values of y alone: the y' of stiff components may be of little worth.
 Newton::Result Trapezoidal::stages() {
   const double h = signed_h_;
+  smoothed_ = false;
   const auto [line, parabola, cubic] = growth();
   for (std::size_t i = 0; i < n(); ++i) {
     z0_[i] = h * slope_[i];
@@ -50,6 +54,19 @@ void Trapezoidal::estimate(double* error) {
   }
 }
 
+/// In the middle.
+Status Trapezoidal::extend(double /*theta*/, double* P, double* rise) {
+  if (smooth_if_ringing() == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < n(); ++i) {
+    P[i] = (y_[i] + candidate_[i]) / 2 + (z0_[i] - z1_[i]) / 8;
+    rise[i] = 1.5 * (candidate_[i] - y_[i]) - (z0_[i] + z1_[i]) / 4;
+  }
+  return Status::ok;
+}
+
+/// Once in a step.
+Status Trapezoidal::smooth_if_ringing() { return !std::exchange(smoothed_, true) && rings() ? smooth() : Status::ok; }
+
 /// Whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the formula
 /// turns what is stiff around in each step, y into nearly −y and y' into nearly −y'.
 bool Trapezoidal::rings() {
@@ -57,7 +74,7 @@ bool Trapezoidal::rings() {
   const double ratio = signed_h_ / last_h_, cube = ratio * ratio * ratio;
   for (std::size_t i = 0; i < n(); ++i)
     base_[i] = std::max(0.0, 0.5 * (std::abs(missed_[i] - cube * last_missed_[i]) - std::abs(missed_[i])));
-  return error_norm(base_) > std::max(error(), cube * last_error_);
+  return error_norm(base_) > std::max(end_error(), cube * last_error_);
 }
 
 /// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³). Where GMRES does not
@@ -79,7 +96,7 @@ Status Trapezoidal::smooth() {
 }
 
 Status Trapezoidal::end_slope(double* slope) {
-  if (rings() && smooth() == Status::stop) return Status::stop;
+  if (smooth_if_ringing() == Status::stop) return Status::stop;
   const auto [line, parabola, cubic] = growth();
   for (std::size_t i = 0; i < n(); ++i) {
     slope[i] = z1_[i] / signed_h_;
@@ -92,7 +109,7 @@ Status Trapezoidal::end_slope(double* slope) {
   h3_ = last_h_ == 0 ? 0 : h2_;
   h2_ = last_h_;
   last_missed_ = missed_;
-  last_error_ = error();
+  last_error_ = end_error();
   return Status::ok;
 }
 

@@ -29,8 +29,10 @@ class Trapezoidal final : public OrderTwo {
  private:
   Newton::Result stages() override;
   void estimate(double* error) override;
+  Status extend(double theta, double* P, double* rise) override;
   Status end_slope(double* slope) override;
   [[nodiscard]] std::array<double, 3> growth() const;
+  Status smooth_if_ringing();
   [[nodiscard]] bool rings();
   Status smooth();
 
@@ -43,6 +45,7 @@ class Trapezoidal final : public OrderTwo {
   std::vector<double> rise_[3];               // the last y* − y, less what a constant, a line, a parabola made of it
   double h2_ = 0, h3_ = 0;                    // the steps before the last one
   double last_error_ = 0;
+  bool smoothed_ = false;  // z1_ is, or need not be
 };
 
 }  // namespace invariode

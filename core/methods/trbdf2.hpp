@@ -31,6 +31,7 @@ class TrBdf2 final : public OrderTwo {
  private:
   Newton::Result stages() override;
   void estimate(double* error) override;
+  Status extend(double theta, double* P, double* rise) override;
   Status end_slope(double* slope) override;
   void predict_first();
   void predict_second();

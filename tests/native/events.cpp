@@ -243,7 +243,8 @@ TEST(locating_a_root_takes_few_evaluations) {
 }
 
 TEST(an_event_is_where_the_values_returned_are_zero) {
-  // The state stored with an event is the continuous solution there, and the event function vanishes at it to roundoff.
+  // The state stored with an event is the continuous solution there, and the event function vanishes at it to roundoff;
+  // except where a raw extension, which does not meet the projected end of its step, jumps over zero there.
   for (const Method& method : general_methods())
     for (const Interpolation interpolation : {Interpolation::projected, Interpolation::corrected, Interpolation::raw}) {
       const check::Case label(method.name, ", interpolation ", static_cast<int>(interpolation));
@@ -257,8 +258,11 @@ TEST(an_event_is_where_the_values_returned_are_zero) {
       Projector projector(*run.invariants, run.weights, 1);
       CHECK(run->output().dense->evaluate(found.t.data(), found.t.size(), y.data(), &projector) == Status::ok);
       CHECK(same_bits(y, found.y));
+      const auto& knots = run->output().dense->knots();
       for (std::size_t k = 0; k < found.t.size(); ++k) {
         const double speed = std::abs(found.y[4 * k + 2]);
+        if (interpolation == Interpolation::raw && std::find(knots.begin(), knots.end(), found.t[k]) != knots.end())
+          continue;
         CHECK_CLOSE(found.y[4 * k], 0.25, (2 + speed) * 4 * ulp(found.t[k]) + 8 * eps);
       }
     }

@@ -387,11 +387,15 @@ class OutputOptions(TypedDict, total=False):
         Option(
             None,
             "array_like",
-            "Times of the output, sorted in the direction of integration. Default: the ends of the steps.",
+            "Times of the output, sorted in the direction of integration. Default: the ends of the steps. Values "
+            "between steps are within the tolerance like those at the steps: with radau, ode23t and ode23tb output may "
+            "shorten steps (never lengthen them), with the other methods steps do not depend on it.",
             command=True,
         ),
     ]
-    dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
+    dense_output: Annotated[
+        bool, Option(False, "bool", "Whether ``Solution.sol`` is computed; it may shorten steps as `t_eval` may.", flag)
+    ]
     adjoint: Annotated[
         bool | Literal["checkpoints"],
         Option(

@@ -247,10 +247,11 @@ class Solution(Exports):
         """Draws components of the solution over t.
 
         The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
-        of f, which is evaluated for them once per point (with implicit methods, monotone cubics). Output at `t_eval`,
-        which says nothing about the solution in between, is joined by straight lines, and marked if it is sparse. A
-        long run is drawn by its extremes in each column of the page, and as a range if it fills the page. The real part
-        of a complex component is solid, the imaginary part dashed. Curves are interrupted at jumps; occurrences of
+        of f, which is evaluated for them once per point (with implicit methods, monotone cubics). Without output, steps
+        of radau, ode23t and ode23tb may be too long for a curve: give them `dense_output`. Output at `t_eval`, which
+        says nothing about the solution in between, is joined by straight lines, and marked if it is sparse. A long run
+        is drawn by its extremes in each column of the page, and as a range if it fills the page. The real part of a
+        complex component is solid, the imaginary part dashed. Curves are interrupted at jumps; occurrences of
         events are open marks, at the state before the action.
 
         Parameters
