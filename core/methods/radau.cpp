@@ -182,7 +182,9 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    switch (convergence.judge(update_stages())) {
+    const double size = update_stages();
+    if (part_.first == solver_.coupled()) return Newton::Result::converged;  // the first update of quadratures is exact
+    switch (convergence.judge(size)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged:
         if (part_.first == 0 && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
@@ -221,7 +223,7 @@ Outcome Radau::stage_residuals() {
     if (outcome != Outcome::ok) return outcome;
     const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
-      solver_.multiply_blocks(*M, rate, gap_.data());
+      solver_.multiply_mass(*M, rate, gap_.data());
       rate = gap_.data();
     }
     for (std::size_t i = part_.first; i < part_.end; ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
@@ -251,7 +253,7 @@ Newton::Result Radau::estimate() {
   gap_ = scratch_;
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
-    solver_.multiply_blocks(mass->matrix(), scratch_.data(), gap_.data());
+    solver_.multiply_mass(mass->matrix(), scratch_.data(), gap_.data());
   }
   const Newton::Result first = solve_for_error(f_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;

@@ -287,8 +287,9 @@ def say_established(
         warn(f"{method}: {discontinuous(discontinuities)}", DiscontinuityWarning)
 
 
-def solver(plan: Plan) -> _core.Solver:
-    """The plan handed to the core: a solver with functions of its own."""
+def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Solver:
+    """The plan handed to the core: a solver with functions of its own. `quadratures`: integrals that the run computes
+    behind y, of a plan without sensitivities."""
     functions = plan.functions
     problem = _core.Problem(
         n=functions.n,
@@ -304,7 +305,7 @@ def solver(plan: Plan) -> _core.Solver:
         value=functions.value,
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
-        variations=None if plan.varied is None else plan.varied.for_core,
+        variations=quadratures if plan.varied is None else plan.varied.for_core,
         **({} if plan.expansion is None else plan.expansion.for_core()),
     )
     settings = _core.Settings(plan.settings)
