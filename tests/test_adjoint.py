@@ -564,7 +564,7 @@ REFUSED = {
 def test_an_action_with_which_the_run_ends_is_not_taken(refused, t_eval, adjoint):
     sol = iv.solve_ivp(
         lambda t, y, a: [-a * y[0]], (0, 3), [1.0], "dop853", args=(0.9,), rtol=1e-9, atol=1e-11,
-        t_eval=t_eval, adjoint=adjoint, **REFUSED[refused],
+        t_eval=t_eval, adjoint=adjoint, on_failure="return", **REFUSED[refused],
     )  # fmt: skip
     t = sol.t_end
     assert sol.status in (-1, -2)
@@ -766,7 +766,7 @@ def test_a_component_at_rest_that_a_singular_mass_matrix_couples_is_refused():
     held = iv.Problem(fun, (0, 3), points[:, 0], mass=M, nonnegative=[0])._described()
     sol = types.SimpleNamespace(stats=types.SimpleNamespace(clipped=1.0), t_end=3.0)
     with pytest.raises(ValueError, match="component 0 rests at a bound from t = 1"):
-        at_bounds(held, sol, Line())
+        at_bounds(held, sol, Line(), 1.0)
 
 
 def test_bounds_that_are_never_met_do_not_matter():

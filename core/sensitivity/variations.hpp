@@ -47,11 +47,13 @@ class AugmentedSlope {
  private:
   static Status whole_entry(void* self, double t, const double* Y, double* out);
   static Status sensitivities_entry(void* self, double t, const double* Y, double* out);
+  const double* at_rest(const double* Y);
   void rest(double* out) const;
 
   Callback f_, slope_;
   Extent extent_;
   const BoundedSlope* bounded_;
+  std::vector<double> at_rest_;
 };
 
 }  // namespace invariode

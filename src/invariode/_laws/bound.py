@@ -32,7 +32,7 @@ from .._functions.compiled import (
     native_parameters,
     to_native,
 )
-from .._functions.derivatives import somewhere, takes_complex
+from .._functions.derivatives import SMALLEST_SCALE, somewhere, takes_complex
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
@@ -429,8 +429,6 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     return fun, at_start
 
 
-#: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
-SMALLEST_SCALE = 1e-250
 #: Fractions of the components' sizes at which g is tried if it is not defined farther away.
 _NEARER = (1e-2, 1e-4, 1e-6)
 
@@ -463,20 +461,6 @@ def _sizes(y: Array, threshold: float | Array) -> Array:
     size = np.maximum(size, np.minimum(threshold, largest))
     size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
     return size
-
-
-def at_complex(fun: Any, m: int) -> Any:
-    """g for complex y; NaN where it cannot be evaluated there, so that the core switches to differences."""
-    if isinstance(fun, _core.Native):
-        return complex_form(fun)
-
-    def evaluate(t: float, y: Array, *args: Any) -> Any:
-        try:
-            return fun(t, y, *args)
-        except (TypeError, ValueError, ArithmeticError):
-            return [np.nan] * m
-
-    return evaluate
 
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:

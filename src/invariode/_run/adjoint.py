@@ -183,7 +183,7 @@ class _Adjoint:
         fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
-        self._rests = at_bounds(problem, self._sol, self._y)
+        self._rests = at_bounds(problem, self._sol, self._y, self._threshold)
         jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
@@ -461,6 +461,7 @@ class _Adjoint:
         y = self._y(t)
         lam = piece.moving * mu if self._algebraic else self._multiplier(t, piece.moving * mu)
         found = np.array(self._slope.transposed(t, y, lam))
+        found[:n][piece.moving == 0] = 0  # nothing depends on them, even where f has no derivative
         if self._algebraic is not None and self._algebraic.moves:
             found[:n] += self._mass_rate(t).T @ mu
         if self._of_mass is not None:
@@ -477,7 +478,8 @@ class _Adjoint:
 
         def jacobian(s: float, mu: Array) -> Array:
             t = piece.inside(s)
-            found = slope.jacobian(t, solution(t)).T
+            found = np.array(slope.jacobian(t, solution(t)).T)
+            found[piece.moving == 0] = 0
             if singular is not None:
                 found = found * piece.moving
                 return np.asarray(found + self._mass_rate(t).T if moves else found)

@@ -134,6 +134,8 @@ class Action(NamedTuple):
 _ALIKE = 1e-6
 #: Of M⁻¹ f, in units of its terms.
 _ROUNDOFF = 100 * EPS
+#: Of a component at a bound, in units of atol / rtol: `roundoff_at_bound` of the core.
+_AT_BOUND = 1e-13
 
 
 def _behind(one: Occurrence) -> Array:
@@ -314,27 +316,37 @@ class Rest(NamedTuple):
     end: float
 
 
-def at_bounds(problem: Description, sol: Result, y: DenseSolution | SectionedSolution) -> list[Rest]:
-    """When components are held at their bounds: between steps that end there, where y' leads out of the bounds.
+def at_bounds(
+    problem: Description, sol: Result, y: DenseSolution | SectionedSolution, threshold: float | Array
+) -> list[Rest]:
+    """When components are held at their bounds: between steps that end there, but for roundoff in units of the
+    threshold atol / rtol, where y' leads out of the bounds, or is 0 since they have come there.
 
     Raises
     ------
     ValueError
         A component is held that a singular mass matrix couples with others.
     """
-    if problem.bounds is None or not sol.stats.clipped:
+    if problem.bounds is None:
         return []
+    near = _AT_BOUND * np.reshape(threshold, (-1, 1))
     found: list[Rest] = []
     since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
     for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
         states = y(t)
+        bounds = (-1, problem.bounds.lower), (1, problem.bounds.upper)
+        sides = [(side, np.abs(states - bound[:, None]) <= near) for side, bound in bounds]
         middle = 0.5 * (t[1:] + t[:-1])
-        outwards = _directions(problem, middle, y(middle)) * np.sign(t[-1] - t[0])
-        for side, bound in ((-1, problem.bounds.lower), (1, problem.bounds.upper)):
-            there = states == bound[:, None]
-            held = there[:, 1:] & there[:, :-1] & (outwards == side)
-            for i, row in enumerate(held):
+        if any(there.any() for _, there in sides):
+            outwards = _directions(problem, middle, y(middle)) * np.sign(t[-1] - t[0])
+        else:
+            outwards = np.full((len(states), len(middle)), np.nan)
+        for side, there in sides:
+            stays = there[:, 1:] & there[:, :-1]
+            for i, row in enumerate(stays & ((outwards == side) | (outwards == 0))):
                 before = since.pop((side, i), None)
+                if t[0] == problem.t_span[0]:  # nothing has come to a bound yet
+                    row &= np.maximum.accumulate(~stays[i] | (outwards[i] == side))
                 if before is not None and not row[0]:
                     found.append(Rest(i, before, float(t[0])))
                 edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]])))
@@ -352,19 +364,23 @@ def at_bounds(problem: Description, sol: Result, y: DenseSolution | SectionedSol
 
 def _directions(problem: Description, times: Array, states: Array) -> Array:
     """The signs of y', of shape (n, n_t): 0 where M⁻¹ f is roundoff of its terms. Of a singular M, f_i M_ii stands for
-    y_i', as in the core."""
+    y_i', as in the core; NaN of algebraic components."""
     slopes = problem.slope(times, states)
     mass, found = problem.matrices.mass, np.empty_like(slopes)
     inverse: Array | None = None
+    singular = False
     for k, t in enumerate(times.tolist()):
         if inverse is None or callable(mass):
             M = dense_mass(mass, t, problem.args)
             if M is None:
                 return np.sign(slopes)
-            inverse = np.diag(np.diag(M)) if Algebraic.of(M) else np.linalg.inv(M)
+            singular = Algebraic.of(M) is not None
+            inverse = np.diag(np.diag(M)) if singular else np.linalg.inv(M)
         f = slopes[:, k]
         rate = inverse @ f
         found[:, k] = np.where(np.abs(rate) <= _ROUNDOFF * (np.abs(inverse) @ np.abs(f)), 0, np.sign(rate))
+        if singular:
+            found[np.diag(inverse) == 0, k] = np.nan
     return found
 
 

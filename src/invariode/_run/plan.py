@@ -235,7 +235,7 @@ class Plan(NamedTuple):
         status, message = self._verdict(run)
         if self.varied is None or run.component < self.functions.n:
             return status, message
-        return status, self.varied.in_words(message, run.component)
+        return status, self.varied.in_words(message, run)
 
     def _verdict(self, run: _core.Run) -> tuple[int, str]:
         if self.watch is not None and (objection := self.watch.objection) is not None:
