@@ -35,7 +35,7 @@ class SensitivityReport:
     compared : list of str
         The supplied derivatives that were compared: 'jac', 'dfdp', 'dy0dp'.
     derivatives : str
-        The reference: 'graph' (exact, from expressions), 'complex-step' or 'differences'.
+        The reference: 'traced' (exact, from expressions), 'complex step' or 'differences'.
     findings : list of str
         A description of each wrong entry; empty if there are none.
     ok : bool
