@@ -24,6 +24,8 @@ SMALLEST_SCALE = 1e-250
 #: Relative increment of a central difference, and what counts as agreement with it.
 INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
 
+#: Fractions of these sizes at which a function is tried if it is not defined farther away.
+_NEARER = (1e-2, 1e-4, 1e-6)
 #: What functions raise for complex numbers that they are not made for.
 NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
 #: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself.
@@ -228,6 +230,33 @@ def takes_complex(
         if (found := compared(values, x + part * beside, length * direction)) is not None:
             return bool(found.agree().all())
     return False
+
+
+def complex_steps_fit(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> tuple[bool, int]:
+    """Whether complex steps give the derivative of a function of y, if that may be defined near y only, and how many
+    evaluations it took to know. `threshold`: the size below which a component gives no scale."""
+    if np.iscomplexobj(y):
+        return False, 0
+    calls = 0
+
+    def counted(z: Array) -> Any:
+        nonlocal calls
+        calls += 1
+        return values(z)
+
+    direction = somewhere(y, _weighted_sizes(y, threshold))
+    return takes_complex(counted, y, direction, direction, _NEARER), calls
+
+
+def _weighted_sizes(y: Array, threshold: float | Array) -> Array:
+    """The sizes of the components, for increments: `take_sizes` of the core."""
+    size: Array = np.abs(y)
+    largest = size.max(initial=0)
+    if largest < SMALLEST_SCALE:
+        largest = 1.0
+    size = np.maximum(size, np.minimum(threshold, largest))
+    size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
+    return size
 
 
 class Comparison(NamedTuple):
