@@ -175,7 +175,7 @@ SYSTEMS = {
     "a force that cannot be traced": (
         {"mass": [1.0, 1.0], "force": untraced, "constraints": rod, "args": (1.0, 9.81)},
         ([1, 0], [0, 0.1]),
-        "fun: differences; invariant constraint 1: graph; invariant rate of constraint 1: graph",
+        "fun: differences; invariant constraint 1: traced; invariant rate of constraint 1: traced",
     ),
 }
 
