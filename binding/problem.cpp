@@ -75,7 +75,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   if (block.derivative != Derivative::complex_step) return block;
   nb::object at_complex = spec.fun;
   if (substitute == choose_derivative || nb::isinstance<Native>(spec.fun))
-    at_complex = nb::module_::import_("invariode._laws.bound").attr("at_complex")(spec.fun, spec.m);
+    at_complex = nb::module_::import_("invariode._functions.derivatives").attr("at_complex")(spec.fun, spec.m);
   block.complex_g = functions.complex_vector(at_complex, name, spec.m);
   return block;
 }
@@ -182,6 +182,7 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
   variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k);
   variations.tolerance = spec.thresholds;
   variations.error_test = spec.error_test;
+  variations.quadratures = spec.quadratures;
   for (std::size_t i = 0; i < spec.invariants.size(); ++i) {
     InvariantBlock& block = problem.invariants[i];
     block.tangent = functions.tangent(spec.invariants[i], "the tangent of an invariant", spec.k, block.m);
@@ -354,20 +355,23 @@ void define_variations(nb::module_& module) {
       .def(
           "__init__",
           [](VariationsSpec* self, std::size_t k, nb::object slope, const ConstMatrix& thresholds, Objects invariants,
-             Objects jumps, Objects breakpoints, bool error_test) {
+             Objects jumps, Objects breakpoints, bool error_test, bool quadratures) {
             new (self) VariationsSpec{k,
                                       std::move(slope),
                                       {thresholds.data(), thresholds.data() + thresholds.size()},
                                       std::move(invariants),
                                       std::move(jumps),
                                       std::move(breakpoints),
-                                      error_test};
+                                      error_test,
+                                      quadratures};
           },
           nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("error_test") = true,
+          nb::arg("quadratures") = false,
           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-          "or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test.")
+          "or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test. "
+          "quadratures=True: the slope is a function of (t, y) alone, and M the identity for S.")
       .def_ro("k", &VariationsSpec::k)
       .def_ro("error_test", &VariationsSpec::error_test);
 }

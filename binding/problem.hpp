@@ -88,14 +88,14 @@ struct LinearSpec {
   }
 };
 
-/// Sensitivities: how many parameters, M S' of each, tolerances of S (k, n), and one function for each invariant, event
-/// and breakpoint, or None where events and breakpoints do not act.
+/// Sensitivities, or quadratures: how many parameters, M S' of each, tolerances of S (k, n), and one function for each
+/// invariant, event and breakpoint, or None where events and breakpoints do not act.
 struct VariationsSpec {
   std::size_t k;
   nb::object slope;
   std::vector<double> thresholds;
   std::vector<nb::object> invariants, jumps, breakpoints;
-  bool error_test;
+  bool error_test, quadratures;
 
   int visit(visitproc visit, void* arg) const;
 };

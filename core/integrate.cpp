@@ -106,6 +106,12 @@ bool Integration::start_memory(double t, const double* y) {
   memory_outdated_ = false;
   discontinuities_.restart();
   aim_.start();
+  std::vector<double> at_rest;  // without what iterations have left in the sensitivities of components that rested
+  if (bounded_slope_ != nullptr && extent_.k > 0 && !bounded_slope_->held().empty()) {
+    at_rest.assign(y, y + n_);
+    forget_at_bounds(*manifold_.bounds(), extent_, bounded_slope_->held(), at_rest.data());
+    y = at_rest.data();
+  }
   switch (step_->start(t, y, aim_.span(t))) {
     case Outcome::ok: return settings_.first_step > 0 || t == settings_.tf || resolve_first_step(t, y);
     case Outcome::stop: return end(State::interrupted);
@@ -278,12 +284,14 @@ bool Integration::reconcile() {
 }
 
 /// Attempts that fail however small h is may end at a bound where f has no derivative, as √y at 0. Moves components
-/// that f has led there, but for roundoff, onto it, and starts the method again. False: there were none, or the run has
-/// ended.
+/// that f has led there, but for roundoff, onto it, where they do not depend on parameters, and starts the method
+/// again. False: there were none, or the run has ended.
 bool Integration::settle_at_bounds() {
   if (manifold_.bounds() == nullptr) return false;
   std::vector<double> y = y0_;
   if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return false;
+  rest_at_bounds(*manifold_.bounds(), extent_, y0_.data(), y.data());
+  ++counts_.clipped;
   return start_step_anew(y.data());
 }
 

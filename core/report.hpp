@@ -56,7 +56,7 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
-  std::int64_t clipped = 0;  ///< steps that ended outside the bounds, by less than the tolerance
+  std::int64_t clipped = 0;  ///< steps that ended outside the bounds, by less than the tolerance, or at one (√y)
 };
 
 /// What projection met in the accepted steps: for each invariant the largest residual before it, also as a distance in

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import types
 
 import numpy as np
 import pytest
 import scipy.integrate
 
 import invariode as iv
-from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families
+from cases import FAMILIES, IMPLICIT, METHODS, SERIES, dealt, explicit_and_implicit, families
+from invariode import _core
+from invariode._run.adjoint_jumps import at_bounds
+from invariode._run.plan import make_plan, solver
 from invariode._run.run import solve
 from test_sensitivities_complex import condensate, in_reals, inside, precession, turned, untraced_precession
 
@@ -88,6 +92,133 @@ def test_a_mass_matrix_and_what_depends_on_y0(method):
     sol = solved(method, (0, 2), mass=mass, sensitivities=wanted)
     cost = np.array([1.0, -2.0])
     np.testing.assert_allclose(sol.gradient(cost), cost @ sol.sensitivities[:, :, -1], rtol=1e-4)
+
+
+def forced(number):
+    """A problem (fun, args, options of the problem, options of the run) of two components on (0, 4), from (1, 0.5):
+    linear, an oscillator, not linear, or stiff; with fast forcing, with kinks, a table, doses, or a bend."""
+    rng = np.random.default_rng(number)
+    k, p, w, dose = rng.uniform(0.3, 2), rng.uniform(0.5, 2), rng.uniform(20, 80), rng.uniform(0.3, 1.5)
+    kind, form, problem, run = number // 4 % 5, number % 4, {}, {}
+    if kind == 1:
+        run["breakpoints"] = np.arange(1, 4 * w / 8 / np.pi) * np.pi / (w / 8)
+    elif kind == 2:
+        values = rng.uniform(-1, 1, 6)
+        problem["inputs"] = iv.Input([0, 0.7, 1.3, 2.2, 3.1, 4.0], values, ["previous", "linear", "cubic"][number % 3])
+    elif kind == 3:
+        run["breakpoints"] = {t: lambda t, y, k, p: [y[0] + dose * p, y[1]] for t in (0.5, 1.5, 2.5)}
+    elif kind == 4:
+        run["breakpoints"] = [1.0]
+    forces = {
+        0: lambda t: np.sin(w * t),
+        1: lambda t: np.abs(np.sin(w / 8 * t)),
+        3: np.cos,
+        4: lambda t: np.maximum(t - 1.0, 0.0) * np.exp(-t),
+    }
+
+    def fun(t, y, *args):
+        (u, k, p) = args if kind == 2 else (forces[kind](t), *args)
+        slopes = (
+            lambda x, v: [p * u - k * x, x - v],
+            lambda x, v: [v, p * u - k * x - 0.3 * v],
+            lambda x, v: [p * u**2 - k * x**2, k * x - p * v],
+            lambda x, v: [20 * k * (p * u - x), k * x * v - v - p * x],
+        )
+        return slopes[form](y[0], y[1])
+
+    return fun, (k, p), problem, run
+
+
+#: How many of these problems each method solves: with 13 methods each of the 40 comes about three times.
+OF_EACH = 10
+
+
+@pytest.mark.parametrize("method", [*METHODS, *SERIES])
+def test_both_ways_agree_within_100_tolerances(method):
+    """G = y0 − 0.7 y1 at the end: one tolerance of dG/dp is Σ |∂G/∂y_i| (rtol |S_ij| + atol / |p_j|). What f does with
+    t is faster than λ, whose run has to notice it."""
+    cost, place = np.array([1.0, -0.7]), [*METHODS, *SERIES].index(method)
+    tol = 1e-5 if iv.METHODS[method].order <= 3 else 1e-7
+    for i in range(OF_EACH):
+        fun, args, problem, run = forced((place + 4 * i + i // 5) % 40)
+        posed = iv.Problem(fun, (0, 4), [1.0, 0.5], args=args, sensitivities=True, **problem)
+        sol = posed.solve(method, rtol=tol, atol=tol, adjoint=True, **run)
+        S = sol.sensitivities[:, :, -1]
+        tolerance = np.abs(cost) @ (tol * np.abs(S) + tol / np.array(args))
+        assert (np.abs(sol.gradient(cost) - cost @ S) < 100 * tolerance).all()
+
+
+@pytest.mark.parametrize("method", [*METHODS, *SERIES])
+def test_the_integrand_of_the_gradient_may_be_faster_than_the_multiplier(method):
+    """G = y(4) for y' = −0.8 y + p sin(60 t), so that dG/dp = ∫ exp(−0.8 (4 − t)) sin(60 t) dt."""
+    k, w, tf = 0.8, 60.0, 4.0
+    exact = (k * np.sin(w * tf) - w * np.cos(w * tf) + w * np.exp(-k * tf)) / (k**2 + w**2)
+    tol = 1e-5 if iv.METHODS[method].order <= 3 else 1e-8
+    sol = iv.solve_ivp(
+        lambda t, y, p: [-k * y[0] + p * np.sin(w * t)],
+        (0, tf),
+        [1.0],
+        method,
+        args=(1.3,),
+        rtol=tol,
+        atol=tol,
+        adjoint=True,
+    )
+    assert abs(sol.gradient([1.0])[0] - exact) < 100 * tol
+
+
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning", "ignore::invariode.AccuracyWarning")
+@pytest.mark.parametrize("method", ["dop853", "ode113", "radau"])
+def test_the_run_backwards_lands_where_the_run_has_found_a_discontinuity(method):
+    """f cannot be traced, jumps at t = 1.3 and is constant besides: λ is smooth there, and the integrand is not."""
+
+    def fun(t, y, p):
+        try:
+            pulse = 3.0 if t < 1.3 else -1.0
+        finally:
+            pass
+        return [p * pulse - y[0]]
+
+    sol = iv.solve_ivp(fun, (0, 4), [1.0], method, args=(0.7,), rtol=RTOL, atol=RTOL, adjoint=True)
+    exact = 3 * (np.exp(-2.7) - np.exp(-4)) - (1 - np.exp(-2.7))
+    assert sol.stats.discontinuities
+    assert abs(sol.gradient([1.0])[0] - exact) < 10 * RTOL
+
+
+@dealt(method=[one for one in IMPLICIT if "linear_solver" in METHODS[one].options], mass=[False, True])
+def test_quadratures_need_no_linear_systems(method, mass):
+    """The core's integrals of functions of y, two and a half blocks of them, are those of further components; the
+    systems of the state are solved by factors or by GMRES, and M is that of the state alone."""
+    M = np.array([[2.0, 0.5], [0.0, 4.0]])
+
+    def inner(t, y):
+        return np.array([-50 * (y[0] - np.cos(t)), y[0] - y[1]])
+
+    def fun(t, y):
+        return M @ inner(t, y) if mass else inner(t, y)
+
+    def integrands(t, y):
+        return np.array([np.sin(20 * t) * y[1], y[0] ** 2, y[0] * y[1], np.exp(-t), 1.0])
+
+    tol, count = 1e-5, 5
+    whole = iv.solve_ivp(
+        lambda t, y: [*inner(t, y), *integrands(t, y)],
+        (0, 2),
+        np.append([0.0, 1.0], np.zeros(count)),
+        "radau",
+        rtol=1e-9,
+    )
+    for linear_solver in ("direct",) if mass else ("direct", "gmres"):
+        about = iv.Problem(fun, (0, 2), [0.0, 1.0], mass=M if mass else None)._described()
+        plan = make_plan(about, method, {"rtol": tol, "atol": tol, "linear_solver": linear_solver})
+
+        def slope(t, Y):
+            return np.append(integrands(t, Y[0]), 0.0).reshape(3, 2)
+
+        behind = _core.Variations(k=3, slope=slope, thresholds=np.full((3, 2), tol), quadratures=True)
+        run = solver(plan, behind).integrate(np.append([0.0, 1.0], np.zeros(6)))
+        assert run.state == "reached_end"
+        np.testing.assert_allclose(run.end[:7], whole.y[:, -1], atol=100 * tol)
 
 
 def of_some_hundred_steps(method):
@@ -433,7 +564,7 @@ REFUSED = {
 def test_an_action_with_which_the_run_ends_is_not_taken(refused, t_eval, adjoint):
     sol = iv.solve_ivp(
         lambda t, y, a: [-a * y[0]], (0, 3), [1.0], "dop853", args=(0.9,), rtol=1e-9, atol=1e-11,
-        t_eval=t_eval, adjoint=adjoint, **REFUSED[refused],
+        t_eval=t_eval, adjoint=adjoint, on_failure="return", **REFUSED[refused],
     )  # fmt: skip
     t = sol.t_end
     assert sol.status in (-1, -2)
@@ -575,6 +706,67 @@ def test_a_component_at_rest_on_a_bound_pulls_nothing():
     )
     assert sol.stats.clipped
     both_ways(sol, times=[1.0, 3.0, 4.2, 5.5, 6.0], rtol=10 * RTOL)
+
+
+@pytest.mark.parametrize("method", ["ode23s", "ode23t", "ode23tb", "radau"])
+def test_what_rests_at_a_bound_is_told_by_the_slope_of_y_and_not_by_f(method):
+    """Component 0 starts at its bound with y0' = 0, while M couples its f with that of component 1; dy1(3)/dk is
+    −4.5 exp(−1.8), within 100 tolerances, of a method of order 2 by a backward run of its own."""
+    M = np.array([[2.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]])
+
+    def fun(t, y, k):
+        return M @ np.array([-0.8 * y[0], 0.8 * y[0] - k * y[1], k * y[1]])
+
+    sol = iv.solve_ivp(
+        fun, (0, 3), [0.0, 1.5, 1.0], method, args=(0.6,), mass=M, nonnegative=True, rtol=RTOL, atol=RTOL, adjoint=True
+    )
+    np.testing.assert_allclose(sol.gradient([0.0, 1.0, 0.0]), -4.5 * np.exp(-1.8), rtol=100 * RTOL)
+
+
+@pytest.mark.parametrize("method", ["ode23s", "ode15s", "radau"])
+def test_a_component_at_rest_pulls_nothing_through_its_own_row_of_a_mass_matrix(method):
+    """y0' = −p until y0 rests at 0, where row 0 of M is negative: f leads upwards, y0' downwards."""
+    M = np.diag([-2.0, 4.0])
+
+    def fun(t, y, p, k):
+        return M @ np.array([-p, y[0] - k * y[1]])
+
+    sol = iv.solve_ivp(
+        fun,
+        (0, 1),
+        [0.5, 1.5],
+        method,
+        args=(0.9, 0.6),
+        mass=M,
+        nonnegative=[0],
+        rtol=1e-6,
+        atol=1e-8,
+        dense_output=True,
+        sensitivities=["p", "k", "y0"],
+    )
+    assert sol.stats.clipped
+    both_ways(sol, times=[1.0], rtol=1e-5)
+
+
+def test_a_component_at_rest_that_a_singular_mass_matrix_couples_is_refused():
+    """Its own equation is not known: the core does not change f there, and moves y alone."""
+    M = np.array([[2.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    points = np.zeros((3, 4))
+    points[0] = [0.5, 0.0, 0.0, 0.0]
+
+    class Line:
+        ts = np.array([0.0, 1.0, 2.0, 3.0])
+
+        def __call__(self, t):
+            return np.array([np.interp(t, self.ts, row) for row in points])
+
+    def fun(t, y):
+        return [-2.0, -1.0, y[2]]
+
+    held = iv.Problem(fun, (0, 3), points[:, 0], mass=M, nonnegative=[0])._described()
+    sol = types.SimpleNamespace(stats=types.SimpleNamespace(clipped=1.0), t_end=3.0)
+    with pytest.raises(ValueError, match="component 0 rests at a bound from t = 1"):
+        at_bounds(held, sol, Line(), 1.0)
 
 
 def test_bounds_that_are_never_met_do_not_matter():

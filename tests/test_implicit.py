@@ -174,7 +174,7 @@ REFUSED = {
         r"jac\(t, y\) has shape \(2, 2\), expected shape \(3, 3\)",
     ),
     "function's shape, sparse": ({"jac": lambda t, y: sparse.eye_array(4)}, ValueError, r"shape \(4, 4\)"),
-    "a vector": ({"jac": [1, 2, 3]}, ValueError, "jac must be 2-dimensional"),
+    "a vector": ({"jac": [1, 2, 3]}, ValueError, r"jac has shape \(3,\), expected shape \(3, 3\)"),
     "text": (
         {"jac": "exact"},
         ValueError,

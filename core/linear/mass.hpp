@@ -65,13 +65,17 @@ class Mass {
 struct KrylovTerms;
 
 /// The two parts of what a method integrates, a state and its sensitivities behind it: M S_j' = J S_j + f_pj has the
-/// matrices of M y' = f. All belong to the caller.
+/// matrices of M y' = f. Quadratures, S_j' = g_j(t, y), have J = 0 and M = I. All belong to the caller.
 struct StateEquations {
   Extent extent;
   Callback* f;               ///< of the state alone
   Callback* sensitivities;   ///< (t, Y) -> J S_j + f_pj alone, (k, n)
   const Weights* weights;    ///< of the state
   const Weights* iteration;  ///< of Y, in which Newton's iteration converges
+  bool quadratures;
+
+  /// Doubles at the beginning of Y to whose blocks J and M belong.
+  [[nodiscard]] std::size_t coupled() const { return quadratures ? extent.n : extent.size(); }
 };
 
 /// ∂f/∂y, M and the linear algebra of an implicit method, which belong to the caller. Those who evaluate the Jacobian

@@ -140,6 +140,12 @@ Status BoundedSlope::look(double t, const double* y) {
   return Status::ok;
 }
 
+void BoundedSlope::state(Archive& archive) {
+  archive(rests_, at_bound_, evaluations_);
+  archive.resizable(held_);
+  for (const std::size_t i : held_) archive.require(i < bounds_.n());
+}
+
 void BoundedSlope::hold_what_rests(double* slope) {
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];

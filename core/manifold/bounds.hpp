@@ -82,7 +82,8 @@ class BoundedSlope {
   Status begin_step(double t, const double* y, bool& changed);
   /// How often it did.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  void state(Archive& archive) { archive(rests_, at_bound_, evaluations_); }
+  /// With the components held, which slopes of sensitivities beside a point take from the last evaluation of f.
+  void state(Archive& archive);
 
   /// From now on the components whose slope it sets to 0 are noted.
   void note_held() { notes_held_ = true; }

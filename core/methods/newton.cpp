@@ -97,6 +97,7 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       state_f_(linear.state ? *linear.state->f : f),
       weights_(linear.state ? *linear.state->weights : weights),
       extent_(linear.state ? linear.state->extent : Extent(weights.size())),
+      coupled_(linear.state ? linear.state->coupled() : weights.size()),
       sensitivity_weights_(linear.state ? linear.state->iteration : nullptr),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
@@ -297,7 +298,7 @@ Status AgingJacobian::multiply(double t, const double* y, const double* slope, c
     free_->product().at(t, y, slope);
     return free_->product().multiply(v, out);
   }
-  multiply_blocks(jacobian(), v, out);
+  jacobian().multiply(v, out);
   return Status::ok;
 }
 
@@ -533,7 +534,8 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
     jacobian.note_singular();
     return Outcome::not_finite;
   }
-  for (std::size_t first = 0; first < extent.size(); first += extent.n) solver_.slope(*mass, nullptr, slope + first);
+  for (std::size_t first = 0; first < jacobian.coupled(); first += extent.n)
+    solver_.slope(*mass, nullptr, slope + first);
   return Outcome::ok;
 }
 
@@ -542,7 +544,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
   const auto& [n, k] = jacobian.extent();
-  const std::size_t all = jacobian.extent().size();
+  const std::size_t all = jacobian.extent().size(), coupled = jacobian.coupled();
   const Mass* mass = jacobian.mass();
   const bool singular = mass && mass->singular();
   if (jacobian.time_derivative(t, y, f, h, ft) == Status::stop) return Status::stop;
@@ -551,11 +553,14 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
     solver_.slope(*mass, ft, slope);
   }
   if (k > 0 && jacobian.sensitivity_rate(t, y, slope, f, h, ft) == Status::stop) return Status::stop;
-  for (std::size_t first = n; first < all && singular; first += n) solver_.slope(*mass, ft + first, slope + first);
-  if (jacobian.multiply(t, y, f, slope, second) == Status::stop) return Status::stop;
-  if (jacobian.matrix_free() && !all_finite(second, n)) std::fill(second, second + n, 0);
+  for (std::size_t first = n; first < coupled && singular; first += n) solver_.slope(*mass, ft + first, slope + first);
+  for (std::size_t first = 0; first < coupled; first += n) {
+    if (jacobian.multiply(t, y, f, slope + first, second + first) == Status::stop) return Status::stop;
+    if (jacobian.matrix_free() && !all_finite(second + first, n)) std::fill_n(second + first, n, 0);
+  }
+  std::fill(second + coupled, second + all, 0);
   for (std::size_t i = 0; i < all; ++i) second[i] += ft[i];
-  for (std::size_t first = 0; first < all && mass; first += n) solver_.slope(*mass, nullptr, second + first);
+  for (std::size_t first = 0; first < coupled && mass; first += n) solver_.slope(*mass, nullptr, second + first);
   return Status::ok;
 }
 
@@ -690,7 +695,8 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
   }
 }
 
-/// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not.
+/// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not. The
+/// first update of quadratures is exact.
 Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, double* d, double* y) {
   const std::size_t n = extent().n, all = extent().size();
   sensitivity_weights().fill(p, sensitivity_weight_.data());  // y still holds what an earlier attempt left there
@@ -714,6 +720,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
+    if (coupled() == n) return Result::converged;
     switch (sensitivity_convergence_.judge(size)) {
       case Convergence::Verdict::converged: return Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
@@ -736,12 +743,12 @@ Newton::Result Newton::look_at_product() {
 /// The blocks of b behind the state become solutions. By GMRES each alone, in its own weights, about as far as `goal`
 /// lets the iteration end, with J where `product()` is.
 Newton::Result Newton::solve_columns(double goal, double* b) {
-  const std::size_t n = extent().n, all = extent().size();
+  const std::size_t n = extent().n;
   if (!matrix_free()) {
-    solve_blocks(*lu_, b, n, all);
+    solve_blocks(*lu_, b, n, extent().size());
     return Result::converged;
   }
-  for (std::size_t block = n; block < all; block += n) {
+  for (std::size_t block = n; block < coupled(); block += n) {
     count_solve();
     const double* w = sensitivity_weight_.data() + block;
     if (const Result ready = newton_result(precondition(b + block)); ready != Result::converged) return ready;
@@ -847,7 +854,7 @@ void Newton::state(Archive& archive) {
 Newton::Result Newton::damp(double* v) {
   if (const Matrix* M = mass_matrix()) {
     std::copy(v, v + sum_.size(), sum_.begin());
-    multiply_blocks(*M, sum_.data(), v);
+    multiply_mass(*M, sum_.data(), v);
   }
   return filter(v);
 }
@@ -867,7 +874,8 @@ Newton::Result Newton::filter(double* v) {
 /// c f − M (ψ + d) of the blocks from `first` to `end`, with f at hand.
 void Newton::residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end) {
   for (std::size_t i = first; i < end; ++i) sum_[i] = psi[i] + d[i];
-  if (const Matrix* M = mass_matrix())
+  const Matrix* M = mass_matrix();
+  if (M != nullptr && first < coupled())
     for (std::size_t block = first; block < end; block += extent().n)
       M->multiply(sum_.data() + block, residual_.data() + block);
   else

@@ -84,7 +84,7 @@ class AgingJacobian {
   /// What is due before an attempt from (t, y). What `renew` has asked for: takes J there anew, where f is `slope`.
   /// Null: f is evaluated if J comes from differences.
   Status repair(double t, const double* y, const double* slope = nullptr);
-  /// J v, with J at (t, y), where f is `slope`; of a matrix, with the J at hand.
+  /// J v of the state, with J at (t, y), where f is `slope`; of a matrix, with the J at hand.
   Status multiply(double t, const double* y, const double* slope, const double* v, double* out);
   /// M at t₁ and, by `factor()`, the factors for c, unless they are at hand, for this c or one that differs by no more
   /// than the tolerated part of it. `not_finite`: M − c J is singular.
@@ -152,14 +152,18 @@ class AgingJacobian {
   [[nodiscard]] const Extent& extent() const { return extent_; }
   /// In which iterations for sensitivities converge, where there are any.
   [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
-  /// A v, block by block.
-  void multiply_blocks(const Matrix& A, const double* v, double* out) const {
-    for (std::size_t first = 0; first < extent_.size(); first += extent_.n) A.multiply(v + first, out + first);
+  /// Doubles at the beginning of Y to whose blocks J and M belong; quadratures are behind them, with 0 and the
+  /// identity.
+  [[nodiscard]] std::size_t coupled() const { return coupled_; }
+  /// M v, block by block.
+  void multiply_mass(const Matrix& M, const double* v, double* out) const {
+    for (std::size_t first = 0; first < coupled_; first += extent_.n) M.multiply(v + first, out + first);
+    std::copy(v + coupled_, v + extent_.size(), out + coupled_);
   }
   /// b, in the blocks from component `first` to `end`, becomes the solution with the factors, of each block for itself.
   template <class Scalar>
   void solve_blocks(Factors<Scalar>& factors, Scalar* b, std::size_t first, std::size_t end) {
-    for (; first < end; first += extent_.n) {
+    for (; first < std::min(end, coupled_); first += extent_.n) {
       count_solve();
       factors.solve(b + first);
     }
@@ -219,6 +223,7 @@ class AgingJacobian {
   Callback& state_f_;  // and of the state: the same without sensitivities
   const Weights& weights_;
   Extent extent_;
+  std::size_t coupled_;
   std::optional<Callback> sensitivities_;
   const Weights* sensitivity_weights_;  // null without them
   Jacobian jacobian_;

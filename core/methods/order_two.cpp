@@ -93,7 +93,7 @@ Newton::Result OrderTwo::filter_defect(double theta) {
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
     psi_ = base_;
-    solver_.multiply_blocks(mass->matrix(), psi_.data(), base_.data());
+    solver_.multiply_mass(mass->matrix(), psi_.data(), base_.data());
     if (!mass->constant() && mass->evaluate(t1_) == Status::stop) return Newton::Result::stop;
   }
   for (std::size_t i = 0; i < n(); ++i) increment_[i] = d_ * (signed_h_ * increment_[i] - base_[i]);

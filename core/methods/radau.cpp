@@ -183,7 +183,9 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    switch (convergence.judge(update_stages())) {
+    const double size = update_stages();
+    if (part_.first == solver_.coupled()) return Newton::Result::converged;  // the first update of quadratures is exact
+    switch (convergence.judge(size)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged:
         if (part_.first == 0 && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
@@ -222,7 +224,7 @@ Outcome Radau::stage_residuals() {
     if (outcome != Outcome::ok) return outcome;
     const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
-      solver_.multiply_blocks(*M, rate, gap_.data());
+      solver_.multiply_mass(*M, rate, gap_.data());
       rate = gap_.data();
     }
     for (std::size_t i = part_.first; i < part_.end; ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
@@ -265,7 +267,7 @@ Newton::Result Radau::estimate() {
 
 void Radau::multiply_by_mass(const std::vector<double>& v, std::vector<double>& out) {
   if (const Matrix* M = solver_.mass_matrix())
-    solver_.multiply_blocks(*M, v.data(), out.data());
+    solver_.multiply_mass(*M, v.data(), out.data());
   else
     out = v;
 }
@@ -305,7 +307,7 @@ Newton::Result Radau::filter_defect(double* defect) {
   const double* rate = gap_.data();
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
-    solver_.multiply_blocks(mass->matrix(), gap_.data(), scratch_.data());
+    solver_.multiply_mass(mass->matrix(), gap_.data(), scratch_.data());
     rate = scratch_.data();
   }
   for (std::size_t i = 0; i < n(); ++i) defect[i] = c * residuals_[i] - rate[i];

@@ -130,7 +130,8 @@ template <class Scalar>
 Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Blocks blocks,
                                             Scalar* b, bool may_skip, bool& negligible) {
   Newton::Result result = Newton::Result::converged;
-  for (std::size_t i = blocks.first; i < blocks.end && result == Newton::Result::converged; i += extent().n)
+  const std::size_t end = std::min(blocks.end, coupled());
+  for (std::size_t i = blocks.first; i < end && result == Newton::Result::converged; i += extent().n)
     result = solve_block(c, M, w + i, tolerance, b + i, may_skip, negligible);
   return result;
 }

@@ -94,7 +94,7 @@ Status Rosenbrock::solve(std::vector<double>& b) {
 const double* Rosenbrock::times_mass(const std::vector<double>& k) {
   const Matrix* M = solver_.mass_matrix();
   if (!M) return k.data();
-  solver_.multiply_blocks(*M, k.data(), scratch_.data());
+  solver_.multiply_mass(*M, k.data(), scratch_.data());
   return scratch_.data();
 }
 

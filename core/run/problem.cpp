@@ -21,6 +21,8 @@ void require_variations(const Problem& problem) {
   require(variations.tolerance.size() == variations.k * problem.n,
           "tolerances of sensitivities do not fit " + std::to_string(variations.k) + " parameters of a problem of " +
               std::to_string(problem.n));
+  require(!variations.quadratures || (problem.invariants.empty() && !problem.bounds),
+          "quadratures go with neither invariants nor bounds");
   for (const InvariantBlock& block : problem.invariants)
     require(static_cast<bool>(block.tangent), "an invariant has no tangent for the sensitivities");
   for (const EventFunction& event : problem.events)

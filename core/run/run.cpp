@@ -210,7 +210,8 @@ void Run::add_sensitivities() {
                       .f = method_f_,
                       .sensitivities = &sensitivities_f_,
                       .weights = &solver_.weights(),
-                      .iteration = &solver_.iteration_weights()};
+                      .iteration = &solver_.iteration_weights(),
+                      .quadratures = problem.variations->quadratures};
 }
 
 void Run::start_loop() {

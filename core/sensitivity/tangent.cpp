@@ -98,6 +98,13 @@ void clip(const Bounds& bounds, Extent extent, double* Y) {
   bounds.clip(Y);
 }
 
+void forget_at_bounds(const Bounds& bounds, Extent extent, std::span<const std::size_t> held, double* Y) {
+  for (const auto& [i, lower, upper] : bounds.intervals()) {
+    const bool rests = (Y[i] <= lower || Y[i] >= upper) && std::find(held.begin(), held.end(), i) != held.end();
+    for (std::size_t j = 1; rests && j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+  }
+}
+
 void rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y) {
   for (const auto& [i, lower, upper] : bounds.intervals())
     if (Y[i] != candidate[i] && (Y[i] == lower || Y[i] == upper))

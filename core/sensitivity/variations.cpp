@@ -23,9 +23,18 @@ Status AugmentedSlope::whole_entry(void* self, double t, const double* Y, double
 
 Status AugmentedSlope::sensitivities_entry(void* self, double t, const double* Y, double* out) {
   auto& me = *static_cast<AugmentedSlope*>(self);
-  if (me.slope_(t, Y, out) == Status::stop) return Status::stop;
-  if (me.bounded_ != nullptr) me.rest(out);
+  const bool rests = me.bounded_ != nullptr && !me.bounded_->held().empty();
+  if (me.slope_(t, rests ? me.at_rest(Y) : Y, out) == Status::stop) return Status::stop;
+  if (rests) me.rest(out);
   return Status::ok;
+}
+
+/// Y with S = 0 of the components that rest, of which iterations leave roundoff: f may have no derivative there.
+const double* AugmentedSlope::at_rest(const double* Y) {
+  at_rest_.assign(Y, Y + extent_.size());
+  for (const std::size_t i : bounded_->held())
+    for (std::size_t j = 1; j <= extent_.k; ++j) at_rest_[j * extent_.n + i] = 0;
+  return at_rest_.data();
 }
 
 void AugmentedSlope::rest(double* out) const {

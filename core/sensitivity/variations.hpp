@@ -14,11 +14,15 @@ namespace invariode {
 
 /// M S_j' = J S_j + f_pj for k parameters, behind the state. The tangents of invariants and of actions stand with them
 /// (`InvariantBlock::tangent`, `EventFunction::jump`, `Breakpoint::jump`).
+///
+/// Or quadratures, S_j' = g_j(t, y): integrals of functions of the state, which the error test controls like it, and
+/// which need no linear systems.
 struct Variations {
   std::size_t k = 0;
-  Callback slope;                 ///< (t, Y) -> J S_j + f_pj, (k, n)
+  Callback slope;                 ///< (t, Y) -> J S_j + f_pj, or g_j, (k, n)
   std::vector<double> tolerance;  ///< absolute ones of S, (k, n)
   bool error_test = true;         ///< false: S has no part in the norm of the error test
+  bool quadratures = false;       ///< the slope does not depend on S, whose mass matrix is the identity
 };
 
 /// The weights of Y: those of the state, then max(s_i |S_ij|, tolerance_ij / rtol), with the state's scales; infinite
@@ -43,11 +47,13 @@ class AugmentedSlope {
  private:
   static Status whole_entry(void* self, double t, const double* Y, double* out);
   static Status sensitivities_entry(void* self, double t, const double* Y, double* out);
+  const double* at_rest(const double* Y);
   void rest(double* out) const;
 
   Callback f_, slope_;
   Extent extent_;
   const BoundedSlope* bounded_;
+  std::vector<double> at_rest_;
 };
 
 }  // namespace invariode

@@ -154,9 +154,9 @@ class Variations:
     Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 + k, n): y, then dy/dp_j.
     """
 
-    def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], error_test: bool = True) -> None:
+    def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], error_test: bool = True, quadratures: bool = False) -> None:
         """
-        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test.
+        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of (t, y) alone, and M the identity for S.
         """
 
     @property

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.exceptions import ComplexWarning
 
 from .. import _core
-from .._base.arguments import EPS, Array
-from .compiled import CompiledFunction, is_native, native_parameters, to_native
+from .._base.arguments import EPS, Array, number
+from .compiled import CompiledFunction, complex_form, is_native, native_parameters, to_native
 from .graph.derived import derived, native
 from .layout import count_of
 
@@ -19,9 +19,15 @@ from .layout import count_of
 TINY = 1e-40
 #: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
 _SMALLEST_PART = 0.1
+#: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
+SMALLEST_SCALE = 1e-250
 #: Relative increment of a central difference, and what counts as agreement with it.
 INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
 
+#: Fractions of these sizes at which a function is tried if it is not defined farther away.
+_NEARER = (1e-2, 1e-4, 1e-6)
+#: What functions raise for complex numbers that they are not made for.
+NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
 #: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself.
 _BESIDE_START = (0.1, 0.0)
 #: From this many entries on it is worth knowing which of them are always zero.
@@ -226,6 +232,33 @@ def takes_complex(
     return False
 
 
+def complex_steps_fit(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> tuple[bool, int]:
+    """Whether complex steps give the derivative of a function of y, if that may be defined near y only, and how many
+    evaluations it took to know. `threshold`: the size below which a component gives no scale."""
+    if np.iscomplexobj(y):
+        return False, 0
+    calls = 0
+
+    def counted(z: Array) -> Any:
+        nonlocal calls
+        calls += 1
+        return values(z)
+
+    direction = somewhere(y, _weighted_sizes(y, threshold))
+    return takes_complex(counted, y, direction, direction, _NEARER), calls
+
+
+def _weighted_sizes(y: Array, threshold: float | Array) -> Array:
+    """The sizes of the components, for increments: `take_sizes` of the core."""
+    size: Array = np.abs(y)
+    largest = size.max(initial=0)
+    if largest < SMALLEST_SCALE:
+        largest = 1.0
+    size = np.maximum(size, np.minimum(threshold, largest))
+    size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
+    return size
+
+
 class Comparison(NamedTuple):
     """The derivative of a function along a direction, by a complex step and by a central difference."""
 
@@ -268,6 +301,68 @@ def compared(function: Callable[[Array], Any], x: Array, direction: Array) -> Co
     if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
         return None
     return Comparison(stepped, (up - down) / (2 * INCREMENT), np.maximum(np.abs(up), np.abs(down)))
+
+
+class OfNumbers:
+    """The derivatives of a real function of numbers, by complex steps, which are compared with differences at first.
+
+    Parameters
+    ----------
+    called : str
+        What messages call it.
+    function : callable
+        The user's, of one or more numbers.
+    """
+
+    how = "complex step"
+    #: By how much complex steps and differences may disagree, in units of the error of the differences.
+    _TOLERANT = 10
+
+    def __init__(self, called: str, function: Callable[..., Any]) -> None:
+        self._called, self._function, self._checked = called, function, False
+
+    def value(self, at: Array) -> float:
+        """The function itself."""
+        return number(f"the value of {self._called}", self._function(*at))
+
+    def slopes(self, at: Array) -> Array:
+        """The derivative with respect to each number.
+
+        Raises
+        ------
+        ValueError
+            Complex steps do not give the derivatives.
+        """
+        if not self._checked:
+            self._check(at)
+            self._checked = True
+        steps = np.eye(len(at)) * TINY * 1j
+        return np.array([complex(self._function(*(at + step))).imag / TINY for step in steps])
+
+    def _check(self, at: Array) -> None:
+        found = compared(lambda z: np.array([self._function(*z)]), at, np.where(at == 0, 1.0, np.abs(at)))
+        if found is None:
+            return  # not defined around this point
+        if isinstance(found.stepped, Exception) or not found.agree(self._TOLERANT).all():
+            raise ValueError(
+                f"{self._called} must take complex numbers, for its derivatives: use NumPy's functions in place of "
+                "math's, and no abs"
+            )
+
+
+def at_complex(fun: Any, m: int) -> Any:
+    """A function (t, y, *args) with m values for complex y; NaN where it cannot be evaluated there, so that the core
+    switches to differences."""
+    if isinstance(fun, _core.Native):
+        return complex_form(fun)
+
+    def evaluate(t: float, y: Array, *args: Any) -> Any:
+        try:
+            return fun(t, y, *args)
+        except NOT_COMPLEX:
+            return [np.nan] * m
+
+    return evaluate
 
 
 def _count_values(
@@ -324,4 +419,4 @@ def sizes(x: Array) -> Array:
     """Of the components, for increments: those that are small tell no scale of their own."""
     size: Array = np.abs(x)
     largest = size.max(initial=0.0)
-    return np.maximum(size, _SMALLEST_PART * largest) if largest > 0 else np.ones(len(x))
+    return np.maximum(size, _SMALLEST_PART * largest) if largest >= SMALLEST_SCALE else np.ones(len(x))

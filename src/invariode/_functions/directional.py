@@ -6,6 +6,7 @@ these give what differences give. Differences are the last resort.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from importlib.util import find_spec
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, call_name, shown
+from .._base.arguments import Array, call_name
+from .._base.matrices import as_matrix
 from .compiled import (
     CompiledFunction,
     CoreFunction,
@@ -26,16 +28,18 @@ from .compiled import (
     is_native,
     to_native,
 )
-from .derivatives import INCREMENT, TINY, sizes, somewhere, takes_complex
+from .derivatives import INCREMENT, NOT_COMPLEX, TINY, sizes, somewhere, takes_complex
+from .graph.derivatives import singular_where
 from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction
-from .graph.nodes import Node, in_order
+from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula
 from .graph.switches import Switch, conditions, evaluated, has_steps, switches
 from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of, with_numbers
 
-#: What functions raise for complex numbers that they are not made for.
-_NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
+#: Of an increment of a one-sided difference: a smaller one to compare with, and by how much a derivative that exists
+#: may be larger there.
+_PART, _GROWTH = 1 / 8, 1.01
 
 
 class ParameterPlace(Protocol):
@@ -101,8 +105,8 @@ class Directional:
 
     Attributes
     ----------
-    how : {"graph", "given", "complex-step", "differences"}
-        How derivatives are formed; "given and graph" and so on if only some were given.
+    how : {"traced", "given", "complex step", "differences"}
+        How derivatives are formed; "given and traced" and so on if only some were given.
     m, k : int
         The number of values and of parameters.
     args, names
@@ -136,9 +140,10 @@ class Directional:
             self._require_numbers(at, names)
         self._jac = None if given.jac is None or self._graph is not None else self._shaped("jac", given.jac, n)
         self._steps: _Steps | None = None
+        self._sides: _Sides | None = None
         if self._graph is None and (self._jac is None or (self._dfdp is None and self.k) or moves_t):
             self._steps = _Steps(self._evaluate, at, moves_t)
-        found = "graph" if self._graph is not None else None if self._steps is None else self._steps.how
+        found = "traced" if self._graph is not None else None if self._steps is None else self._steps.how
         partly = self._dfdp is not None or self._jac is not None
         #: How derivatives are formed.
         self.how: str = " and ".join(filter(None, ["given" if partly else "", found]))
@@ -179,24 +184,17 @@ class Directional:
 
         def matrix(t: float, y: Array) -> Any:
             found = given(t, y.copy(), *args) if callable(given) else given
-            found = found if hasattr(found, "tocsr") else np.asarray(found, dtype=float)
-            if what == "dfdp" and found.shape == (self.m,) and columns == 1:
-                found = found.reshape(shape)
-            if found.shape != shape:
-                raise ValueError(
-                    f"{what} of {self.called} must have shape {shape}, got {found.shape} at t = {t}: {shown(found)}"
-                )
-            return found
+            return as_matrix(f"{what} of {self.called}", found, shape, at=t)
 
         return matrix
 
     def takes_complex_at(self, at: Point) -> bool:
         """Whether complex steps, if they are how derivatives are formed, give those of F there too."""
-        if self._steps is None or self._steps.how != "complex-step":
+        if self._steps is None or self._steps.how != "complex step":
             return True
         try:
-            return _Steps(self._evaluate, at, self._moves_t).how == "complex-step"
-        except _NOT_COMPLEX:
+            return _Steps(self._evaluate, at, self._moves_t).how == "complex step"
+        except NOT_COMPLEX:
             return True  # F is not defined there at all, which is not for this to say
 
     @cached_property
@@ -211,16 +209,24 @@ class Directional:
         """The same as a graph, of (t, (y, S_1, S_2, ...)) and the numbers of the arguments."""
         return None if self._graph is None else self._graph.tangent_nodes()
 
-    @property
-    def for_core(self) -> Any:
-        """`tangent` as the core calls it."""
-        return self.native or self.tangent
+    def for_core(self, t: float, Y: ArrayLike) -> Any:
+        """`tangent` as the core calls it: machine code, unless that gives NaN at the start (t, Y), which Python mends
+        with other derivatives."""
+        if self.native is None:
+            return self.tangent
+        assert self._graph is not None
+        return self.native if np.isfinite(self._graph.tangent(t, self._rows(Y))).all() else self.tangent
+
+    def _rows(self, Y: ArrayLike) -> Array:
+        return np.asarray(Y, dtype=float).reshape(1 + self.k, self.n)
 
     def tangent(self, t: float, Y: ArrayLike) -> Array:
         """∂F/∂y S_j + ∂F/∂p_j in row j, of shape (k, m); Y (1 + k, n) has the rows y, S_1, S_2 and so on."""
-        rows = np.asarray(Y, dtype=float).reshape(1 + self.k, self.n)
+        rows = self._rows(Y)
         if self._graph is not None and self._dfdp is None:
-            return self._graph.tangent(t, rows)
+            found = self._graph.tangent(t, rows)
+            if np.isfinite(found).all():
+                return found
         return self.columns(t, rows[0], np.zeros(self.k), rows[1:], np.eye(self.k))
 
     def along(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
@@ -230,6 +236,24 @@ class Directional:
 
     def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
         """The same in c directions, dt (c,), dy (c, n) and dp (c, k), in rows: of shape (c, m)."""
+        with np.errstate(all="ignore"):  # what is not finite is looked at here
+            found = self._columns(t, y, dt, dy, dp)
+        return found if np.isfinite(found).all() else self._mended(found, t, y, dt, dy, dp)
+
+    def _mended(self, found: Array, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """The same with one-sided differences for entries that are not finite though F is, such as 0 · ∞ where a
+        formula is singular and the function is not. What these do not give stays as it is: there F has no derivative
+        along this direction, or is not defined."""
+        if self._sides is None:
+            self._sides = _Sides(self._evaluate, self.n)
+        found = found.copy()
+        for row, one in zip(found, zip(dt, dy, dp, strict=True), strict=True):
+            gaps = ~np.isfinite(row)
+            if gaps.any():
+                row[gaps] = self._sides(t, y, *one)[gaps]
+        return found
+
+    def _columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
         rest = dp if self._dfdp is None else np.zeros_like(dp)
         if self._graph is not None:
             found = self._graph.columns(t, y, dt, dy, rest)
@@ -249,7 +273,9 @@ class Directional:
     def transposed(self, t: float, y: Array, w: Array) -> Array:
         """(∂F/∂y)ᵀ w, then wᵀ ∂F/∂p_j for each parameter: of shape (n + k,)."""
         if self._graph is not None and self._dfdp is None:
-            return self._graph.transposed(t, y, w)
+            found = self._graph.transposed(t, y, w)
+            if np.isfinite(found).all():
+                return found
         return np.asarray(self.columns(t, y, *self._unit_directions) @ w)
 
     @cached_property
@@ -261,7 +287,9 @@ class Directional:
     def jacobian(self, t: float, y: Array) -> Array:
         """∂F/∂y, of shape (m, n)."""
         if self._graph is not None:
-            return self._graph.jacobian(t, y)
+            found = self._graph.jacobian(t, y)
+            if np.isfinite(found).all():
+                return found
         n = self.n
         return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
 
@@ -292,6 +320,11 @@ class Directional:
         """The same for Python, of (t, y)."""
         assert self._graph is not None
         return self._graph.branch(outputs)
+
+    def singular_at(self, t: float, y: Array) -> str | None:
+        """The operation of the formula of F that has no derivative at a point, with its argument, in words; None: there
+        is none, or no formula."""
+        return None if self._graph is None else self._graph.singular_at(t, y, self.names)
 
     def value(self, t: float, y: Array) -> Array:
         """F itself, of shape (m,)."""
@@ -396,6 +429,20 @@ class _OfGraph:
     def of_inputs(self, node: Node) -> bool:
         """See `Directional.of_inputs`."""
         return any(one.op == "p" and one.value < self._before for one in in_order([node]))
+
+    def singular_at(self, t: float, y: Array, names: Sequence[ParameterPlace]) -> str | None:
+        """See `Directional.singular_at`."""
+        nodes = [node for node in in_order(self.outputs) if singular_where(node) is not None]
+        zeros = [singular_where(node) for node in nodes]
+        if not nodes:
+            return None
+        with np.errstate(all="ignore"):
+            here = evaluated([one for one in zeros if one is not None])(t, y, self._numbers(t))
+        called = {at: one.name for at, one in zip(self._places, names, strict=True) if at is not None}
+        for node, is_there in zip(nodes, here, strict=True):
+            if is_there == 1:
+                return in_words(node, called)
+        return None
 
     def with_values(self, outputs: Sequence[Node], name: str) -> Any:
         """See `Directional.on_graph`."""
@@ -508,6 +555,43 @@ class _Evaluation:
         return as_python(to_native(self._name, self._fun, len(y), self.m, p), self.m)(t, y, p)
 
 
+class _Sides:
+    """Derivatives from one side, along a direction, by differences of three values: where a function is singular on
+    one side, or its formula is."""
+
+    def __init__(self, evaluate: _Evaluation, n: int) -> None:
+        self._evaluate, self._n = evaluate, n
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """The derivative along a direction, of shape (m,); NaN where there is none from either side."""
+        p = self._evaluate.p
+        x, direction = np.concatenate([[t], y, p]), np.concatenate([[dt], dy, dp])
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), np.where(p == 0, 1.0, np.abs(p))])
+        length = np.max(np.abs(direction) / size)
+        if length < np.finfo(float).tiny:
+            return np.zeros(self._evaluate.m or 0)
+        found, h = np.full(self._evaluate.m or 0, np.nan), INCREMENT / length
+        for side in (h, -h):
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                try:
+                    wide, narrow = (self._quotient(x, part * side * direction) / (part * side) for part in (1, _PART))
+                except (ValueError, ArithmeticError):  # F is not defined on this side
+                    continue
+                grows = ~(np.abs(narrow) <= _GROWTH * np.abs(wide))  # as it does where it is infinite
+                one = np.where(grows, np.nan, narrow)
+            found = np.where(np.isfinite(found), found, one)
+        return found
+
+    def _quotient(self, x: Array, step: Array) -> Array:
+        """The derivative along a step, by the parabola through three values."""
+        here, near, far = (self._values(x + part * step) for part in (0, 1, 2))
+        return np.asarray((4 * near - far - 3 * here) / 2)
+
+    def _values(self, x: Array) -> Array:
+        return self._evaluate(float(x[0]), x[1 : 1 + self._n], x[1 + self._n :]).astype(float)
+
+
 class _Steps:
     """Derivatives by complex steps, if these give what differences give; else by central differences."""
 
@@ -521,7 +605,7 @@ class _Steps:
         beside = np.append(0.0, direction[1:])
         beside[1 + self._n :] = 0
         works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
-        self.how = "complex-step" if works else "differences"
+        self.how = "complex step" if works else "differences"
 
     def _values(self, z: Array) -> Array:
         t, y, p = z[0], z[1 : 1 + self._n], z[1 + self._n :]
@@ -535,11 +619,11 @@ class _Steps:
         x, direction = np.concatenate([[t], y, self._evaluate.p]), np.concatenate([[dt], dy, dp])
         if not direction.any():
             return np.zeros(self._evaluate.m or 0)
-        if self.how == "complex-step":
+        if self.how == "complex step":
             with np.errstate(all="ignore"):
                 try:
                     return np.imag(self._values(x + 1j * TINY * direction)) / TINY
-                except _NOT_COMPLEX:  # here, where a branch compares numbers, or the like
+                except NOT_COMPLEX:  # here, where a branch compares numbers, or the like
                     pass
         size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
         h = INCREMENT / np.max(np.abs(direction) / size)

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ from .._functions.compiled import (
     native_parameters,
     to_native,
 )
-from .._functions.derivatives import somewhere, takes_complex
+from .._functions.derivatives import complex_steps_fit
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
@@ -314,9 +315,10 @@ def bind(
         if kind is None and forms is None:
             kind = "3-point"
         elif kind is None:
-            values_at = _Evaluations(forms, t, (p,) if is_native(one.fun) else args)
-            kind = "complex-step or 3-point" if _takes_complex(values_at, y, threshold) else "3-point"
-            evaluations += 0 if is_native(one.fun) else values_at.count
+            given = (p,) if is_native(one.fun) else args
+            fits, spent = complex_steps_fit(partial(_values_at, forms, t, given), y, threshold)
+            kind = "complex-step or 3-point" if fits else "3-point"
+            evaluations += 0 if is_native(one.fun) else spent
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
@@ -429,54 +431,9 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     return fun, at_start
 
 
-#: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
-SMALLEST_SCALE = 1e-250
-#: Fractions of the components' sizes at which g is tried if it is not defined farther away.
-_NEARER = (1e-2, 1e-4, 1e-6)
-
-
-class _Evaluations:
-    """g as a function of y, counting."""
-
-    def __init__(self, fun: Callable[..., Any], t: float, args: tuple[Any, ...]) -> None:
-        self._fun, self._t, self._args, self.count = fun, t, args, 0
-
-    def __call__(self, y: Array) -> Any:
-        self.count += 1
-        return self._fun(self._t, y, *self._args)
-
-
-def _takes_complex(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> bool:
-    """Does g take complex y, and does the derivative that this gives agree with differences?"""
-    if np.iscomplexobj(y):
-        return False
-    direction = somewhere(y, _sizes(y, threshold))
-    return takes_complex(values, y, direction, direction, _NEARER)
-
-
-def _sizes(y: Array, threshold: float | Array) -> Array:
-    """The sizes of the components, for increments: `take_sizes` of the core."""
-    size: Array = np.abs(y)
-    largest = size.max(initial=0)
-    if largest < SMALLEST_SCALE:
-        largest = 1.0
-    size = np.maximum(size, np.minimum(threshold, largest))
-    size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
-    return size
-
-
-def at_complex(fun: Any, m: int) -> Any:
-    """g for complex y; NaN where it cannot be evaluated there, so that the core switches to differences."""
-    if isinstance(fun, _core.Native):
-        return complex_form(fun)
-
-    def evaluate(t: float, y: Array, *args: Any) -> Any:
-        try:
-            return fun(t, y, *args)
-        except (TypeError, ValueError, ArithmeticError):
-            return [np.nan] * m
-
-    return evaluate
+def _values_at(fun: Callable[..., Any], t: float, args: tuple[Any, ...], y: Array) -> Any:
+    """g as a function of y alone."""
+    return fun(t, y, *args)
 
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:

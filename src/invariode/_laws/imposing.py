@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, overload
@@ -21,7 +22,8 @@ from .._base.arguments import (
     tolerances,
 )
 from .._base.types import Numbers, Points
-from .._problem.invariants import InvariantsLike, demanded_values, to_invariants
+from .._functions.compiled import is_native
+from .._problem.invariants import Invariants, InvariantsLike, demanded_values, to_invariants
 from .bound import BoundInvariants, bind
 
 
@@ -162,8 +164,8 @@ def impose(
             "sol.residual and plot_drift show where it rises"
         )
     if points.shape[1] == 0:
-        empty = np.zeros(0, dtype=int)
-        return ImposeResult(points, empty.astype(bool), np.zeros((0, 0)), empty)
+        empty, values = np.zeros(0, dtype=int), sum(_count_values(one, points, extra) for one in listed)
+        return ImposeResult(points, empty.astype(bool), np.zeros((values, 0)), empty)
     _, threshold, _ = tolerances(rtol, atol, points[:, 0])
     bound = bind(listed, float(times[0]), points[:, 0], extra, threshold)
     if value is not None:
@@ -177,6 +179,20 @@ def impose(
     if np.ndim(y) == 2:
         return result
     return ImposeResult(result.y[:, 0], bool(result.converged[0]), result.residual[:, 0], int(result.iterations[0]))
+
+
+def _count_values(one: Invariants, points: Array, args: tuple[Any, ...]) -> int:
+    """How many values an invariant has, of which no point tells: by its names or values, or what it returns for y = 1;
+    1 if it is not defined there."""
+    counts = [len(known) for known in (one.names, one.value) if known is not None]
+    if counts or is_native(one.fun):
+        return max(counts, default=1)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            return int(np.size(one.fun(0.0, np.ones(len(points), points.dtype), *args)))
+        except Exception:  # whatever the user's function raises there
+            return 1
 
 
 def _points(t: Any, y: ArrayLike) -> tuple[Array, Array]:

@@ -11,8 +11,7 @@ from numpy.exceptions import ComplexWarning
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, NativeWithInputs, complex_form, is_native
-from .._functions.derivatives import Comparison, compared, somewhere
-from .._laws.bound import at_complex
+from .._functions.derivatives import Comparison, at_complex, compared, somewhere
 
 #: Steps that were requested are refused only if they are wrong beyond doubt: by this many times the expected error.
 _TOLERANT = 10

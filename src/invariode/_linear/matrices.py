@@ -15,11 +15,12 @@ from scipy.sparse.linalg import splu
 
 from .. import _core
 from .._base.arguments import Array, warn
+from .._base.matrices import as_matrix
 from .._functions.compiled import NativeWithInputs, is_native, to_native
 from .._functions.graph.derived import Derived, derived, native
 from .._functions.layout import count_of
 from .._problem.bounds import Bounds
-from .._problem.matrices import Matrices, as_matrix, require_shape
+from .._problem.matrices import Matrices
 from .complex_steps import compiled_at_complex, python_at_complex
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
@@ -52,8 +53,7 @@ class _Storage:
 
     def values(self, name: str, given: Any) -> Any:
         """What a user gave, checked, as the core reads it: an array, or (starts, rows, values)."""
-        matrix = as_matrix(name, given, self.complex)
-        require_shape(name, matrix, self.given_shape, banded=self.kind == "banded")
+        matrix = as_matrix(name, given, self.given_shape, is_complex=self.complex, banded=self.kind == "banded")
         if self.kind == "sparse":
             return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
         dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
@@ -63,8 +63,7 @@ class _Storage:
 
     def mass_values(self, given: Any) -> Any:
         """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
-        matrix = as_matrix("mass", given, self.complex)
-        require_shape("mass", matrix, (self.n, self.n))
+        matrix = as_matrix("mass", given, (self.n, self.n), is_complex=self.complex)
         if self.kind != "banded":
             return self.values("mass", matrix)
         entries = sp.coo_array(matrix)
@@ -394,7 +393,7 @@ def _regular(A: sp.csc_array) -> bool:
 
 
 def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
-    pattern = sp.csc_array(as_matrix("jac_sparsity", given, is_complex) != 0).astype(float)
+    pattern = sp.csc_array(as_matrix("jac_sparsity", given, is_complex=is_complex) != 0).astype(float)
     # A complex f need not be analytic: real and imaginary parts may depend on both.
     return sp.csc_array(pattern * (1 + 1j)) if is_complex else pattern
 

@@ -119,8 +119,8 @@ class Stats(Record):
         Times at which f appears discontinuous and steps were rejected, in order. Each t is the first with the new value
         of f. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
     sensitivities : str or None
-        Of a run with `sensitivities`: how the derivatives of its functions were formed: 'graph' (exact, from their
-        expressions), 'given', 'complex-step' or 'differences'; of each function, if they differ.
+        Of a run with `sensitivities`: how the derivatives of its functions were formed: 'traced' (exact, from
+        their expressions), 'given', 'complex step' or 'differences'; of each function, if they differ.
     """
 
     steps: int

@@ -215,15 +215,16 @@ class Solution(Exports):
             A shape is wrong; or the run has neither a continuous solution nor checkpoints (which are not in files), no
             functions since it was loaded or unpickled, other steps when it is solved again from its checkpoints,
             several actions at one time, discontinuities of f together with a mass matrix, a singular mass matrix whose
-            null spaces depend on t, a `MechanicalSystem`, `Dissipated`, or complex y0 with a mass matrix.
+            null spaces depend on t or which couples a component at rest on a bound with others, a `MechanicalSystem`,
+            `Dissipated`, or complex y0 with a mass matrix.
 
         Notes
         -----
         Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
         the solution stays on the manifold and its sensitivities in the tangent space, so that only the tangential part
-        of ∂G/∂y enters the adjoint. At the time of an action, G depends on the state behind it. If f has conditions at
-        which it jumps, the problem is solved again to locate them. The end of the run counts as fixed, even if a
-        terminal event has determined it.
+        of ∂G/∂y enters the adjoint. The integral of λᵀ ∂f/∂p is in the error test of the backward run. At the time of
+        an action, G depends on the state behind it. If f has conditions at which it jumps, the problem is solved again
+        to locate them. The end of the run counts as fixed, even if a terminal event has determined it.
 
         Examples
         --------

@@ -6,12 +6,12 @@ For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t
     d/dp = μ(t_0)ᵀ ∂y0/∂p + ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt + ∂G/∂p
 
 (Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24, 2003, 1076-1089). y is that of the continuous
-solution. The integral is a quadrature over the steps of λ, so that the parameters are no unknowns of the run. If M is
-singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y + M')ᵀ λ − (∂g/∂y)ᵀ.
+solution. The integrals are quadratures in the same run: they are in its error test, since ∂f/∂p may change faster than
+λ does, and in no linear system. If M is singular, of index 1, λ is the unknown, Mᵀ λ' = −(∂f/∂y + M')ᵀ λ − (∂g/∂y)ᵀ.
 
 Where S⁺ = A S⁻ + B, at actions and where f jumps, μ⁻ = Aᵀ μ⁺, and Bᵀ μ⁺ is added to the gradient. There is a run
 backwards for each piece between breakpoints and such jumps. While a component rests at a bound its S is 0, which is
-such a jump where it arrives, and its equation has no part in the others.
+such a jump where it arrives, and its μ pulls nothing: μ' = −(∂f/∂y)ᵀ M⁻ᵀ D μ, D_ii = 0.
 
 Where a solution is held on invariants, costs go through the projection of its sensitivities (`adjoint_laws`). Functions
 that only fall move no exact solution, nor its sensitivities: what they correct is error, and λ does without them.
@@ -39,28 +39,28 @@ from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import Options
-from .._problem.parameters import ParameterName
+from .._problem.parameters import ParameterName, values_of
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
-from .actions import Rate
+from .actions import Rate, Weights
 from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import dense_mass
 from .call_errors import takes
 from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
-from .plan import Plan, make_plan, ordered_breakpoints
+from .plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
+from .variation_sizes import Sizes
 from .variations import Switching, followed, given_derivatives, require_possible
-from .walk import Walk
 
-#: Nodes and weights of the quadrature in each step of λ: of order 10, beyond which the continuous solution is not
-#: smooth.
-_GAUSS = np.polynomial.legendre.leggauss(5)
 #: The method of λ, where that of y takes some f only.
 _OF_ANY: MethodName = "dop853"
 #: Of the largest tolerance of λ, so that components on which nothing depends have one; and of a complex number, so that
 #: it is not taken as real.
 _LEAST_PART = 1e-8
+#: The part of p̄ ∂G/∂p, in units of G, whose relative error is the smallest that the quadratures control: below it, the
+#: integrand may be roundoff of terms that cancel.
+_LEAST_OF_G = 1e-3
 
 
 class CostFunctional(NamedTuple):
@@ -183,7 +183,7 @@ class _Adjoint:
         fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
-        self._rests = at_bounds(problem, self._sol, self._y)
+        self._rests = at_bounds(problem, self._sol, self._y, self._threshold)
         jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
@@ -331,16 +331,17 @@ class _Adjoint:
 
     def gradient(self, functional: CostFunctional) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
-        self._g = g = None
+        self._g = None
         self._total = functional.direct.astype(float)
         if functional.integrand is not None:
-            self._g = g = self._derivatives(functional.integrand, "integrand", m=1, moves_t=False)
+            self._g = self._derivatives(functional.integrand, "integrand", m=1, moves_t=False)
         t0, tf = self._problem.t_span[0], self._run.t
         states = self._y(functional.times)
         costs: dict[float, Array] = {}
         for t, cost in zip(functional.times.tolist(), functional.costs.T, strict=True):
             costs[t] = costs.get(t, 0) + cost
-        self._sizes = self._sizes_of(functional, states, g) if tf != t0 else np.ones(self.n)
+        if tf != t0:
+            self._weigh(functional, states)
         mu = np.zeros(self.n)
         for piece in reversed(self._pieces(t0, tf)):
             mu = self._across(piece, mu, costs)
@@ -350,11 +351,13 @@ class _Adjoint:
         return np.asarray(self._total + beside + mu @ self._start)
 
     def _pieces(self, t0: float, tf: float) -> list[_Piece]:
-        """The intervals between breakpoints and jumps, with the jumps at their ends."""
+        """The intervals between breakpoints, jumps and discontinuities that the run has found, with the jumps at their
+        ends."""
         forward = 1.0 if tf >= t0 else -1.0
         inside = (
             {one.t for one in self._breakpoints} | {one.t for one in self._jumps} | {one.end for one in self._rests}
         )
+        inside |= {t for t in self._sol.stats.discontinuities if forward * (tf - t) > 0}
         ends = sorted(inside - {t0} | {tf}, key=lambda t: forward * t)
         begins = [t0, *ends[:-1]]
         return [
@@ -428,42 +431,60 @@ class _Adjoint:
         self._total = self._total + beside
         return self._differential(jump.t, jump.before, mu)
 
-    def _sizes_of(self, functional: CostFunctional, states: Array, g: Directional | None) -> Array:
-        """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
-        changes within theirs together."""
-        t0, tf = self._problem.t_span[0], self._run.t
-        costs = [*zip(states.T, functional.costs.T, strict=True)]
+    def _weigh(self, functional: CostFunctional, states: Array) -> None:
+        """Finds which errors matter. μ: an error that changes G + ∫ g dt by as much as changes of all y within their
+        weights do together. Quadratures: what errors of the forward sensitivities within their tolerances add up to,
+        or where these are relative ones that part of the change of G with the parameter which the weights are of G."""
+        t0, tf, g = self._problem.t_span[0], self._run.t, self._g
+        costs = [*functional.costs.T]
         if g is not None:
             times = [t0, 0.5 * (t0 + tf), tf]
-            along = zip(times, self._y(times).T, strict=True)
-            costs += [(y, abs(tf - t0) / len(times) * g.jacobian(t, y)[0]) for t, y in along]
-        weights = np.array([self._weights(y) for y, _ in costs])
-        size = sum(float(w @ np.abs(cost)) for w, (_, cost) in zip(weights, costs, strict=True))
-        return np.asarray(size / weights.max(axis=0))
+            along = self._y(times)
+            costs += [abs(tf - t0) / len(times) * g.jacobian(t, y)[0] for t, y in zip(times, along.T, strict=True)]
+            states = np.hstack([states, along])
+        weights, shares = np.array([self._weights(y) for y in states.T]), np.abs(costs)
+        size = float((weights * shares).sum())
+        self._sizes = size / weights.max(axis=0)
+        problem, wanted = self._problem, self._problem.sensitivities
+        assert wanted is not None
+        of_y = Weights(float(np.max(self._sol._rtol)), self._threshold)
+        sizes = Sizes.of(wanted, self._names, of_y, problem.args)
+        values = values_of(problem.args, problem.y0, self._names)
+        forward = sizes.tolerances(problem.y0, values) @ shares.sum(axis=0)
+        least = _LEAST_OF_G * of_y.rtol * size / sizes.of_parameters(values, self.n)
+        self._of_quadratures = np.maximum(np.maximum(forward, least) / of_y.rtol, np.finfo(float).tiny)
+
+    def rates(self, piece: _Piece, s: float, mu: Array) -> Array:
+        """(∂f/∂y)ᵀ λ + (∂g/∂y)ᵀ, then λᵀ ∂f/∂p + ∂g/∂p for each parameter, of shape (n + k,), where μ, or λ if M is
+        singular, is this. Of components that rest at a bound y' is 0, whatever f is: their rows of μ pull nothing."""
+        n, t, g = self.n, piece.inside(s), self._g
+        y = self._y(t)
+        lam = piece.moving * mu if self._algebraic else self._multiplier(t, piece.moving * mu)
+        found = np.array(self._slope.transposed(t, y, lam))
+        found[:n][piece.moving == 0] = 0  # nothing depends on them, even where f has no derivative
+        if self._algebraic is not None and self._algebraic.moves:
+            found[:n] += self._mass_rate(t).T @ mu
+        if self._of_mass is not None:
+            found[n:] -= self._of_mass(t, y) @ lam
+        return found if g is None else found + g.transposed(t, y, np.ones(1))
 
     def _backwards(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
-        """μ, or λ if M is singular, at the beginning of a piece. It is solved for as a function of s = end − t, whose
-        smallest steps are shorter than those at the end."""
-        slope, solution, n, g = self._slope, self._y, self.n, self._g
+        """μ, or λ if M is singular, at the beginning of a piece; ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over the piece is counted.
+        They are solved for as functions of s = end − t, whose smallest steps are shorter than those at the end."""
+        slope, solution = self._slope, self._y
         singular = self._algebraic
         moves = singular is not None and singular.moves
-
-        def rate(s: float, mu: Array) -> Array:
-            t = piece.inside(s)
-            y = solution(t)
-            lam = mu if singular else self._multiplier(t, mu)
-            found = slope.transposed(t, y, piece.moving * lam)[:n]
-            if moves:
-                found = found + self._mass_rate(t).T @ lam
-            return found if g is None else found + g.jacobian(t, y)[0]
+        rates = _Rates(self, piece)
 
         def jacobian(s: float, mu: Array) -> Array:
             t = piece.inside(s)
-            found = slope.jacobian(t, solution(t)).T * piece.moving
+            found = np.array(slope.jacobian(t, solution(t)).T)
+            found[piece.moving == 0] = 0
             if singular is not None:
+                found = found * piece.moving
                 return np.asarray(found + self._mass_rate(t).T if moves else found)
             M = dense_mass(self._problem.matrices.mass, t, self._problem.args)
-            return found if M is None else np.linalg.solve(M, found.T).T
+            return (found if M is None else np.linalg.solve(M, found.T).T) * piece.moving
 
         def mass(s: float) -> Array:
             assert singular is not None
@@ -481,7 +502,7 @@ class _Adjoint:
             method, rtol = _OF_ANY, max(rtol, LEAST_RTOL)
         implicit = "jac" in about.options
         adjoint = Description(
-            rate,
+            rates.of_mu,
             (0.0, piece.end - piece.begin),
             mu,
             jac=jacobian if implicit else None,
@@ -489,43 +510,69 @@ class _Adjoint:
             name="the adjoint",
         )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
+        span = abs(self._run.t - self._problem.t_span[0])
         options: Options = {
             "rtol": rtol,
             "atol": np.maximum(atol, np.finfo(float).tiny),
             "keep": "end",
             "breakpoints": {s: (lambda s, mu, cost=cost: mu + cost) for s, cost in _summed(piece, costs).items()},
-            "max_step": np.inf,
+            "max_step": longest_step(self._run.options.get("max_step", np.inf), span),
         }
-        return self._walked(piece, make_plan(adjoint, method, options))
+        return self._carried_out(make_plan(adjoint, method, options), rates)
 
-    def _walked(self, piece: _Piece, plan: Plan) -> Array:
-        """μ at the end of its run, in which only the last step is kept; ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt is counted."""
-        walk = Walk(plan, plan.y0)
-        total = np.zeros(self.k)
-        while walk.state == "running":
-            s = walk.t
-            walk.step()
-            if walk.t != s:
-                total += self._integral(piece, walk.core.interpolant(), s, walk.t)
-        if walk.state != "reached_end":
-            raise SolveError(f"gradient: {walk.failure[1]}")
-        self._total = self._total + total
-        return walk.y
+    def _carried_out(self, plan: Plan, rates: _Rates) -> Array:
+        """μ at the end of its run. The quadratures of the gradient, which start from 0, are behind it."""
+        points = len(plan.functions.breakpoints)
+        quadratures = _core.Variations(
+            k=rates.blocks,
+            slope=rates.of_quadratures,
+            thresholds=rates.in_blocks(plan.tolerances.rtol * self._of_quadratures, fill=1.0),
+            breakpoints=[_unchanged] * points,
+            quadratures=True,
+        )
+        run = solver(plan, quadratures).integrate(np.concatenate([plan.y0, np.zeros(rates.blocks * self.n)]))
+        if run.state != "reached_end":
+            raise SolveError(f"gradient: {plan.verdict(run)[1]}")
+        self._total = self._total + run.end[self.n : self.n + self.k]
+        return np.array(run.end[: self.n])
 
-    def _integral(self, piece: _Piece, mu: _core.Dense, begin: float, end: float) -> Array:
-        """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt over a step."""
-        g = self._g
-        nodes, weights = _GAUSS
-        places = begin + 0.5 * (end - begin) * (1 + nodes)
-        parts = 0.5 * (end - begin) * weights
-        times = np.array([piece.inside(s) for s in places.tolist()])
-        total = np.zeros(self.k)
-        for t, part, y, here in zip(times.tolist(), parts, self._y(times).T, mu.evaluate(places, None), strict=True):
-            lam = here if self._algebraic else self._multiplier(t, here)
-            total += part * self._of_parameters(t, y, piece.moving * lam)
-            if g is not None:
-                total += part * g.transposed(t, y, np.ones(1))[self.n :]
-        return total
+
+def _unchanged(s: float, Y: Array, mu: Array) -> Array:
+    """The quadratures behind a cost, which adds to μ alone."""
+    return Y[1:]
+
+
+class _Rates:
+    """dμ/ds and the integrand λᵀ ∂f/∂p + ∂g/∂p of the gradient in a piece. One sweep gives both: the last one is kept.
+
+    The core integrates quadratures in blocks of n numbers, of which the last may have zeros at its end.
+    """
+
+    def __init__(self, about: _Adjoint, piece: _Piece) -> None:
+        self._about, self._piece = about, piece
+        self.blocks = -(-about.k // about.n)
+        self._last: tuple[float, Array, Array] | None = None
+
+    def of_mu(self, s: float, mu: Array) -> Array:
+        """(∂f/∂y)ᵀ λ + (∂g/∂y)ᵀ, of shape (n,)."""
+        return self._both(s, mu)[: self._about.n]
+
+    def of_quadratures(self, s: float, Y: Array) -> Array:
+        """The integrand, in blocks."""
+        return self.in_blocks(self._both(s, Y[0])[self._about.n :])
+
+    def in_blocks(self, values: Array, fill: float = 0.0) -> Array:
+        """k numbers in rows of n."""
+        found = np.full((self.blocks, self._about.n), fill)
+        found.ravel()[: self._about.k] = values
+        return found
+
+    def _both(self, s: float, mu: Array) -> Array:
+        if self._last is not None and self._last[0] == s and np.array_equal(self._last[1], mu):
+            return self._last[2]
+        found = self._about.rates(self._piece, s, mu)
+        self._last = s, mu.copy(), found
+        return found
 
 
 @dataclass

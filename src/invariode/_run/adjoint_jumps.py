@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._base.arguments import Array
+from .._base.arguments import EPS, Array
 from .._functions.directional import Directional
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
@@ -25,6 +25,7 @@ from .._problem.events import Event
 from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
 from .actions import Rate, is_at_root, restoration
+from .algebraic import Algebraic, dense_mass
 from .sections import SectionedSolution
 from .variations import Crossing, Switching, given_derivatives
 
@@ -133,6 +134,10 @@ class Action(NamedTuple):
 _SAME = 1e-6
 #: Relative differences of derivatives of times that are roundoff.
 _ALIKE = 1e-6
+#: Of M⁻¹ f, in units of its terms.
+_ROUNDOFF = 100 * EPS
+#: Of a component at a bound, in units of atol / rtol: `roundoff_at_bound` of the core.
+_AT_BOUND = 1e-13
 
 
 def _behind(one: Occurrence) -> Array:
@@ -355,21 +360,37 @@ class Rest(NamedTuple):
     end: float
 
 
-def at_bounds(problem: Description, sol: Result, y: DenseSolution | SectionedSolution) -> list[Rest]:
-    """When components are held at their bounds: between steps that end there, where f leads out of the bounds."""
-    if problem.bounds is None or not sol.stats.clipped:
+def at_bounds(
+    problem: Description, sol: Result, y: DenseSolution | SectionedSolution, threshold: float | Array
+) -> list[Rest]:
+    """When components are held at their bounds: between steps that end there, but for roundoff in units of the
+    threshold atol / rtol, where y' leads out of the bounds, or is 0 since they have come there.
+
+    Raises
+    ------
+    ValueError
+        A component is held that a singular mass matrix couples with others.
+    """
+    if problem.bounds is None:
         return []
+    near = _AT_BOUND * np.reshape(threshold, (-1, 1))
     found: list[Rest] = []
     since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
     for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
         states = y(t)
+        bounds = (-1, problem.bounds.lower), (1, problem.bounds.upper)
+        sides = [(side, np.abs(states - bound[:, None]) <= near) for side, bound in bounds]
         middle = 0.5 * (t[1:] + t[:-1])
-        outwards = np.sign(problem.slope(middle, y(middle))) * np.sign(t[-1] - t[0])
-        for side, bound in ((-1, problem.bounds.lower), (1, problem.bounds.upper)):
-            there = states == bound[:, None]
-            held = there[:, 1:] & there[:, :-1] & (outwards == side)
-            for i, row in enumerate(held):
+        if any(there.any() for _, there in sides):
+            outwards = _directions(problem, middle, y(middle)) * np.sign(t[-1] - t[0])
+        else:
+            outwards = np.full((len(states), len(middle)), np.nan)
+        for side, there in sides:
+            stays = there[:, 1:] & there[:, :-1]
+            for i, row in enumerate(stays & ((outwards == side) | (outwards == 0))):
                 before = since.pop((side, i), None)
+                if t[0] == problem.t_span[0]:  # nothing has come to a bound yet
+                    row &= np.maximum.accumulate(~stays[i] | (outwards[i] == side))
                 if before is not None and not row[0]:
                     found.append(Rest(i, before, float(t[0])))
                 edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]])))
@@ -379,4 +400,42 @@ def at_bounds(problem: Description, sol: Result, y: DenseSolution | SectionedSol
                         since[side, i] = begin
                     else:
                         found.append(Rest(i, begin, float(t[b])))
-    return found + [Rest(i, begin, sol.t_end) for (_, i), begin in since.items()]
+    found += [Rest(i, begin, sol.t_end) for (_, i), begin in since.items()]
+    for rest in found:
+        _require_uncoupled(problem, rest)
+    return found
+
+
+def _directions(problem: Description, times: Array, states: Array) -> Array:
+    """The signs of y', of shape (n, n_t): 0 where M⁻¹ f is roundoff of its terms. Of a singular M, f_i M_ii stands for
+    y_i', as in the core; NaN of algebraic components."""
+    slopes = problem.slope(times, states)
+    mass, found = problem.matrices.mass, np.empty_like(slopes)
+    inverse: Array | None = None
+    singular = False
+    for k, t in enumerate(times.tolist()):
+        if inverse is None or callable(mass):
+            M = dense_mass(mass, t, problem.args)
+            if M is None:
+                return np.sign(slopes)
+            singular = Algebraic.of(M) is not None
+            inverse = np.diag(np.diag(M)) if singular else np.linalg.inv(M)
+        f = slopes[:, k]
+        rate = inverse @ f
+        found[:, k] = np.where(np.abs(rate) <= _ROUNDOFF * (np.abs(inverse) @ np.abs(f)), 0, np.sign(rate))
+        if singular:
+            found[np.diag(inverse) == 0, k] = np.nan
+    return found
+
+
+def _require_uncoupled(problem: Description, rest: Rest) -> None:
+    """The equation of a component at rest is that of its own row, which a singular M must not share."""
+    M, i = dense_mass(problem.matrices.mass, rest.begin, problem.args), rest.component
+    if M is None or Algebraic.of(M) is None:
+        return
+    others = np.arange(len(M)) != i
+    if M[i, others].any() or M[others, i].any():
+        raise ValueError(
+            f"gradient: component {i} rests at a bound from t = {rest.begin:.6g}, and the singular mass matrix couples "
+            "it with others: use sensitivities=, or write its equation with a mass matrix that has its own row"
+        )

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
+from .._base.matrices import as_matrix
 from .._functions.directional import Directional, Point
 from .._functions.layout import with_numbers
 from .._problem.description import Description
-from .._problem.matrices import as_matrix
 from .._problem.parameters import ParameterName, values_of
 from .algebraic import Algebraic, dense_mass
 
@@ -133,13 +133,11 @@ def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
         return False
     own = [one for one in names if one.kind == "args"]
     times = _some_times(problem)
-    here = [as_matrix("mass", mass(t, *args), False) for t in times]
+    here = [as_matrix("mass", mass(t, *args)) for t in times]
     for one, value in zip(own, values_of(args, problem.y0, own).tolist(), strict=True):
         changed = value * (1 + _CHANGE) if value else _CHANGE
         others = with_numbers(args, {one.index: {one.item or 0: changed}})
-        if any(
-            abs(as_matrix("mass", mass(t, *others), False) - M).max() != 0 for t, M in zip(times, here, strict=True)
-        ):
+        if any(abs(as_matrix("mass", mass(t, *others)) - M).max() != 0 for t, M in zip(times, here, strict=True)):
             return True
     return False
 
@@ -149,7 +147,7 @@ def moves_in_time(problem: Description) -> bool:
     mass = problem.matrices.mass
     if not callable(mass):
         return False
-    first, *others = (as_matrix("mass", mass(t, *problem.args), False) for t in _some_times(problem))
+    first, *others = (as_matrix("mass", mass(t, *problem.args)) for t in _some_times(problem))
     return any(abs(one - first).max() != 0 for one in others)
 
 

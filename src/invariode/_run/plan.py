@@ -236,7 +236,7 @@ class Plan(NamedTuple):
         status, message = self._verdict(run)
         if self.varied is None or run.component < self.functions.n:
             return status, message
-        return status, self.varied.in_words(message, run.component)
+        return status, self.varied.in_words(message, run)
 
     def _verdict(self, run: _core.Run) -> tuple[int, str]:
         if self.watch is not None and (objection := self.watch.objection) is not None:
@@ -294,8 +294,9 @@ def say_established(
         warn(f"{method}: {discontinuous(discontinuities)}", DiscontinuityWarning)
 
 
-def solver(plan: Plan) -> _core.Solver:
-    """The plan handed to the core: a solver with functions of its own."""
+def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Solver:
+    """The plan handed to the core: a solver with functions of its own. `quadratures`: integrals that the run computes
+    behind y, of a plan without sensitivities."""
     functions = plan.functions
     problem = _core.Problem(
         n=functions.n,
@@ -312,7 +313,7 @@ def solver(plan: Plan) -> _core.Solver:
         value=functions.value,
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
-        variations=None if plan.varied is None else plan.varied.for_core,
+        variations=quadratures if plan.varied is None else plan.varied.for_core,
         **({} if plan.expansion is None else plan.expansion.for_core()),
     )
     settings = _core.Settings(plan.settings)

@@ -44,8 +44,12 @@ class Sizes(NamedTuple):
 
     def tolerances(self, y0: Array, values: Array) -> Array:
         """Those of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
-        scale = self.wanted.sizes(self.names, self._default(np.abs(values), y0.shape[-1]))
+        scale = self.of_parameters(values, y0.shape[-1])
         return np.ascontiguousarray(self._of_state(y0)[..., None, :] / scale[..., None])
+
+    def of_parameters(self, values: Array, n: int) -> Array:
+        """The sizes of the parameters, of the shape (..., k) of their values."""
+        return self.wanted.sizes(self.names, self._default(np.abs(values), n))
 
     def in_rows(self, y0: Array, numbers: Array) -> Array:
         """The same for rows of initial values, and of the numbers of the arguments."""

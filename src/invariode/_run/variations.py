@@ -51,6 +51,8 @@ class Variations:
         What the tolerances of S follow from.
     for_core : _core.Variations
         What the core takes.
+    slope : callable or machine code
+        (t, Y) -> f_y S_j + f_pj, as the core calls it.
     tangents : list
         (t, Y) -> G S_j + g_pj of each invariant.
     how : dict
@@ -77,6 +79,7 @@ class Variations:
     start: Array
     sizes: Sizes
     for_core: _core.Variations
+    slope: Any
     tangents: list[Any]
     how: dict[str, str]
     times: list[EventTime]
@@ -87,11 +90,6 @@ class Variations:
     follows_jumps: bool
     derivatives_of: list[Directional]
     is_complex: bool = False
-
-    @property
-    def slope(self) -> Any:
-        """(t, Y) -> f_y S_j + f_pj, as the core calls it."""
-        return self.derivatives_of[0].for_core
 
     @property
     def own_to_each(self) -> str | None:
@@ -159,12 +157,26 @@ class Variations:
                 AccuracyWarning,
             )
 
-    def in_words(self, message: str, component: int) -> str:
+    def in_words(self, message: str, run: _core.Run) -> str:
         """A message about a component of Y behind y."""
         pairs = 1 + self.is_complex
-        n, component = self.start.shape[1] // pairs, component // pairs
+        n, component = self.start.shape[1] // pairs, run.component // pairs
         j, i = divmod(component - n, n)
+        if run.state == "start_undefined":  # f itself is finite there
+            return self._undefined(run.t_end, np.ascontiguousarray(run.end[: n * pairs]), i, self.names[j])
         return message.replace(f"omponent {component}", f"omponent {i} of the sensitivity to {self.names[j]}", 1)
+
+    def _undefined(self, t: float, y: Array, i: int, name: str) -> str:
+        """That f has no derivative at a point, from which a run cannot go on."""
+        slope = self.derivatives_of[0]
+        where = slope.singular_at(t, y)
+        expression = "" if where is None else f": {where} has none"
+        return (
+            f"fun is finite at t = {t}, but its derivative in the equation of the sensitivity of component {i} to "
+            f"{name} is NaN or infinite there{expression} (formed: {slope.how}). Sensitivities do not exist beyond a "
+            "point where fun is not differentiable along the solution; where they do, write the formula without the "
+            "singularity, or give jac and Sensitivities(dfdp=...)"
+        )
 
     def at_events(self, happened: Sequence[tuple[Array, Array]], n: int) -> AtEvents:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
@@ -202,12 +214,11 @@ def make_variations(
     wanted = problem.sensitivities
     assert wanted is not None
     t0, args, n = problem.t_span[0], problem.args, len(y0)
-    at = Point(t0, y0)
-    about = _Derivatives(args, names, n, at)
+    about = _Derivatives(args, names, n, Point(t0, y0))
     fun, given = given_derivatives(problem, names)
     slope = about.of(fun, "fun", m=n, given=given)
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
-        require_analytic(slope, at, of_start[0])
+        require_analytic(slope, about.at, of_start[0])
     laws = [
         about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
         for one, spec in zip(problem.invariants, specs, strict=True)
@@ -221,23 +232,26 @@ def make_variations(
     parameters = Parameters.of(args)
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
-    tangents = [form(law.for_core, complex_values=False) for law in laws]
+    start = np.ascontiguousarray(wanted.start(names, args, n).T)
+    whole = np.vstack([y0, start])
+    tangents = [form(law.for_core(t0, whole), complex_values=False) for law in laws]
+    slope_for_core = slope.for_core(t0, whole)
     for_core = _core.Variations(
         k=len(names),
-        slope=form(slope.for_core if mass is None else WithMass(slope, mass)),
+        slope=form(slope_for_core if mass is None else WithMass(slope, mass)),
         thresholds=measure.tolerances(y0, values_of(args, sizes, names)),
         invariants=tangents,
         jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
         breakpoints=[form(one) for one in doses],
         error_test=wanted.error_test,
     )
-    start = np.ascontiguousarray(wanted.start(names, args, n).T)
     about.tell()
     return Variations(
         names=[one.name for one in names],
         start=start,
         sizes=measure,
         for_core=for_core,
+        slope=slope_for_core,
         tangents=tangents,
         how=about.how,
         times=times,

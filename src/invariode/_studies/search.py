@@ -236,7 +236,7 @@ class _Search:
             with quietly():
                 sol = solve_ivp(self._fun, self._t_span, y0, "ode113", max_steps=_MOST_STEPS, **options)
                 if not sol.success:
-                    sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
+                    sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", max_steps=_MOST_STEPS, **options)
         except (ArithmeticError, ValueError) as error:  # outside the domain of f, as a perturbed start may be
             self._note(error)
             return None

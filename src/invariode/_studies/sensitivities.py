@@ -35,7 +35,7 @@ class SensitivityReport:
     compared : list of str
         The supplied derivatives that were compared: 'jac', 'dfdp', 'dy0dp'.
     derivatives : str
-        The reference: 'graph' (exact, from expressions), 'complex-step' or 'differences'.
+        The reference: 'traced' (exact, from expressions), 'complex step' or 'differences'.
     findings : list of str
         A description of each wrong entry; empty if there are none.
     ok : bool
@@ -92,7 +92,7 @@ def check_sensitivities(
     ...     return [-rate * y[0]]
     >>> wrong = iv.Sensitivities(dfdp=lambda t, y, rate: [[y[0]]])
     >>> iv.check_sensitivities(iv.Problem(decay, (0, 1), [1.0], args=(2.0,), sensitivities=wrong))
-    parameters rate: dfdp compared (graph)
+    parameters rate: dfdp compared (traced)
     dfdp[0, 0], of rate, is 1 at t = 0; expected -1
     """
     wanted = getattr(problem, "sensitivities", None)

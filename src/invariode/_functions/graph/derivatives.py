@@ -1,6 +1,11 @@
 """Derivatives of graphs: exact, with the nodes of the graph itself.
 
 A row maps the number of a variable to a node; the derivative with respect to a variable that is not in it is zero.
+
+The factor of an operation may be infinite where its value is not, such as 1 / (2 √a) at a = 0. There a product with a
+derivative of a that is 0 is 0: √(x² + y²) has the derivative 0 at x = y = 0, and √h one along directions in which h
+stays 0. The condition names the singular point too, not only the factor 0: elsewhere the product is a plain one, which
+has derivatives and a Taylor series of its own.
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ def gradient(output: Node, variables: Sequence[Node]) -> Row:
     places = {variable: i for i, variable in enumerate(variables)}
     depends = _dependent(nodes, places)
     factors: dict[Node, Node] = {output: output.graph.node(1.0)}
+    singular = _singular_above(nodes, depends)
     row: Row = {}
     for node in reversed(nodes):
         if node not in factors:
@@ -43,9 +49,33 @@ def gradient(output: Node, variables: Sequence[Node]) -> Row:
             continue
         for argument, slope in zip(node.arguments, _slopes(node, depends), strict=True):
             if slope is not None:
-                term = slope(factors[node])
+                term = _backwards(slope, factors[node], singular.get(node))
                 factors[argument] = factors[argument] + term if argument in factors else term
     return row
+
+
+def _singular_above(nodes: Sequence[Node], depends: set[Node]) -> dict[Node, Node]:
+    """Of each argument, near or far, of operations that may be singular: the condition that one of them is."""
+    found: dict[Node, Node] = {}
+    for node in reversed(nodes):
+        above, here = found.get(node), singular_where(node)
+        condition = here if above is None else above if here is None else here.graph.make("or", above, here)
+        for argument in node.arguments:
+            if condition is not None and argument in depends:
+                known = found.get(argument)
+                if known is None or known is condition:
+                    found[argument] = condition
+                else:
+                    found[argument] = condition.graph.make("or", known, condition)
+    return found
+
+
+def _backwards(slope: Callable[[Node], Node], factor: Node, singular: Node | None) -> Node:
+    """The factor of an argument, of that of its operation, which may be infinite where the condition holds."""
+    if singular is None:
+        return slope(factor)
+    own = slope(factor.graph.node(1.0))
+    return slope(factor) if own.op == "number" else _unless_zero(singular, own, factor)
 
 
 def tangent(outputs: Sequence[Node], direction: Mapping[Node, Node]) -> list[Node]:
@@ -148,12 +178,50 @@ def _slopes(node: Node, depends: set[Node]) -> list[Slope]:
 
 
 def _times(factor: Node) -> Callable[[Node], Node]:
-    return lambda inner: factor * inner
+    mask = _mask(factor)
+    return (lambda inner: factor * inner) if mask is None else mask
 
 
-def _over(divisor: Node) -> Callable[[Node], Node]:
-    """By one quotient for all variables."""
-    return _times(1.0 / divisor)
+def _mask(factor: Node) -> Callable[[Node], Node] | None:
+    """The product with 1 where a condition holds, or does not, and 0 elsewhere: a choice, so that what is masked may
+    be infinite. None: the factor is something else."""
+    if factor.op != "select":
+        return None
+    condition, *branches = factor.arguments
+    zero = factor.graph.node(0.0)
+    if branches == [zero.graph.node(1.0), zero]:
+        return lambda inner: inner.graph.select(condition, inner, zero)
+    if branches == [zero, zero.graph.node(1.0)]:
+        return lambda inner: inner.graph.select(condition, zero, inner)
+    return None
+
+
+def singular_where(node: Node) -> Node | None:
+    """Where the factors of an operation may be infinite though its value is not, as a condition; None: nowhere."""
+    if node.op not in _INFINITE_WHERE:
+        return None
+    zero_there = _INFINITE_WHERE[node.op](node, *node.arguments)
+    return None if zero_there is None else node.graph.make("equal", zero_there, node.graph.node(0.0))
+
+
+def _unless_zero(singular: Node, own: Node, other: Node) -> Node:
+    """own · other; 0 where the condition holds and `own` is 0."""
+    graph = own.graph
+    zero = graph.node(0.0)
+    return graph.select(graph.make("and", singular, graph.make("equal", own, zero)), zero, other * own)
+
+
+def _guarded(node: Node, factor: Node) -> Callable[[Node], Node]:
+    """The product with the factor of an operation that may be infinite."""
+    singular = singular_where(node)
+    if singular is None:
+        return _times(factor)
+    return lambda inner: factor * inner if inner.op == "number" else _unless_zero(singular, inner, factor)
+
+
+def _over(divisor: Node, node: Node | None = None) -> Callable[[Node], Node]:
+    """By one quotient for all variables. `node`: the operation, if its factor may be infinite."""
+    return _times(1.0 / divisor) if node is None else _guarded(node, 1.0 / divisor)
 
 
 def _divide(v: Node, a: Node, b: Node) -> list[Slope]:
@@ -162,13 +230,36 @@ def _divide(v: Node, a: Node, b: Node) -> list[Slope]:
 
 
 def _power(v: Node, a: Node, b: Node) -> list[Slope]:
+    """aᵇ log a is 0 where aᵇ is: at a = 0 with b > 0."""
     graph = v.graph
-    return [_times(b * graph.power(a, b - 1.0)), lambda inner: v * graph.elementary("log", a) * inner]
+    rate = v * graph.elementary("log", a)
+    if a.op != "number" or a.value == 0:
+        rate = graph.select(graph.make("equal", v, graph.node(0.0)), graph.node(0.0), rate)
+    return [_guarded(v, b * graph.power(a, b - 1.0)), _times(rate)]
 
 
 def _atan2(v: Node, y: Node, x: Node) -> list[Slope]:
     square = x * x + y * y
-    return [_times(x / square), _times(-(y / square))]
+    return [_guarded(v, x / square), _guarded(v, -(y / square))]
+
+
+def _hypot(v: Node, a: Node, b: Node) -> list[Slope]:
+    """0 at a = b = 0, where the length has its minimum."""
+    graph = v.graph
+    there, zero = graph.make("equal", v, graph.node(0.0)), graph.node(0.0)
+    return [_times(graph.select(there, zero, one / v)) for one in (a, b)]
+
+
+#: What is 0 where a factor may be infinite, of (value, *arguments).
+_INFINITE_WHERE: dict[str, Callable[..., Node | None]] = {
+    "sqrt": lambda v, a: v,
+    "cbrt": lambda v, a: v,
+    "power": lambda v, a, b: None if b.op == "number" and b.value >= 1 else a,
+    "atan2": lambda v, y, x: x * x + y * y,
+    "asin": lambda v, a: 1.0 - a * a,
+    "acos": lambda v, a: 1.0 - a * a,
+    "acosh": lambda v, a: a - 1.0,
+}
 
 
 def _call(name: str) -> Callable[[Node], Node]:
@@ -185,30 +276,30 @@ _RULES: dict[str, Callable[..., list[Slope]]] = {
     "negate": lambda v, a: [lambda x: -x],
     "power": _power,
     "atan2": _atan2,
-    "hypot": lambda v, a, b: [_times(a / v), _times(b / v)],
+    "hypot": _hypot,
     "modulo": lambda v, a, b: [lambda x: x, _times(-v.graph.make("floor", a / b))],
     "abs": lambda v, a: [_times(v.graph.make("sign", a))],
-    "sqrt": lambda v, a: [_over(v + v)],
+    "sqrt": lambda v, a: [_over(v + v, v)],
     "exp": lambda v, a: [_times(v)],
     "log": lambda v, a: [_over(a)],
     "sin": lambda v, a: [_times(_cos(a))],
     "cos": lambda v, a: [_times(-_sin(a))],
     "tan": lambda v, a: [_times(v * v + 1.0)],
-    "asin": lambda v, a: [_over(_sqrt(1.0 - a * a))],
-    "acos": lambda v, a: [_over(-_sqrt(1.0 - a * a))],
+    "asin": lambda v, a: [_over(_sqrt(1.0 - a * a), v)],
+    "acos": lambda v, a: [_over(-_sqrt(1.0 - a * a), v)],
     "atan": lambda v, a: [_over(a * a + 1.0)],
     "sinh": lambda v, a: [_times(_cosh(a))],
     "cosh": lambda v, a: [_times(_sinh(a))],
     "tanh": lambda v, a: [_times(1.0 - v * v)],
     "asinh": lambda v, a: [_over(_sqrt(a * a + 1.0))],
-    "acosh": lambda v, a: [_over(_sqrt(a - 1.0) * _sqrt(a + 1.0))],
+    "acosh": lambda v, a: [_over(_sqrt(a - 1.0) * _sqrt(a + 1.0), v)],
     "atanh": lambda v, a: [_over(1.0 - a * a)],
     "expm1": lambda v, a: [_times(v + 1.0)],
     "log1p": lambda v, a: [_over(a + 1.0)],
     "log10": lambda v, a: [_over(a * math.log(10))],
     "log2": lambda v, a: [_over(a * math.log(2))],
     "exp2": lambda v, a: [_times(v * math.log(2))],
-    "cbrt": lambda v, a: [_over(v * v * 3.0)],
+    "cbrt": lambda v, a: [_over(v * v * 3.0, v)],
     "erf": lambda v, a: [_times(2 / math.sqrt(math.pi) * _exp(-(a * a)))],
     "erfc": lambda v, a: [_times(-2 / math.sqrt(math.pi) * _exp(-(a * a)))],
 }

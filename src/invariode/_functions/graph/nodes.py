@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 #: Functions of one number: Python's, from `math`.
@@ -199,6 +199,24 @@ class Graph:
         flat = [entry for rows in (matrix, right) for row in rows for entry in row]
         system = self.make("solve", *flat, value=(k, m))
         return [[self.make("entry", system, value=i * m + j) for j in range(m)] for i in range(k)]
+
+
+#: Longer expressions are named by their operation alone.
+_LONGEST = 60
+
+
+def in_words(node: Node, parameters: Mapping[int, str]) -> str:
+    """An expression as users would write it, with these names of parameters."""
+    if node.op == "number":
+        return f"{node.value:g}"
+    if node.op == "p":
+        return parameters.get(node.value, f"p[{node.value}]")
+    if node.op in ("t", "y"):
+        return "t" if node.op == "t" else f"y[{node.value}]"
+    inside = [in_words(one, parameters) for one in node.arguments]
+    symbol = ARITHMETIC.get(node.op) or COMPARISONS.get(node.op) or {"power": "**"}.get(node.op)
+    found = f"({f' {symbol} '.join(inside)})" if symbol and len(inside) == 2 else f"{node.op}({', '.join(inside)})"
+    return found if len(found) <= _LONGEST else f"{node.op}(...)"
 
 
 def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], list[int]]:

@@ -285,7 +285,10 @@ def _scalar(node: Any) -> Any:
 
 
 def mapped(function: Callable[..., Any], *cells: Any) -> Any:
-    found = np.frompyfunc(function, len(cells), 1)(*cells)
+    """A function of nodes over arrays of them, broadcast. Python folds numbers such as log 0 on its way, which sets the
+    processor's flags: they say nothing about the user's function."""
+    with np.errstate(all="ignore"):
+        found = np.frompyfunc(function, len(cells), 1)(*cells)
     return found if isinstance(found, np.ndarray) else _scalar(found)
 
 

@@ -16,7 +16,7 @@ from ..._problem.options import Options
 from .likelihood import Model, to_model
 from .result import Fit
 from .search import LOSSES, Found, NoStartError, search, start_points
-from .uncertainty import uncertainty
+from .uncertainty import Uncertainty, uncertainty, unknown_uncertainty
 
 
 @public
@@ -123,10 +123,21 @@ def fit(
         raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
     points = start_points(model, positive_integer("starts", starts), seed)
     best, ends = _best(_searched(model, points, loss, positive_integer("workers", workers)))
-    known = uncertainty(model, best)
+    known = _uncertainty(model, best)
     found = Fit(model, best, known, loss, ends)
     _tell(found)
     return found
+
+
+def _uncertainty(model: Model, found: Found) -> Uncertainty:
+    """How well the best parameters are determined: NaN, with a warning, if that cannot be computed. The search may have
+    taken hours, and its result does not depend on it."""
+    try:
+        return uncertainty(model, found)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        warn(f"fit: the standard errors could not be computed ({reason}), and are NaN")
+        return unknown_uncertainty(len(model.space.free))
 
 
 class _End(NamedTuple):

@@ -14,10 +14,8 @@ import numpy as np
 from ..._base.arguments import Array, choice, flag, items, number, shown
 from ..._base.public import public
 from ..._base.suggestions import meant
-from .priors import Prior, PriorLike, check_complex_steps, to_prior
-
-#: Complex increment of the derivatives of ties: its square vanishes against 1.
-_TINY = 1e-40
+from ..._functions.derivatives import OfNumbers
+from .priors import Prior, PriorLike, to_prior
 
 
 @public
@@ -195,25 +193,16 @@ class _Tied:
     """A function of other parameters, each of them the place of a free one or fixed."""
 
     def __init__(self, name: str, function: Callable[..., float], sources: Sequence[int | _Fixed]) -> None:
-        self.name, self._function, self._sources = name, function, sources
-        self._checked = False
+        self._sources, self._derivatives = sources, OfNumbers(f"equals of {name}", function)
 
     def value_and_slope(self, free: Array) -> tuple[float, Array]:
-        """Its value, and its derivatives with respect to the free parameters by complex steps."""
+        """Its value, and its derivatives with respect to the free parameters."""
         at = np.array([one.value if isinstance(one, _Fixed) else free[one] for one in self._sources])
-        value = number(f"the value of {self.name}", self._function(*at))
-        if not self._checked:
-            self._check(at)
-        slope = np.zeros(len(free))
-        for place, step in zip(self._sources, np.eye(len(at)) * _TINY * 1j, strict=True):
+        value, slope = self._derivatives.value(at), np.zeros(len(free))
+        for place, one in zip(self._sources, self._derivatives.slopes(at).tolist(), strict=True):
             if not isinstance(place, _Fixed):
-                slope[place] += complex(self._function(*(at + step))).imag / _TINY
+                slope[place] += one
         return value, slope
-
-    def _check(self, at: Array) -> None:
-        """Check the derivatives by complex steps against finite differences."""
-        check_complex_steps(f"equals of {self.name}", lambda z: self._function(*z), at)
-        self._checked = True
 
 
 class Local(NamedTuple):

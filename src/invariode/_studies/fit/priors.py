@@ -9,12 +9,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from ..._base.arguments import choice, items, number, shown
-from ..._functions.derivatives import compared
-
-#: Complex increment of derivatives: its square vanishes against 1.
-_TINY = 1e-40
-#: By how much complex steps and differences may disagree, in units of the error of the differences.
-_TOLERANT = 10
+from ..._functions.derivatives import OfNumbers
 
 PriorLike: TypeAlias = (
     tuple[float, float] | tuple[Literal["normal", "lognormal"], float, float] | Callable[[Any], Any] | None
@@ -86,38 +81,12 @@ class Residual:
     size = 0.0
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
-        self._function = function
-        self._checked = False
+        self._derivatives = OfNumbers("a prior", function)
 
     def at(self, value: float) -> At:
-        """The prior at a value; its derivative is by a complex step."""
-        found = number("the value of a prior", self._function(value))
-        if not self._checked:
-            self._check(value)
-        slope = complex(self._function(value + _TINY * 1j)).imag / _TINY
-        return At(found, slope)
-
-    def _check(self, value: float) -> None:
-        check_complex_steps("a prior", lambda z: self._function(z[0]), np.array([value]))
-        self._checked = True
-
-
-def check_complex_steps(called: str, function: Callable[..., Any], at: Any) -> None:
-    """That complex steps give the derivatives of a function of numbers.
-
-    Raises
-    ------
-    ValueError
-        They do not.
-    """
-    found = compared(lambda z: np.array([function(z)]), at, np.where(at == 0, 1.0, np.abs(at)))
-    if found is None:
-        return  # not defined around this point
-    if isinstance(found.stepped, Exception) or not found.agree(_TOLERANT).all():
-        raise ValueError(
-            f"{called} must take complex numbers, for its derivatives: use NumPy's functions in place of math's, and "
-            "no abs"
-        )
+        """The prior at a value."""
+        at = np.array([value])
+        return At(self._derivatives.value(at), float(self._derivatives.slopes(at)[0]))
 
 
 def to_prior(given: Any, log: bool) -> Prior | None:

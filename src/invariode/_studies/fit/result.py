@@ -58,8 +58,9 @@ class Fit:
         as data, or more. Standard errors are then infinite unless sigma is known.
     reduced_chi_squared : float
         The sum of squares of the residuals in units of sigma, divided by `degrees_of_freedom`: about 1 if sigma is
-        right. NaN without degrees of freedom, and with a `loss` other than "linear", with which outliers would dominate
-        it.
+        right. Of data without sigma, in their own unit: the square of `sigma`, the estimate; that is so for relative
+        ones too. NaN without degrees of freedom, and with a `loss` other than "linear", with which outliers would
+        dominate it.
     sigma : float or None
         The estimate, from the residuals, of an unknown sigma, or of the factor of relative ones; NaN without degrees
         of freedom, None if sigma is known.
@@ -119,7 +120,8 @@ class Fit:
     @property
     def reduced_chi_squared(self) -> float:
         degrees = self.degrees_of_freedom if self._loss == "linear" else 0
-        return float(np.sum(self._found.at.residuals**2)) / degrees if degrees else math.nan
+        unit = self._model.unit if self._model.relative else 1.0
+        return unit**2 * float(np.sum(self._found.at.residuals**2)) / degrees if degrees else math.nan
 
     @property
     def sigma(self) -> float | None:

@@ -41,6 +41,12 @@ class Uncertainty(NamedTuple):
     degrees: float
 
 
+def unknown_uncertainty(k: int) -> Uncertainty:
+    """What is said of k parameters if nothing could be computed."""
+    nothing = np.full((k, k), np.nan)
+    return Uncertainty(nothing, nothing.copy(), [], [], math.inf)
+
+
 def uncertainty(model: Model, found: Found) -> Uncertainty:
     """That of the best parameters."""
     space, at = model.space, found.at
@@ -117,7 +123,7 @@ def _inverse(rows: Array, part: float) -> tuple[Array, list[list[int]]]:
     lengths = np.linalg.norm(rows, axis=0)
     zero = lengths == 0
     scaled = rows / np.where(zero, 1.0, lengths)
-    _, sizes, directions = np.linalg.svd(scaled, full_matrices=True)
+    _, sizes, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=True)  # of k columns, not N rows
     sizes = np.concatenate([sizes, np.zeros(len(directions) - len(sizes))])
     open_ = sizes <= part * sizes.max(initial=0.0)
     kept = directions[~open_] / sizes[~open_, None]
