@@ -29,7 +29,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty()),
       initial_checks_(manifold_, weights, settings_, report_),
-      breaks_(std::move(functions.breakpoints), functions.piece, settings_.tf),
+      breaks_(std::move(functions.breakpoints), std::move(functions.landings), functions.piece, settings_.tf, forward_),
       limits_(settings_),
       stiffness_(weights),
       discontinuities_(functions.f, weights),
@@ -451,6 +451,14 @@ bool Integration::take(Callback& action, Callback& jump) {
   return all_finite(y0_.data(), n_) || end(State::action_undefined);
 }
 
+/// The sensitivities behind a landing, whose time depends on parameters; y goes on.
+bool Integration::take_landing() {
+  double* y_after = std::copy(y0_.begin(), y0_.end(), before_.data());
+  std::copy_n(y0_.data(), extent_.n, y_after);
+  if (!unless_stopped(breaks_.landing_jump()(reached_.t, before_.data(), y0_.data() + extent_.n))) return false;
+  return all_finite(y0_.data(), n_) || end(State::action_undefined);
+}
+
 /// There is no way on from what the actions return: the run ends before them. False.
 bool Integration::take_back() {
   std::copy(left_.begin(), left_.end(), y0_.begin());
@@ -484,9 +492,11 @@ bool Integration::note_values() { return unless_stopped(manifold_.note_values(re
 bool Integration::pass_breakpoint() {
   discard_step(reached_.y);
   left_ = y0_;
+  const bool varies = breaks_.landing_jump() && breaks_.at_landing(reached_.t);
   begin_piece();
+  if (varies && !take_landing()) return take_back();
   bool acts = false, moved = false, others = false;
-  for (; breaks_.at(reached_.t); breaks_.pass()) {
+  for (; breaks_.at_breakpoint(reached_.t); breaks_.pass()) {
     Breakpoint& point = breaks_.next();
     if (!point.action) continue;
     acts = true;
@@ -495,7 +505,7 @@ bool Integration::pass_breakpoint() {
   }
   if (!make_consistent(moved)) return take_back();
   if (!acts && !unless_stopped(manifold_.compare_values(reached_.t, reached_.y, others))) return take_back();
-  if (acts || moved) return go_on_from_jump(acts || others);
+  if (acts || moved || varies) return go_on_from_jump(acts || others);
   if (others && !hold_other_values()) return take_back();
   if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
   return unless_stopped(emitter_.emit_times(reached_, false));

@@ -37,6 +37,7 @@ struct LoopFunctions {
   BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds; null: f itself
   std::vector<EventFunction> events;
   std::vector<Breakpoint> breakpoints;
+  Landings landings;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations. An empty function if M is regular.
   std::function<Consistency(double t, double* y)> consistent;
@@ -140,6 +141,7 @@ class Integration {
   bool jump();
   bool take_actions(bool& rehold);
   bool take(Callback& action, Callback& jump);
+  bool take_landing();
   bool take_back();
   void begin_piece();
   [[nodiscard]] bool note_values();

@@ -27,6 +27,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
+from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic
 from .variation_sizes import Sizes
@@ -69,6 +70,8 @@ class Variations:
         Whether the conditions of f are known.
     derivatives_of : list of Directional
         Of all functions.
+    schedule : Schedule or None
+        Where f changes its branch as a function of t alone.
     is_complex : bool
         Whether the state is; `start` has pairs then.
     """
@@ -86,6 +89,7 @@ class Variations:
     near: float
     follows_jumps: bool
     derivatives_of: list[Directional]
+    schedule: Schedule | None = None
     is_complex: bool = False
 
     @property
@@ -185,7 +189,12 @@ class Variations:
 
 
 def make_variations(
-    problem: Description, y0: Array, weights: Weights, specs: Sequence[InvariantSpec], points: Sequence[Breakpoint]
+    problem: Description,
+    y0: Array,
+    weights: Weights,
+    specs: Sequence[InvariantSpec],
+    points: Sequence[Breakpoint],
+    schedule: Schedule | None = None,
 ) -> Variations:
     """The sensitivities that a problem asks for.
 
@@ -202,16 +211,11 @@ def make_variations(
     wanted = problem.sensitivities
     assert wanted is not None
     t0, args, n = problem.t_span[0], problem.args, len(y0)
-    at = Point(t0, y0)
-    about = _Derivatives(args, names, n, at)
+    about = _Derivatives(args, names, n, Point(t0, y0))
     fun, given = given_derivatives(problem, names)
     slope = about.of(fun, "fun", m=n, given=given)
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
-        require_analytic(slope, at, of_start[0])
-    laws = [
-        about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
-        for one, spec in zip(problem.invariants, specs, strict=True)
-    ]
+        require_analytic(slope, about.at, of_start[0])
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     mass = about.of_mass(problem, rate)
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
@@ -219,9 +223,10 @@ def make_variations(
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
+    schedule = schedule or schedule_of(problem, parameters, slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
-    tangents = [form(law.for_core, complex_values=False) for law in laws]
+    tangents = [form(law.for_core, complex_values=False) for law in about.of_laws(problem, specs)]
     for_core = _core.Variations(
         k=len(names),
         slope=form(slope.for_core if mass is None else WithMass(slope, mass)),
@@ -229,13 +234,13 @@ def make_variations(
         invariants=tangents,
         jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
         breakpoints=[form(one) for one in doses],
+        landings=form(landing_jump(schedule, problem, names, rate)),
         error_test=wanted.error_test,
     )
-    start = np.ascontiguousarray(wanted.start(names, args, n).T)
     about.tell()
     return Variations(
         names=[one.name for one in names],
-        start=start,
+        start=np.ascontiguousarray(wanted.start(names, args, n).T),
         sizes=measure,
         for_core=for_core,
         tangents=tangents,
@@ -247,6 +252,7 @@ def make_variations(
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
         derivatives_of=about.made,
+        schedule=schedule,
         is_complex=is_complex,
     )
 
@@ -277,6 +283,13 @@ class _Derivatives:
         self.how[made.called] = made.how
         self.made.append(made)
         return made
+
+    def of_laws(self, problem: Description, specs: Sequence[InvariantSpec]) -> list[Directional]:
+        """Those of the invariants."""
+        return [
+            self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
+            for one, spec in zip(problem.invariants, specs, strict=True)
+        ]
 
     def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
         """Those of the mass matrix; None: it does not depend on the parameters."""
