@@ -192,6 +192,16 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
   };
   for (std::size_t i = 0; i < spec.jumps.size(); ++i) problem.events[i].jump = jump(spec.jumps[i]);
   for (std::size_t i = 0; i < spec.breakpoints.size(); ++i) problem.breakpoints[i].jump = jump(spec.breakpoints[i]);
+  problem.landings.jump = jump(spec.landings);
+}
+
+Landings make_landings(const LandingsSpec& spec) {
+  const auto& [times, first, periods] = spec;
+  require(first.size() == periods.size(), "landings have not one period for each first time");
+  std::vector<Landings::Progression> progressions;
+  progressions.reserve(first.size());
+  for (std::size_t i = 0; i < first.size(); ++i) progressions.push_back({.first = first[i], .period = periods[i]});
+  return {times, std::move(progressions)};
 }
 
 }  // namespace
@@ -231,6 +241,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
       throw std::invalid_argument("an event has no function");
   if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
+  problem_.landings = make_landings(spec.landings);
   if (spec.variations) add_variations(*spec.variations, functions_, problem_);
   problem_.parameters = functions_.parameters();
 }
@@ -245,6 +256,7 @@ int EventSpec::visit(visitproc visit, void* arg) const {
 
 int VariationsSpec::visit(visitproc visit, void* arg) const {
   Py_VISIT(slope.ptr());
+  Py_VISIT(landings.ptr());
   for (const std::vector<nb::object>* each : {&invariants, &jumps, &breakpoints})
     for (const nb::object& one : *each) Py_VISIT(one.ptr());
   return 0;
@@ -355,23 +367,25 @@ void define_variations(nb::module_& module) {
       .def(
           "__init__",
           [](VariationsSpec* self, std::size_t k, nb::object slope, const ConstMatrix& thresholds, Objects invariants,
-             Objects jumps, Objects breakpoints, bool error_test, bool quadratures) {
+             Objects jumps, Objects breakpoints, nb::object landings, bool error_test, bool quadratures) {
             new (self) VariationsSpec{k,
                                       std::move(slope),
                                       {thresholds.data(), thresholds.data() + thresholds.size()},
                                       std::move(invariants),
                                       std::move(jumps),
                                       std::move(breakpoints),
-                                      error_test,
-                                      quadratures};
-          },
-          nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
-          nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("error_test") = true,
-          nb::arg("quadratures") = false,
-          "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
-          "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-          "or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test. "
-          "quadratures=True: the slope is a function of (t, y) alone, and M the identity for S.")
+                                       std::move(landings),
+                                       error_test,
+                                       quadratures};
+           },
+           nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
+           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
+           nb::arg("error_test") = true, nb::arg("quadratures") = false,
+           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
+           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
+           "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
+           "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
+           "(t, y) alone, and M the identity for S.")
       .def_ro("k", &VariationsSpec::k)
       .def_ro("error_test", &VariationsSpec::error_test);
 }
@@ -383,7 +397,8 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, nb::object callback,
+             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, LandingsSpec landings,
+             nb::object callback,
              std::vector<InvariantSpec> invariants, const OptionalVector& value, const OptionalVector& lower,
              const OptionalVector& upper, std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
              std::optional<SeriesSpec> conditions, std::size_t condition_count) {
@@ -396,6 +411,7 @@ void define_description(nb::module_& module) {
                                    std::move(events),
                                    std::move(vectors),
                                    std::move(breakpoints),
+                                   std::move(landings),
                                    std::move(callback),
                                    std::move(invariants),
                                    value ? to_vector(*value) : std::vector<double>{},
@@ -408,11 +424,12 @@ void define_description(nb::module_& module) {
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(),
-          nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(),
-          nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(),
-          nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
-          "conditions: condition_count values along a polynomial, of which one changes its sign where f changes its "
+           nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
+           nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
+           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
+           nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
+           "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
+           "condition_count values along a polynomial, of which one changes its sign where f changes its "
           "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <variant>
 #include <vector>
 
@@ -95,10 +96,14 @@ struct VariationsSpec {
   nb::object slope;
   std::vector<double> thresholds;
   std::vector<nb::object> invariants, jumps, breakpoints;
+  nb::object landings;  // at landings, or None
   bool error_test, quadratures;
 
   int visit(visitproc visit, void* arg) const;
 };
+
+/// Single times, and the first times and the periods of progressions.
+using LandingsSpec = std::tuple<std::vector<double>, std::vector<double>, std::vector<double>>;
 
 struct ProblemSpec {
   std::size_t n;
@@ -110,6 +115,7 @@ struct ProblemSpec {
   std::vector<EventSpec> events;
   std::vector<VectorSpec> vectors;
   std::vector<BreakpointSpec> breakpoints;
+  LandingsSpec landings;
   nb::object callback;
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;

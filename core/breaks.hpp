@@ -1,5 +1,5 @@
 #pragma once
-// Where a run is among its breakpoints (docs/algorithms.md, 'Breakpoints').
+// Where a run is among its breakpoints and landings (docs/algorithms.md, 'Breakpoints', 'Switching times').
 
 #include <cassert>
 #include <cmath>
@@ -10,6 +10,7 @@
 #include "archive.hpp"
 #include "callback.hpp"
 #include "functions/piece.hpp"
+#include "landings.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -21,31 +22,37 @@ struct Breakpoint {
   Callback jump;    ///< (t, Y before, y after) -> S from there on, (k, n), where there are sensitivities
 };
 
-/// The breakpoints that have been passed, and the piece of the interval between two of them. Breakpoints that no step
-/// fits between are one, at the first of their times.
+/// The breakpoints and landings that have been passed, and the piece of the interval between two of them. Those that no
+/// step fits between are one, at the first of their times.
 class Breaks {
  public:
   /// `points`: in the order of integration. `piece` learns where the run is; null: no function depends on it.
-  Breaks(std::vector<Breakpoint> points, Piece* piece, double tf);
+  Breaks(std::vector<Breakpoint> points, Landings landings, Piece* piece, double tf, double forward);
 
-  [[nodiscard]] bool empty() const { return points_.empty(); }
-  /// Is the next breakpoint at t, or so close to it that no step fits between?
-  [[nodiscard]] bool at(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }
-  /// Does the attempt end at the next breakpoint?
+  [[nodiscard]] bool empty() const { return points_.empty() && landings_.empty(); }
+  /// Is the next breakpoint or landing at t, or so close to it that no step fits between?
+  [[nodiscard]] bool at(double t) const { return at_breakpoint(t) || at_landing(t); }
+  [[nodiscard]] bool at_breakpoint(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }
+  [[nodiscard]] bool at_landing(double t) const { return same(landing_, t); }
+  /// Does the attempt end at the next breakpoint or landing?
   [[nodiscard]] bool at_end_of(const Aim& aim) const {
-    return aim.lands() && next_ < points_.size() && points_[next_].t == aim.t1();
+    return aim.lands() && (landing_ == aim.t1() || (next_ < points_.size() && points_[next_].t == aim.t1()));
   }
-  /// Was the breakpoint before the next one at t?
-  [[nodiscard]] bool just_passed(double t) const { return next_ > 0 && same(points_[next_ - 1].t, t); }
+  /// Was the breakpoint before the next one, or the landing before it, at t?
+  [[nodiscard]] bool just_passed(double t) const {
+    return (next_ > 0 && same(points_[next_ - 1].t, t)) || (margin_ == landing_margin && same(start_, t));
+  }
 
   /// The run starts at t; functions see t itself, also where a breakpoint is.
   void start(double t);
-  /// A piece begins at t; functions see it from beyond the last breakpoint there.
+  /// A piece begins at t; functions see it from beyond the last breakpoint or landing there.
   void begin_piece(double t);
   /// Continues in the piece that was read from an archive, at t: before a breakpoint there, which has yet to be passed.
-  void resume_piece(double t) { enter(at(t) ? next_ : first_after(t)); }
-  /// Where the steps of the piece lead: the first breakpoint after its start, or the end of the interval.
+  void resume_piece(double t);
+  /// Where the steps of the piece lead: the first breakpoint or landing after its start, or the end of the interval.
   [[nodiscard]] double target() const { return target_; }
+  /// What sensitivities do at a landing.
+  [[nodiscard]] Callback& landing_jump() { return landings_.jump; }
 
   [[nodiscard]] Breakpoint& next() {
     assert(next_ < points_.size());
@@ -55,21 +62,29 @@ class Breaks {
   void pass() { ++next_; }
 
   void state(Archive& archive) {
-    archive(start_, from_break_, next_);
-    archive.require(next_ <= points_.size());
+    archive(start_, margin_, next_);
+    archive.require(next_ <= points_.size() && std::isfinite(start_));
+    archive.require(margin_ == 0 || margin_ == breakpoint_margin || margin_ == landing_margin);
   }
 
  private:
+  // How many ulp from a breakpoint, or from a landing, functions are called at least. A breakpoint is a double that the
+  // user gives; where f changes its branch, as it is computed, depends on the roundoff of a few operations.
+  static constexpr double breakpoint_margin = 1, landing_margin = hmin_ulps / 2;
+
   static bool same(double breakpoint, double t) { return std::abs(breakpoint - t) < hmin_ulps * ulp(t); }
   [[nodiscard]] std::size_t first_after(double t) const;
+  [[nodiscard]] double landing_after(double t) const;
   void enter(std::size_t next);
 
   std::vector<Breakpoint> points_;
+  Landings landings_;
   Piece* piece_;
-  double tf_;
+  double tf_, forward_;
   std::size_t next_ = 0;
-  double start_ = 0;         // of the piece: the last breakpoint at its start, or where the run began
-  bool from_break_ = false;  // which is a breakpoint
+  double start_ = 0;   // of the piece: the last breakpoint or landing at its start, or where the run began
+  double margin_ = 0;  // there; 0: it is neither
+  double landing_;     // the first one after the start
   double target_;
 };
 

@@ -28,7 +28,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty() || !functions.breakpoints.empty()),
       initial_checks_(manifold_, weights, settings_, report_),
-      breaks_(std::move(functions.breakpoints), functions.piece, settings_.tf),
+      breaks_(std::move(functions.breakpoints), std::move(functions.landings), functions.piece, settings_.tf, forward_),
       limits_(settings_),
       stiffness_(weights),
       discontinuities_(functions.f, weights),
@@ -469,11 +469,13 @@ bool Integration::land(const Landing& at) {
   double* Y = y0_.data();
   limits_.look_soon();
   State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
-  bool jumps = at.acts;
+  bool jumps = at.acts, varies = false;
   if (at.breaks && state == State::running) {
     if (!at.noted && !note_values()) return take_back();
+    varies = breaks_.landing_jump() && breaks_.at_landing(t);
     begin_piece();
-    state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
+    if (varies) state = jumps_.at_landing(t, Y);
+    if (state == State::running) state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
     jumps = jumps || jumps_.acted() || jumps_.moved();
   }
   if (state == State::terminal_event) {
@@ -484,7 +486,7 @@ bool Integration::land(const Landing& at) {
     end(state);
     return take_back();
   }
-  if (jumps) return go_on_from_jump();
+  if (jumps || (varies && !jumps_.others())) return go_on_from_jump();
   if (jumps_.others() && !hold_other_values()) return take_back();
   if (t != settings_.tf && !start_memory(t, Y)) return false;
   return unless_stopped(emitter_.emit_times(reached_, false));

@@ -39,6 +39,7 @@ struct LoopFunctions {
   std::vector<EventFunction> events;
   std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;
+  Landings landings;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations. An empty function if M is regular.
   std::function<Consistency(double t, double* y)> consistent;

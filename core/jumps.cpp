@@ -31,10 +31,15 @@ State Jumps::at_events(double t, double* Y, bool inside) {
   return state;
 }
 
+State Jumps::at_landing(double t, double* Y) {
+  before_.assign(Y, Y + extent_.size());
+  return follow(parts_.breaks.landing_jump(), t, Y);
+}
+
 State Jumps::at_breakpoints(double t, double* Y, bool inside) {
   Breaks& breaks = parts_.breaks;
   acted_ = moved_ = others_ = false;
-  for (; breaks.at(t); breaks.pass()) {
+  for (; breaks.at_breakpoint(t); breaks.pass()) {
     Breakpoint& point = breaks.next();
     if (!point.action) continue;
     if (!acted_)
@@ -142,12 +147,16 @@ State Jumps::take(Callback& action, Callback& jump, double t, double* Y) {
   acted_ = true;
   if (!all_finite(Y, extent_.n)) return State::action_undefined;
   if (const State state = solve_equations(t, Y); state != State::running) return state;
-  if (jump) {
-    before_.insert(before_.end(), Y, Y + extent_.n);
-    if (jump(t, before_.data(), Y + extent_.n) == Status::stop) return State::interrupted;
-    if (!all_finite(Y, extent_.size())) return State::action_undefined;
-  }
+  if (jump)
+    if (const State state = follow(jump, t, Y); state != State::running) return state;
   return follow_equations(t, Y);
+}
+
+/// S behind a jump of y from `before_`.
+State Jumps::follow(Callback& jump, double t, double* Y) {
+  before_.insert(before_.end(), Y, Y + extent_.n);
+  if (jump(t, before_.data(), Y + extent_.n) == Status::stop) return State::interrupted;
+  return all_finite(Y, extent_.size()) ? State::running : State::action_undefined;
 }
 
 State Jumps::onto_equations(double t, double* Y) {

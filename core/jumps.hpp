@@ -44,6 +44,8 @@ class Jumps {
   [[nodiscard]] State at_events(double t, double* Y, bool inside);
   /// The actions at the breakpoints at t, after those of events there, if there were any.
   [[nodiscard]] State at_breakpoints(double t, double* Y, bool inside);
+  /// The sensitivities behind a landing, whose time depends on parameters; y goes on.
+  [[nodiscard]] State at_landing(double t, double* Y);
   /// Only moves Y onto the algebraic equations; only S onto their tangent.
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
@@ -67,6 +69,7 @@ class Jumps {
   State work(double t, double* Y);
   State take_next(double t, double* Y);
   State take(Callback& action, Callback& jump, double t, double* Y);
+  State follow(Callback& jump, double t, double* Y);
   State without_action(double t, double* Y, bool inside);
   State solve_equations(double t, double* y);
   State judge(double t, const double* y, int depth);

@@ -73,3 +73,13 @@ def dealt(count: int | None = None, /, **lists: Iterable[object]) -> pytest.Mark
     every = [list(values) for values in lists.values()]
     rows = combinations(count or max(map(len, every)), every)
     return pytest.mark.parametrize(tuple(lists), rows, indirect=[name for name in lists if name in LOOKED_UP])
+
+
+class hidden:  # noqa: N801  # it reads like a function
+    """A Python function as an object, which runs do not trace in passing: they meet its switching times unprepared."""
+
+    def __init__(self, fun):
+        self.fun = fun
+
+    def __call__(self, *args):
+        return self.fun(*args)

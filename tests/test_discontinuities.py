@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import FAMILIES, IMPLICIT, dealt, explicit_and_implicit, families
+from cases import FAMILIES, IMPLICIT, dealt, explicit_and_implicit, families, hidden
 from invariode import scipy as classes
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
@@ -21,8 +21,8 @@ untold = pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
 
 @iv.compile
 def switched(t, y, p):
-    """Decays to 0, from p[0] on to p[1]."""
-    return (-y[0] + (p[1] if t >= p[0] else 0.0),)
+    """Decays to 0, and to p[1] from p[0] on, by a clock that is a component: what t alone decides would be known."""
+    return (-y[0] + (p[1] if y[1] >= p[0] else 0.0), 1.0)
 
 
 def with_a_jump(k: int):
@@ -33,17 +33,22 @@ def with_a_jump(k: int):
     if k % 3 == 0:
         A = (r.normal(size=(3, 3)) - 1.5 * np.eye(3)) / scale
         b = r.normal(size=3) / scale
-        return lambda t, y: A @ y + b * (np.sin(t / scale) + much * (t >= jump)), (0, tf), r.normal(size=3), jump
+        return (
+            hidden(lambda t, y: A @ y + b * (np.sin(t / scale) + much * (t >= jump))),
+            (0, tf),
+            r.normal(size=3),
+            jump,
+        )
     if k % 3 == 1:
         return (
-            lambda t, y: np.array([y[1], much * (t >= jump) - np.sin(y[0])]) / scale,
+            hidden(lambda t, y: np.array([y[1], much * (t >= jump) - np.sin(y[0])]) / scale),
             (0, tf),
             np.array([r.uniform(-2, 2), 0]),
             jump,
         )
     rate = 10 ** r.uniform(1, 2)
     return (
-        lambda t, y: np.array([rate * (np.cos(t / scale) + much * (t >= jump) - y[0]), -y[1]]) / scale,
+        hidden(lambda t, y: np.array([rate * (np.cos(t / scale) + much * (t >= jump) - y[0]), -y[1]]) / scale),
         (0, tf),
         np.array([1.0, 1]),
         jump,
@@ -96,7 +101,7 @@ def test_the_fast_phases_of_stiff_problems_are_none(name, code):
     ids=["kinks", "integrable pole", "pole", "steep"],
 )
 def test_only_jumps_are_named(fun):
-    sol = iv.ode45(fun, (0, 3.1), [1.0], rtol=1e-6)
+    sol = iv.ode45(hidden(fun), (0, 3.1), [1.0], rtol=1e-6)
     assert sol.stats.failed >= 3
     assert sol.stats.discontinuities == ()
 
@@ -104,7 +109,9 @@ def test_only_jumps_are_named(fun):
 @explicit_and_implicit
 def test_a_run_says_it_once_and_what_to_try(method):
     with pytest.warns(iv.DiscontinuityWarning, match=f"{method}: fun looks discontinuous at t = 3, 5, where") as said:
-        sol = iv.solve_ivp(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0], method, rtol=1e-6, atol=1e-9)
+        sol = iv.solve_ivp(
+            hidden(lambda t, y: [-y[0] + 9 * (3 <= t < 5)]), (0, 10), [1.0], method, rtol=1e-6, atol=1e-9
+        )
     assert len(said) == 1
     assert sol.stats.discontinuities == (3, 5)
     assert "Fun looks discontinuous at t = 3, 5" in sol.message
@@ -113,7 +120,7 @@ def test_a_run_says_it_once_and_what_to_try(method):
 
 @explicit_and_implicit
 def test_breakpoints_silence_it_and_save_the_failures(method):
-    problem = iv.Problem(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0])
+    problem = iv.Problem(hidden(lambda t, y: [-y[0] + 9 * (3 <= t < 5)]), (0, 10), [1.0])
     with pytest.warns(iv.DiscontinuityWarning):
         without = problem.solve(method, rtol=1e-6, atol=1e-9)
     sol = problem.solve(method, rtol=1e-6, atol=1e-9, breakpoints=without.stats.discontinuities)
@@ -146,7 +153,7 @@ def test_where_the_smallest_step_fails_the_message_names_the_jump(method):
     """Seconds of a clock: doubles are 1e-7 apart there."""
     start = 1e9
     sol = iv.solve_ivp(
-        lambda t, y: [-y[0] + 1e8 * (t >= start + 3)], (start, start + 10), [1.0], method, rtol=1e-6, keep="end"
+        hidden(lambda t, y: [-y[0] + 1e8 * (t >= start + 3)]), (start, start + 10), [1.0], method, rtol=1e-6, keep="end"
     )
     assert sol.status == -1
     assert sol.stats.discontinuities == (start + 3,)
@@ -157,7 +164,7 @@ def test_where_the_smallest_step_fails_the_message_names_the_jump(method):
 
 @untold
 def test_at_a_limit_the_message_names_it():
-    sol = iv.ode45(lambda t, y: [-y[0] + 9 * (t >= 3)], (0, 100), [1.0], rtol=1e-6, max_steps=60)
+    sol = iv.ode45(hidden(lambda t, y: [-y[0] + 9 * (t >= 3)]), (0, 100), [1.0], rtol=1e-6, max_steps=60)
     assert sol.status == -3
     assert "max_steps = 60 is reached" in sol.message
     assert "discontinuous at t = 3" in sol.message
@@ -174,13 +181,13 @@ def test_jumps_where_y_decides_are_found_where_the_solution_crosses(method):
 @explicit_and_implicit
 @untold
 def test_backwards_too(method):
-    sol = iv.solve_ivp(lambda t, y: [y[0] + 9 * (t <= 3)], (10, 0), [1.0], method, rtol=1e-6, atol=1e-9)
+    sol = iv.solve_ivp(hidden(lambda t, y: [y[0] + 9 * (t <= 3)]), (10, 0), [1.0], method, rtol=1e-6, atol=1e-9)
     assert sol.stats.discontinuities == (3,)
 
 
 @untold
 def test_where_f_jumps_all_the_time_the_search_ends():
-    sol = iv.ode45(lambda t, y: [-y[0] + 9 * (np.floor(10 * t) % 2)], (0, 40), [1.0], rtol=1e-6, keep="end")
+    sol = iv.ode45(hidden(lambda t, y: [-y[0] + 9 * (np.floor(10 * t) % 2)]), (0, 40), [1.0], rtol=1e-6, keep="end")
     found = np.array(sol.stats.discontinuities)
     assert 20 <= len(found) <= 64
     assert np.abs(10 * found - np.round(10 * found)).max() < 1e-12
@@ -223,12 +230,13 @@ def test_radau_sees_a_jump_from_beyond_which_all_stages_come(jac, rtol):
 @explicit_and_implicit
 @untold
 def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
-    problem = iv.Problem(switched, (0, 5), [1.0], args=(3.0, 20.0))
+    problem = iv.Problem(switched, (0, 5), [1.0, 0.0], args=(3.0, 20.0))
     half = problem.solve(method, rtol=1e-6)
     half.save(tmp_path / "half.npz")
     whole = problem.replace(t_span=(0, 8)).solve(method, rtol=1e-6)
     for sol in (half.extend(8), iv.load(tmp_path / "half.npz", problem).extend(8)):
-        assert sol.stats.discontinuities == half.stats.discontinuities == (3.0,)
+        assert sol.stats.discontinuities == half.stats.discontinuities
+        assert np.allclose(sol.stats.discontinuities, [3.0], rtol=1e-3)
     inside = problem.replace(t_span=(0, 8)).solve(method, rtol=1e-6, max_steps=whole.stats.steps // 3)
     inside = inside.extend(8, max_steps=1000)
     assert dict(inside.stats) == dict(whole.stats)
@@ -250,11 +258,11 @@ def test_ensembles_tell_where(how, tmp_path: Path):
     if how == "store":
         pytest.importorskip("zarr")
     with pytest.warns(iv.DiscontinuityWarning, match="ode45: fun looks discontinuous in 3 trajectories") as said:
-        m = iv.solve_ensemble(fun, (0, 10), [1.0], args=args, rtol=1e-6, workers=1, **given)
+        m = iv.solve_ensemble(fun, (0, 10), [1.0, 0.0], args=args, rtol=1e-6, workers=1, **given)
     assert len(said) == 1
     m = m.load() if how == "store" else m
-    assert np.array_equal(m.stats.discontinuity, [1, np.nan, 3, np.nan, 5], equal_nan=True)
-    alone = [iv.Problem(switched, (0, 10), [1.0], args=tuple(row)) for row in args]
+    assert np.allclose(m.stats.discontinuity, [1, np.nan, 3, np.nan, 5], rtol=1e-3, equal_nan=True)
+    alone = [iv.Problem(switched, (0, 10), [1.0, 0.0], args=tuple(row)) for row in args]
     for i in (2, 3):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", iv.DiscontinuityWarning)
@@ -265,10 +273,12 @@ def test_ensembles_tell_where(how, tmp_path: Path):
 
 @untold
 def test_a_saved_ensemble_keeps_it(tmp_path: Path):
-    m = iv.solve_ensemble(switched, (0, 10), [1.0], args=[[3.0, 9.0], [4.0, 0.0]], rtol=1e-6, workers=1)
+    m = iv.solve_ensemble(switched, (0, 10), [1.0, 0.0], args=[[3.0, 9.0], [4.0, 0.0]], rtol=1e-6, workers=1)
     m.save(tmp_path / "m.npz")
     again = iv.EnsembleSolution.load(tmp_path / "m.npz")
-    assert [one.stats.discontinuities for one in again] == [(3.0,), ()]
+    first, second = (one.stats.discontinuities for one in again)
+    assert np.allclose(first, [3.0], rtol=1e-3)
+    assert second == ()
 
 
 @explicit_and_implicit
@@ -277,7 +287,7 @@ def test_the_classes_for_scipy_say_it_once(method):
     if run is None:
         pytest.skip("no class of this method")
     with pytest.warns(iv.DiscontinuityWarning, match="discontinuous at t = 3") as said:
-        solver = run(lambda t, y: [-y[0] + 9 * (t >= 3)], 0, [1.0], 10, rtol=1e-6, atol=1e-9)
+        solver = run(hidden(lambda t, y: [-y[0] + 9 * (t >= 3)]), 0, [1.0], 10, rtol=1e-6, atol=1e-9)
         while solver.status == "running":
             solver.step()
     assert len(said) == 1

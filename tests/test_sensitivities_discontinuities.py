@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from cases import FAMILIES, SERIES, dealt, explicit_and_implicit
+from cases import FAMILIES, SERIES, dealt, explicit_and_implicit, families_and_series
 from parametric import TOLERANCES
 
 # The jumps are the test.
@@ -134,7 +134,9 @@ def test_one_condition_written_in_two_ways():
             iv.solve_ivp(fun, (0, 2), [2.0], **options)
 
 
-def test_an_input_that_is_compared_with_a_parameter_is_a_warning():
+@families_and_series
+def test_an_input_may_be_compared_with_a_parameter(method):
+    """u = t passes p at t = p, where y' goes from -1 to -3: y(2) = 2 - p - 3 (2 - p)."""
     problem = iv.Problem(
         lambda t, y, u, p: [np.where(u > p, -3.0, -1.0)],
         (0, 2),
@@ -143,5 +145,7 @@ def test_an_input_that_is_compared_with_a_parameter_is_a_warning():
         inputs=[iv.Input([0, 2], [0.0, 2.0], "linear")],
         sensitivities=True,
     )
-    with pytest.warns(iv.AccuracyWarning, match="if an input is compared"):
-        problem.solve()
+    sol = problem.solve(method, adjoint=True)
+    assert sol.y[0, -1] == pytest.approx(2 - 0.7 - 3 * 1.3, rel=1e-9)
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(2, rel=1e-9)
+    assert sol.gradient([1.0]) == pytest.approx([2], rel=1e-9)

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import invariode as iv
 import solved_mechanisms
-from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families
+from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families, hidden
 from gallery import GALLERY
 from invariode.scipy import ODE45
 from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
@@ -444,7 +444,7 @@ def test_a_huge_stage_of_the_extension_is_not_believed(pair):
     for height in (1e4, 1e150, 1e300):
         for at in sorted(set(asked) - plain):
             spiked = iv.solve_ivp(
-                lambda t, y, at=at, height=height: -y * (height if abs(t - at) < 1e-9 else 1),
+                hidden(lambda t, y, at=at, height=height: -y * (height if abs(t - at) < 1e-9 else 1)),
                 (0, 0.5),
                 [1.0],
                 pair,

@@ -12,25 +12,27 @@
 #include "linear/matrix.hpp"
 #include "linear/preconditioner.hpp"
 #include "series.hpp"
+#include "weights.hpp"
 
 namespace invariode {
 
 /// The present piece of the interval. Functions that may jump at its ends are called through it, with times inside of
-/// it only: at a breakpoint they get the next double, so that no stage sees the other side. What is made of functions
-/// refers to this, and to nothing else.
+/// it only: at a breakpoint they get a double beside it, so that no stage sees the other side. What is made of
+/// functions refers to this, and to nothing else.
 class Piece {
  public:
   Piece() = default;
   Piece(const Piece&) = delete;
   Piece& operator=(const Piece&) = delete;
 
-  /// From now on the piece between the times `from` and `to`. What is not a breakpoint bounds nothing.
-  void enter(double from, bool from_breakpoint, double to, bool to_breakpoint) {
+  /// From now on the piece between the times `from` and `to`. Functions are called so many ulp from these, at least; at
+  /// 0 an end bounds nothing.
+  void enter(double from, double margin_from, double to, double margin_to) {
     assert(!std::isnan(from) && !std::isnan(to));
     constexpr double infinity = std::numeric_limits<double>::infinity();
     const double forward = to >= from ? infinity : -infinity;
-    const double first = from_breakpoint ? std::nextafter(from, forward) : -forward;
-    double last = to_breakpoint ? std::nextafter(to, -forward) : forward;
+    const double first = margin_from > 0 ? inside(from, margin_from, forward) : -forward;
+    double last = margin_to > 0 ? inside(to, margin_to, -forward) : forward;
     if (forward * last < forward * first) last = first;  // there is no double between the two
     low_ = forward > 0 ? first : last;
     high_ = forward > 0 ? last : first;
@@ -65,6 +67,10 @@ class Piece {
     Function function;
   };
 
+  /// The double that is `margin` ulp beyond `end`, seen in the direction of `towards`.
+  static double inside(double end, double margin, double towards) {
+    return margin <= 1 ? std::nextafter(end, towards) : end + std::copysign(margin * ulp(end), towards);
+  }
   [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
 
   static Status callback_entry(void* self, double t, const double* y, double* out) {

@@ -9,6 +9,7 @@
 
 #include "callback.hpp"
 #include "integrate.hpp"
+#include "landings.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix.hpp"
@@ -43,6 +44,7 @@ struct Problem {
   std::vector<EventFunction> events;
   std::vector<RootVector> vectors;      ///< of which some events are components
   std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
+  Landings landings;                    ///< where f changes its branch with t alone
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;

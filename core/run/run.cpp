@@ -47,7 +47,7 @@ Run::Run(const Solver& solver) : solver_(solver) {
 /// accepted points, which are within.
 void Run::wrap_functions() {
   const Problem& all = solver_.problem();
-  if (!all.breakpoints.empty()) wrap_in_pieces(wrapped_.emplace(all));
+  if (!all.breakpoints.empty() || !all.landings.empty()) wrap_in_pieces(wrapped_.emplace(all));
   if (all.bounds) wrap_in_bounds(wrapped_ ? *wrapped_ : wrapped_.emplace(all));
 }
 
@@ -144,7 +144,7 @@ void Run::derive_slope() {
 
 Invariants* Run::invariants_everywhere() {
   constexpr double infinity = std::numeric_limits<double>::infinity();
-  piece_.enter(-infinity, false, infinity, false);
+  piece_.enter(-infinity, 0, infinity, 0);
   return users_invariants_;
 }
 
@@ -224,6 +224,7 @@ void Run::start_loop() {
                           .events = all.events,
                           .vectors = all.vectors,
                           .breakpoints = all.breakpoints,
+                          .landings = all.landings,
                           .piece = &piece_,
                           .consistent = {},
                           .consistent_tangent = {},

@@ -143,6 +143,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
     if (event.samples != 0) return "events have samples of their own";
   }
   if (!problem.breakpoints.empty()) return "there are breakpoints";
+  if (!problem.landings.empty()) return "f changes its branch at known times, where steps end";
   if (problem.callback) return "there is a callback";
   if (settings.output_at_times && settings.record) return "steps are recorded";
   if (problem.n == 0 || settings.t0 == settings.tf) return "there is nothing to integrate";

@@ -79,13 +79,15 @@ def attempted(
 
 def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
     core, workers = solver(plan), min(workers, len(task.y0))
-    if core.native and _own_to_each(plan) is None and _fits_all(task):
+    if core.native and _own_to_each(plan, task.args) is None and _fits_all(task):
         return _on_threads(task, plan, core, workers, report)
     return _in_processes(task, plan, workers, report)
 
 
-def _own_to_each(plan: Plan) -> str | None:
-    """What each trajectory with sensitivities needs a plan of its own for. None: nothing."""
+def _own_to_each(plan: Plan, args: Any) -> str | None:
+    """What each trajectory needs a plan of its own for. None: nothing."""
+    if plan.schedule is not None and plan.schedule.depends_on_args and not isinstance(args, tuple):
+        return "f changes its branch at times that depend on args"
     if plan.varied is None:
         return None
     linear = plan.functions.linear
@@ -323,7 +325,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
     times, m = plan.settings.times, len(plan.bound)
     k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
     watched = None if plan.watch is None else "constraints that are left out as redundant are watched in Python"
-    why = _own_to_each(plan) or watched or "functions are in Python"
+    why = _own_to_each(plan, task.args) or watched or "functions are in Python"
     return Outcomes(
         y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
         S=np.full((size, n, k, count), np.nan, dtype=task.y0.dtype),

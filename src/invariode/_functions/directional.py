@@ -293,6 +293,11 @@ class Directional:
         n = self.n
         return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
 
+    @property
+    def outputs(self) -> list[Node] | None:
+        """The values of its graph; None: it has none."""
+        return None if self._graph is None else list(self._graph.outputs)
+
     def switches(self, at: Point) -> list[Switch]:
         """Where the values of its graph jump; of a function without a graph that is not known."""
         return [] if self._graph is None else self._graph.switches(at)
@@ -420,11 +425,11 @@ class _OfGraph:
 
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""
-        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t), self._before)
+        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t))
 
     def has_conditions(self) -> bool:
         """See `Directional.has_conditions`."""
-        return bool(conditions(self._exact.outputs, self._before))
+        return bool(conditions(self._exact.outputs))
 
     def of_inputs(self, node: Node) -> bool:
         """See `Directional.of_inputs`."""

@@ -331,7 +331,8 @@ class RunningOptions(TypedDict, total=False):
             "at times strictly between them. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
             "``action(t, y, *args)``, of shape (n,); invariants without a prescribed value are held at their new "
             "values, and the output contains both states. Breakpoints beyond the interval take effect if the run is "
-            "extended.",
+            "extended. Conditions of `fun` on t alone, such as ``t % 24 < 2``, need none if it is compiled or calls "
+            "nothing but NumPy and `math`: steps end where they change.",
             to_breakpoints,
         ),
     ]

@@ -34,6 +34,7 @@ from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.compiled import is_native
 from .._functions.directional import Directional, Point
+from .._functions.layout import Parameters
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
@@ -47,6 +48,7 @@ from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
 from .adjoint_laws import Laws
 from .algebraic import dense_mass
 from .call_errors import takes
+from .landings import Schedule, schedule_of
 from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
 from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
 from .plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
@@ -185,6 +187,7 @@ class _Adjoint:
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol, self._y, self._threshold)
         jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold)
+        jumps.follow_landings(self._schedule)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
             self._jumps.pop()
@@ -254,11 +257,21 @@ class _Adjoint:
             )
 
     @cached_property
+    def _schedule(self) -> Schedule | None:
+        """Where f changes its branch as a function of t alone."""
+        with quietly():  # the run has warned
+            found = schedule_of(self._run.problem, Parameters.of(self._run.problem.args))
+            return found or schedule_of(self._problem, Parameters.of(self._problem.args), self._slope.outputs or ())
+
+    @cached_property
     def _breakpoints(self) -> list[Breakpoint]:
         given = self._run.options.get("breakpoints")
         points = ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
         low, high = sorted((self._problem.t_span[0], self._run.t))
         inside = [one for one in points if low <= one.t <= high]
+        if self._schedule is not None:
+            known = np.array([one.t for one in inside])
+            inside += [Breakpoint(t, None) for t in self._schedule.landings.apart(low, high, known).tolist()]
         return [one._replace(action=of_pairs(one.action)) for one in inside] if self._is_complex else inside
 
     def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:

@@ -26,6 +26,7 @@ from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
 from .actions import Rate, is_at_root, restoration
 from .algebraic import Algebraic, dense_mass
+from .landings import LandingJump, Schedule, landing_jump
 from .sections import SectionedSolution
 from .variations import Crossing, Switching, given_derivatives
 
@@ -183,6 +184,8 @@ class Jumps:
         fun, given = given_derivatives(problem, names)
         n = len(problem.y0)
         self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
+        self._problem, self._names = problem, names
+        self._landing: LandingJump | None = None
         self._derivatives, self._conditions = derivatives, conditions
         self._events: list[Event] = problem.events
         self._t0, self._y0, self._forward = (
@@ -193,6 +196,10 @@ class Jumps:
         self._n, self._k = n, len(names)
         self._restored = restoration(problem, names, threshold)
         self._behind: Callable[[float], Array] = lambda t: self._y0
+
+    def follow_landings(self, schedule: Schedule | None) -> None:
+        """From now on there are those where f changes its branch at times that depend on parameters."""
+        self._landing = landing_jump(schedule, self._problem, self._names, self._rate)
 
     def of(
         self, sol: Result, y: Callable[[float], Array], points: Sequence[Breakpoint], rests: Sequence[Rest]
@@ -222,7 +229,13 @@ class Jumps:
         conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
         for one in conditions:
             self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
-        found += [*conditions, *(Occurrence(one.begin, partial(self._of_rest, y, one)) for one in rests)]
+        landings = [] if self._landing is None else self._of_landings(self._landing, y, [one.t for one in points])
+        found = [
+            *landings,
+            *found,
+            *conditions,
+            *(Occurrence(one.begin, partial(self._of_rest, y, one)) for one in rests),
+        ]
         found.sort(key=self._order)
         return found
 
@@ -335,6 +348,21 @@ class Jumps:
             condition.tell(t, crossing)
             found.append(Occurrence(t, partial(self._of_crossing, condition, crossing, t, y)))
         return found
+
+    def _of_landings(self, landing: LandingJump, y: Callable[[float], Array], times: list[float]) -> list[Occurrence]:
+        """Those of f alone; they come before actions at the same time."""
+        found = []
+        for t in times:
+            rates = landing.rates_of_time(t)
+            if rates.any() and t != self._t0:
+                found.append(Occurrence(t, partial(self._of_landing, landing, rates, y, t)))
+        return found
+
+    def _of_landing(self, landing: LandingJump, rates: Array, solution: Callable[[float], Array], t: float) -> Jump:
+        y = solution(float(np.nextafter(t, self._t0)))
+        before, behind = landing.sides(t, y)
+        none = np.zeros(self._n)
+        return Jump(t, y, y, np.eye(self._n), np.outer(before - behind, rates), none, rates, reholds=False, moves=False)
 
     def _of_crossing(self, condition: Switching, crossing: Crossing, t: float, y: Array) -> Jump:
         e = Partials.at(condition.difference, t, y)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, reals, warn
@@ -15,16 +13,15 @@ from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph, TracedFunction
-from .._functions.graph.kinks import is_analytic, kinks, substituted
-from .._functions.graph.nodes import Graph, Node, in_order
-from .._functions.graph.tables import looked_up
+from .._functions.graph.kinks import is_analytic, kinks
+from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters, count_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, RootOf
-from .._problem.inputs import Input
 from .._problem.methods import Method
+from .landings import with_inputs
 from .variations import Variations
 
 if TYPE_CHECKING:
@@ -142,58 +139,27 @@ class System(NamedTuple):
     ----------
     outputs : list of Node
         Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
-    times : list of float
-        When it changes its branch, if that depends on t alone.
-    scheduled : bool
-        Whether there may be other such times on another interval.
     conditions : list of Node
-        What changes its sign where it changes its branch otherwise; none if there are too many.
+        What changes its sign where it changes its branch, if that depends on y; none if there are too many.
     own : bool
         Whether our elementary functions are called.
     """
 
     outputs: list[Node]
-    times: list[float]
-    scheduled: bool
     conditions: list[Node]
     own: bool
 
 
-def system_of(problem: Description, parameters: Array) -> System:
-    """The graph of f, which is known to have one."""
+def system_of(problem: Description, parameters: Array, unknown: Iterable[Node] = ()) -> System:
+    """The graph of f, which is known to have one. `unknown`: branches that change with t alone, and not where landings
+    are."""
     n = reals(problem.y0)
     found = derived(problem.slope.fun, n, n, count_of(parameters))
     assert found is not None
-    outputs = _with_inputs(found.outputs, problem.inputs)
-    t0, tf = problem.t_span
-    where = kinks(outputs, t0, tf)
-    conditions = where.differences if len(where.differences) <= _MOST_CONDITIONS else []
-    return System(outputs, where.times, where.scheduled, conditions, found.elementary == "own")
-
-
-def _with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
-    """The values with polynomials in t in the place of the first parameters, the inputs."""
-    if not inputs:
-        return list(outputs)
-    graph = outputs[0].graph
-    values = [value for one in inputs for value in _polynomials(one, graph)]
-    places = sorted({node.value for node in in_order(outputs) if node.op == "p"})
-    instead = {graph.p(i): values[i] if i < len(values) else graph.p(i - len(values)) for i in places}
-    return substituted(outputs, instead)
-
-
-def _polynomials(given: Input, graph: Graph) -> list[Node]:
-    """The values of an input at t."""
-    breaks, powers = given.pieces()
-    t, inside = graph.t, breaks[1 : powers.shape[1]]
-    since = t - looked_up(t, inside, breaks[: powers.shape[1]])
-    found = []
-    for column in np.moveaxis(powers, 2, 0):
-        value = looked_up(t, inside, column[0])
-        for row in column[1:]:
-            value = value * since + looked_up(t, inside, row)
-        found.append(value)
-    return found
+    outputs = with_inputs(found.outputs, problem.inputs)
+    differences = kinks(outputs, unknown)
+    conditions = differences if len(differences) <= _MOST_CONDITIONS else []
+    return System(outputs, conditions, found.elementary == "own")
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -220,7 +186,7 @@ class Expansion(NamedTuple):
     form : SeriesForm
         Of its series.
     of_any_span : bool
-        Whether it is the same on every interval: neither times of branches nor bounds, which depend on the direction.
+        Whether it is the same on every interval: there are no bounds, which depend on the direction.
     """
 
     series: _core.Series
@@ -255,7 +221,7 @@ def make_expansion(
     from .._functions.graph.series import count_sums
 
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
-    tangents = [] if varied is None else _with_inputs(varied.tangent_nodes(), problem.inputs)
+    tangents = [] if varied is None else with_inputs(varied.tangent_nodes(), problem.inputs)
     outputs = _within_bounds(system.outputs, tangents, problem.bounds, forward)
     makes = _Maker(len(outputs), order(count_sums(outputs)), system.own)
     given = [
@@ -271,7 +237,7 @@ def make_expansion(
         problem=problem,
         outputs=outputs,
         form=makes.form(along=False),
-        of_any_span=not system.scheduled and problem.bounds is None,
+        of_any_span=problem.bounds is None,
     )
 
 

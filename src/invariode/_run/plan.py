@@ -60,6 +60,7 @@ from .._results.messages import (
     sticking,
 )
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED, DiscontinuityWarning, Names, StiffnessWarning
+from .landings import Schedule, schedule_of
 from .second_order import require_second_order
 
 if TYPE_CHECKING:
@@ -181,6 +182,7 @@ class Plan(NamedTuple):
     checkpoint: Checkpoint | None
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series
+    schedule: Schedule | None = None  # where f changes its branch as a function of t alone
     watch: Watch | None = None  # on what a run itself does not see: it is the callback, which calls the user's
 
     @property
@@ -308,6 +310,7 @@ def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Sol
         events=[_core.Event(*spec) for spec in functions.events],
         vectors=[_core.RootVector(*spec) for spec in functions.vectors],
         breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
+        landings=([], [], []) if plan.schedule is None else plan.schedule.landings.for_core(),
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
@@ -358,9 +361,8 @@ def planned(problem: Description, choice: Choice) -> Plan:
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
     if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
         parameters = Parameters.of(problem.args)
-    system = _system(problem, parameters) if by_series else None
-    if system is not None:
-        breakpoints = ordered([*breakpoints, *(Breakpoint(t, None) for t in system.times)], *problem.t_span)
+    schedule = schedule_of(problem, parameters)
+    system = _system(problem, parameters, schedule) if by_series else None
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     bound.forward = settings.forward
@@ -392,6 +394,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
         watch=watch,
+        schedule=schedule,
     )
     if problem.sensitivities is not None:
         plan = _with_sensitivities(plan, problem, breakpoints)
@@ -419,9 +422,10 @@ def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Brea
     from .variations import make_variations
 
     weights = Weights(plan.tolerances.rtol, plan.tolerances.threshold)
-    varied = make_variations(problem, plan.y0, weights, plan.bound.specs, breakpoints)
+    varied = make_variations(problem, plan.y0, weights, plan.bound.specs, breakpoints, plan.schedule)
     return plan._replace(
         varied=varied,
+        schedule=varied.schedule,
         bound=plan.bound.varied(varied.tangents),
         functions=plan.functions._replace(events=[*plan.functions.events, *varied.switches]),
         event_names=[*plan.event_names, *(one.name for one in varied.switches)],
@@ -633,11 +637,11 @@ def _functions(
     )
 
 
-def _system(problem: Description, parameters: Array) -> System:
+def _system(problem: Description, parameters: Array, schedule: Schedule | None) -> System:
     """f as a graph, which is imported when it is used."""
     from .expansion import system_of
 
-    return system_of(problem, parameters)
+    return system_of(problem, parameters, () if schedule is None else schedule.landings.left_out)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

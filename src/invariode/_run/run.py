@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, number, output_times, shown, warn
+from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
 from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
+from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description, Posed
@@ -52,6 +53,7 @@ from .checkpoint import RunFiles
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
+from .landings import schedule_of
 from .plan import Plan, make_plan, ordered_breakpoints, say_established, solver
 from .second_order import require_no_velocities
 from .sections import Sectioned, SectionedSolution
@@ -59,6 +61,10 @@ from .template import Template, plan_or_template
 
 if TYPE_CHECKING:
     from .variations import Variations
+
+
+#: Where f may jump it is evaluated so many ulp from there.
+_BESIDE = 16
 
 
 class Resumed(NamedTuple):
@@ -146,17 +152,30 @@ class RunOrigin:
             return None
         given = options.get("breakpoints")
         points = ordered_breakpoints(problem, () if given is None else to_breakpoints("breakpoints", given))
-        jumps = np.isin(t, [point.t for point in points])
+        jumps = np.isin(t, [point.t for point in points]) | self._landings(t)
         stiff = "jac" in find_method(self.source.method)[0].options
         return self._slopes_of_shape(t, y, jumps) if stiff else self._sides(t, y, jumps)
+
+    def _landings(self, t: Array) -> Array:
+        """At which of these times f changes its branch as a function of t alone."""
+        problem = self.source.problem
+        with quietly():  # the run has warned
+            schedule = schedule_of(problem, Parameters.of(problem.args))
+        found = np.zeros(0) if schedule is None else schedule.landings.between(t.min(), t.max())
+        if not len(found):
+            return np.zeros(len(t), dtype=bool)
+        place = np.searchsorted(found, t)
+        nearest = np.minimum(*(np.abs(t - found[np.clip(place + i, 0, len(found) - 1)]) for i in (-1, 0)))
+        return np.asarray(nearest <= _BESIDE * np.spacing(np.abs(t)))
 
     def _sides(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
         """Those of f. `jumps`: where it may differ from one side to the other."""
         slope = self.source.problem.slope
-        after = before = slope(np.where(jumps, np.nextafter(t, self.forward * np.inf), t), y)
+        beside = self.forward * _BESIDE * np.spacing(np.abs(t))
+        after = before = slope(np.where(jumps, t + beside, t), y)
         if jumps.any():
             before = after.copy()
-            before[:, jumps] = slope(np.nextafter(t[jumps], -self.forward * np.inf), y[:, jumps])
+            before[:, jumps] = slope((t - beside)[jumps], y[:, jumps])
         return after, before
 
     def _slopes_of_shape(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:

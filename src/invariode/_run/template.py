@@ -19,6 +19,7 @@ from .._base.types import MethodName
 from .._laws.bound import bind
 from .._problem.description import Description, Posed
 from .._problem.options import Options
+from .landings import switches_in_time
 from .plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 
 #: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
@@ -103,7 +104,7 @@ def plan_or_template(problem: Posed | Description, method: MethodName, options: 
 def _kind(problem: Posed | Description, method: MethodName, options: Options) -> Hashable | None:
     """What problems have in common that have a plan in common. None: this problem is the only one of its kind."""
     n = reals(problem.y0)
-    if not problem.is_plain or n >= _LARGE or type(method) is not str:
+    if not problem.is_plain or n >= _LARGE or type(method) is not str or switches_in_time(problem):
         return None
     given = _core.plain_options(options)
     return None if given is None else (method, n, problem.y0.dtype.kind, given)

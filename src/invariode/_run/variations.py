@@ -27,6 +27,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
+from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic
 from .variation_sizes import Sizes
@@ -71,6 +72,8 @@ class Variations:
         Whether the conditions of f are known.
     derivatives_of : list of Directional
         Of all functions.
+    schedule : Schedule or None
+        Where f changes its branch as a function of t alone.
     is_complex : bool
         Whether the state is; `start` has pairs then.
     """
@@ -89,6 +92,7 @@ class Variations:
     near: float
     follows_jumps: bool
     derivatives_of: list[Directional]
+    schedule: Schedule | None = None
     is_complex: bool = False
 
     @property
@@ -197,7 +201,12 @@ class Variations:
 
 
 def make_variations(
-    problem: Description, y0: Array, weights: Weights, specs: Sequence[InvariantSpec], points: Sequence[Breakpoint]
+    problem: Description,
+    y0: Array,
+    weights: Weights,
+    specs: Sequence[InvariantSpec],
+    points: Sequence[Breakpoint],
+    schedule: Schedule | None = None,
 ) -> Variations:
     """The sensitivities that a problem asks for.
 
@@ -219,10 +228,6 @@ def make_variations(
     slope = about.of(fun, "fun", m=n, given=given)
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
         require_analytic(slope, about.at, of_start[0])
-    laws = [
-        about.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
-        for one, spec in zip(problem.invariants, specs, strict=True)
-    ]
     rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     mass = about.of_mass(problem, rate)
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
@@ -230,11 +235,12 @@ def make_variations(
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
     parameters = Parameters.of(args)
+    schedule = schedule or schedule_of(problem, parameters, slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
     whole = np.vstack([y0, start])
-    tangents = [form(law.for_core(t0, whole), complex_values=False) for law in laws]
+    tangents = [form(law.for_core(t0, whole), complex_values=False) for law in about.of_laws(problem, specs)]
     slope_for_core = slope.for_core(t0, whole)
     for_core = _core.Variations(
         k=len(names),
@@ -243,12 +249,13 @@ def make_variations(
         invariants=tangents,
         jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
         breakpoints=[form(one) for one in doses],
+        landings=form(landing_jump(schedule, problem, names, rate)),
         error_test=wanted.error_test,
     )
     about.tell()
     return Variations(
         names=[one.name for one in names],
-        start=start,
+        start=np.ascontiguousarray(wanted.start(names, args, n).T),
         sizes=measure,
         for_core=for_core,
         slope=slope_for_core,
@@ -261,6 +268,7 @@ def make_variations(
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
         derivatives_of=about.made,
+        schedule=schedule,
         is_complex=is_complex,
     )
 
@@ -291,6 +299,13 @@ class _Derivatives:
         self.how[made.called] = made.how
         self.made.append(made)
         return made
+
+    def of_laws(self, problem: Description, specs: Sequence[InvariantSpec]) -> list[Directional]:
+        """Those of the invariants."""
+        return [
+            self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
+            for one, spec in zip(problem.invariants, specs, strict=True)
+        ]
 
     def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
         """Those of the mass matrix; None: it does not depend on the parameters."""

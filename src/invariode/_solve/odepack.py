@@ -26,6 +26,7 @@ from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
 from .._core import StateFirst, StepLimit, plain_breakpoints, plain_course
 from .._functions.compiled import is_native
+from .._functions.graph.plain import AS_TRACED
 from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
@@ -404,7 +405,9 @@ def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None)
         calls[0] += 1
         return fun(t, y, *args) if tfirst else fun(y, t, *args)
 
-    return functools.wraps(fun)(counted)
+    made = functools.wraps(fun)(counted)
+    setattr(made, AS_TRACED, fun if tfirst else StateFirst(fun))
+    return made
 
 
 def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter | None) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
 from .derivatives import Row, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
+from .landings import Crossing, timed
 from .nodes import Node
 from .python import Formula, Pattern
 
@@ -53,6 +54,11 @@ class Derived:
         y = self._y
         found = [gradient(self.outputs[0], y)] if len(self.outputs) == 1 else jacobian(self.outputs, y)
         return [{j: one for j, one in row.items() if not _is_zero(one)} for row in found]
+
+    @cached_property
+    def timed(self) -> list[Crossing]:
+        """The conditions that depend on t and not on y."""
+        return timed(self.outputs)
 
     @cached_property
     def pattern(self) -> Pattern:

@@ -95,10 +95,17 @@ class Node:
 
 class Graph:
     """Makes nodes. Identities are applied only where they are exact in floating point: x·1, x/1, −(−x), x − 0 and
-    operations on two numbers; x + 0 is not x if x is −0."""
+    operations on two numbers; x + 0 is not x if x is −0.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    most : int, optional
+        More nodes than this are an error, a TraceError.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
         self._known: dict[tuple[Any, ...], Node] = {}
+        self._most = most
 
     def __len__(self) -> int:
         return len(self._known)
@@ -109,6 +116,8 @@ class Graph:
         key = (op, same, *map(id, arguments))
         found = self._known.get(key)
         if found is None:
+            if self._most is not None and len(self._known) >= self._most:
+                raise TraceError(f"more than {self._most} operations")
             found = self._known[key] = Node(self, op, arguments, value)
         return found
 

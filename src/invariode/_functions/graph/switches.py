@@ -43,10 +43,10 @@ class Switch(NamedTuple):
     above: list[Node]
 
 
-def switches(outputs: Sequence[Node], t: float, y: Array, p: Array, inputs: int = 0) -> list[Switch]:
-    """The conditions of a graph at which its values jump. They are looked for around (t, y). `inputs`: how many of the
-    parameters, the first ones, change with t."""
-    return [one for one in conditions(outputs, inputs) if _jumps(one, t, y, p)]
+def switches(outputs: Sequence[Node], t: float, y: Array, p: Array) -> list[Switch]:
+    """The conditions of a graph, those that change with y, at which its values jump. They are looked for around
+    (t, y). (Those that depend on t alone are in `landings`.)"""
+    return [one for one in conditions(outputs) if _jumps(one, t, y, p)]
 
 
 def has_steps(outputs: Sequence[Node]) -> bool:
@@ -54,12 +54,12 @@ def has_steps(outputs: Sequence[Node]) -> bool:
     return any(node.op in _PUNCTURED for node in in_order(outputs))
 
 
-def conditions(outputs: Sequence[Node], inputs: int = 0) -> list[Switch]:
-    """All comparisons, signs and steps of values that change with y, or with t and a parameter."""
-    return [*_comparisons(outputs, inputs), *_steps(outputs, inputs)]
+def conditions(outputs: Sequence[Node]) -> list[Switch]:
+    """All comparisons, signs and steps of values that change with y."""
+    return [*_comparisons(outputs), *_steps(outputs)]
 
 
-def _comparisons(outputs: Sequence[Node], inputs: int) -> list[Switch]:
+def _comparisons(outputs: Sequence[Node]) -> list[Switch]:
     groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
     for node in in_order(outputs):
         if node.op not in _ORDERED and node.op != "sign":
@@ -74,7 +74,7 @@ def _comparisons(outputs: Sequence[Node], inputs: int) -> list[Switch]:
     found = []
     for (a, b), nodes in groups.items():
         difference = a - b
-        if not _moves(difference, inputs):
+        if not _moves(difference):
             continue
         below = _decided(outputs, {node: _answer(node, below=below) for node, below in nodes})
         above = _decided(outputs, {node: _answer(node, below=not below) for node, below in nodes})
@@ -83,7 +83,7 @@ def _comparisons(outputs: Sequence[Node], inputs: int) -> list[Switch]:
     return found
 
 
-def _steps(outputs: Sequence[Node], inputs: int) -> list[Switch]:
+def _steps(outputs: Sequence[Node]) -> list[Switch]:
     """Where x is an integer sin πx changes its sign, upwards at even ones. Near an integer r = ⌊x + 1/2⌋ the floor of x
     is r − 1 below it and r above it."""
     groups: dict[Node, list[Node]] = {}
@@ -93,7 +93,7 @@ def _steps(outputs: Sequence[Node], inputs: int) -> list[Switch]:
             groups.setdefault(x, []).append(node)
     found = []
     for x, nodes in groups.items():
-        if not _moves(x, inputs):
+        if not _moves(x):
             continue
         nearest = x.graph.make("floor", x + 0.5)
         odd = nearest.graph.make("modulo", nearest, nearest.graph.node(2.0))
@@ -113,13 +113,9 @@ def _stepped(node: Node, floor: Node) -> Node:
     return floor if node.op == "floor" else floor + 1.0
 
 
-def _moves(difference: Node, inputs: int) -> bool:
-    """Whether the time at which it changes its sign, if there is one, may depend on parameters."""
-    nodes = [*in_order([difference])]
-    if any(node.op == "y" for node in nodes):
-        return True
-    timed = any(node.op == "t" or (node.op == "p" and node.value < inputs) for node in nodes)
-    return timed and any(node.op == "p" and node.value >= inputs for node in nodes)
+def _moves(difference: Node) -> bool:
+    """Whether the time at which it changes its sign, if there is one, depends on y."""
+    return any(node.op == "y" for node in in_order([difference]))
 
 
 def _answer(node: Node, *, below: bool) -> Node | bool:

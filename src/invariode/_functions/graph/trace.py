@@ -29,12 +29,18 @@ from .traced import _UNARY, TracedArray, cells_of, condition, has_traced, is_com
 
 
 class TraceLimits(NamedTuple):
-    """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds."""
+    """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds. Nodes are
+    counted where a decision is taken, or `anywhere`."""
 
     paths: int = 512
     decisions: int = 60
     nodes: int = 200_000
     seconds: float = 5.0
+    anywhere: bool = False
+
+
+#: For what a run does in passing: beyond these counts, which do not depend on the clock, it does without.
+IN_PASSING = TraceLimits(paths=16, decisions=8, nodes=5000, seconds=math.inf, anywhere=True)
 
 
 class Traced(NamedTuple):
@@ -142,7 +148,7 @@ class _Run:
         self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
         self._inplace, self._limits, self._is_complex = inplace, limits, is_complex
         self._number = condition if conditions else number
-        self._graph = Graph()
+        self._graph = Graph(limits.nodes if limits.anywhere else None)
         self._copies = _Copies(self, selections)
         self._fun = self._copies.of(fun)
         self._decisions: list[tuple[Node, bool, bool]] = []  # condition, answer, whether the other one has been given

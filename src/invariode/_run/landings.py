@@ -1,0 +1,226 @@
+"""The landings of a run: where its f changes its branch as a function of t alone, and what sensitivities do there.
+
+At a landing τ(p) the solution goes on and y' jumps, hence S⁺ = S⁻ + (f⁻ − f⁺) ∂τ/∂p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array, reals, warn
+from .._functions.compiled import CompiledFunction
+from .._functions.graph.derived import derived
+from .._functions.graph.function import OnGraph
+from .._functions.graph.nodes import Graph, Node, in_order
+from .._functions.layout import Arguments, Numbers, Parameters, arguments_of, count_of, place_of
+from .._functions.second_order import SecondOrder
+from .._problem.description import Description, Posed
+from .._problem.inputs import Input
+from .._problem.invariants import AccuracyWarning
+from .._problem.parameters import ParameterName
+
+if TYPE_CHECKING:
+    from .._functions.graph.landings import Crossing, Landings
+    from .._functions.graph.plain import PlainGraph
+    from .actions import Rate
+
+#: On which side of a landing f is evaluated: so many ulp from it, as far as no step leads.
+_BESIDE = 16.0
+#: Relative differences of derivatives of times that are roundoff.
+_ALIKE = 1e-9
+
+
+class Schedule(NamedTuple):
+    """The landings of a problem.
+
+    Attributes
+    ----------
+    landings : Landings
+        When they are.
+    p : ndarray
+        The numbers of the arguments, of which its graph is a function.
+    """
+
+    landings: Landings
+    p: Array
+
+    @property
+    def depends_on_args(self) -> bool:
+        """Whether the times depend on the arguments of f."""
+        return bool(self.landings.parameters())
+
+
+def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] | None = None) -> Schedule | None:
+    """The landings of a problem; None: there are none. Conditions that change too often, or in a way that is not
+    understood, are left out, with a warning.
+
+    Parameters
+    ----------
+    problem : Description
+        The problem.
+    parameters : ndarray
+        Those that its native functions have.
+    graph : sequence of Node, optional
+        That of its f, if it has been traced for its derivatives.
+    """
+    from .._functions.graph.landings import landings, timed
+
+    found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
+    if not found:
+        return None
+    p = Parameters.of(problem.args)
+    made = landings(found, p, *problem.t_span)
+    if made.left_out and np.isfinite(problem.t_span).all():  # otherwise the run has no end yet
+        why = next(iter(made.left_out.values()))
+        warn(
+            f"steps do not end where a condition of fun changes: {why}. They may pass over such times: write the "
+            "condition as one of t, of t % period, or of a line or a sine of t; or pass breakpoints",
+            AccuracyWarning,
+        )
+    return Schedule(made, p)
+
+
+def switches_in_time(problem: Posed | Description) -> bool:
+    """Whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
+    from .._functions.graph.plain import may_switch, plain_graph
+
+    if not may_switch(problem.fun):
+        return False
+    is_complex = problem.y0.dtype.kind == "c"
+    made = plain_graph(problem.fun, reals(problem.y0), arguments_of(problem.args), is_complex=is_complex)
+    return made is not None and bool(made.timed)
+
+
+def _conditions(problem: Description, parameters: Array) -> list[Crossing]:
+    """The conditions of f that depend on t alone."""
+    from .._functions.graph.landings import timed
+
+    n = reals(problem.y0)
+    fun = problem.slope.fun if not isinstance(problem.fun, SecondOrder) else problem.fun
+    inside = getattr(fun, "fun", fun) if problem.inputs else fun
+    if n and isinstance(inside, OnGraph):
+        found = derived(fun, n, n, count_of(parameters))
+        if found is None:
+            return []
+        return found.timed if not problem.inputs else timed(*_fed(found.outputs, problem))
+    made = _of_python(problem) if n else None
+    if made is None:
+        return []
+    return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
+
+
+def _of_python(problem: Description) -> PlainGraph | None:
+    """The graph of a Python f, if it has one that may switch."""
+    fun, n = problem.fun, reals(problem.y0)
+    if isinstance(fun, SecondOrder):
+        if fun.native:
+            return None
+        fun = fun.first_order
+    if isinstance(fun, CompiledFunction):
+        if fun.inplace:
+            return None
+        fun = fun.fun
+    from .._functions.graph.plain import may_switch, plain_graph
+
+    if not may_switch(fun):
+        return None
+    inputs = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
+    args = Arguments([*inputs, *arguments_of(problem.args).entries])
+    if isinstance(problem.fun, CompiledFunction) and args:  # numba's, of all numbers in one array
+        args = Arguments([Numbers(np.ones(int(args)), varying=True)])
+    return plain_graph(fun, n, args, is_complex=problem.y0.dtype.kind == "c")
+
+
+def _fed(outputs: Sequence[Node], problem: Description) -> tuple[list[Node], list[Node]]:
+    """The graph with inputs as functions of t, and the nodes of their tables, of which `breakpoints` decides."""
+    if not problem.inputs:
+        return list(outputs), []
+    before = {node.value for node in in_order(outputs) if node.op == "piece"}
+    made = with_inputs(outputs, problem.inputs)
+    return made, [node for node in in_order(made) if node.op == "piece" and node.value not in before]
+
+
+def with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
+    """The values with polynomials in t in the place of the first parameters, the inputs."""
+    if not inputs:
+        return list(outputs)
+    from .._functions.graph.kinks import substituted
+
+    graph = outputs[0].graph
+    values = [value for one in inputs for value in _polynomials(one, graph)]
+    places = sorted({node.value for node in in_order(outputs) if node.op == "p"})
+    instead = {graph.p(i): values[i] if i < len(values) else graph.p(i - len(values)) for i in places}
+    return substituted(outputs, instead)
+
+
+def _polynomials(given: Input, graph: Graph) -> list[Node]:
+    """The values of an input at t."""
+    from .._functions.graph.tables import looked_up
+
+    breaks, powers = given.pieces()
+    t, inside = graph.t, breaks[1 : powers.shape[1]]
+    since = t - looked_up(t, inside, breaks[: powers.shape[1]])
+    found = []
+    for column in np.moveaxis(powers, 2, 0):
+        value = looked_up(t, inside, column[0])
+        for row in column[1:]:
+            value = value * since + looked_up(t, inside, row)
+        found.append(value)
+    return found
+
+
+@dataclass
+class LandingJump:
+    """S behind a landing whose time depends on parameters."""
+
+    schedule: Schedule
+    _places: Sequence[int | None]
+    _rate: Rate
+    _forward: float
+    _warned: bool = False
+
+    def __call__(self, t: float, Y: Array, after: Array) -> Array:
+        y, S = Y[0], Y[1:]
+        times = self.rates_of_time(t)
+        if not times.any():
+            return S
+        before, behind = self.sides(t, y)
+        return np.asarray(S + np.outer(times, before - behind))
+
+    def sides(self, t: float, y: Array) -> tuple[Array, Array]:
+        """y' before and behind a landing."""
+        beside = self._forward * _BESIDE * float(np.spacing(abs(t)))
+        return self._rate(t - beside, y), self._rate(t + beside, y)
+
+    def rates_of_time(self, t: float) -> Array:
+        """∂τ/∂p of the landing at t, of shape (k,)."""
+        from .._functions.graph.landings import rates_of_time
+
+        found = [rates_of_time(one, self._places)(t, self.schedule.p) for one in self.schedule.landings.at(t)]
+        if not found:
+            return np.zeros(len(self._places))
+        if any(not np.allclose(one, found[0], rtol=_ALIKE) for one in found) and not self._warned:
+            self._warned = True
+            warn(
+                f"sensitivities: several conditions of fun change together at t = {t:.6g}, at times that differ for "
+                "other parameters. Sensitivities are not reliable from there on: move one of the times a little",
+                AccuracyWarning,
+            )
+        return found[0]
+
+
+def landing_jump(
+    schedule: Schedule | None, problem: Description, names: Sequence[ParameterName], rate: Rate
+) -> LandingJump | None:
+    """What sensitivities do at landings; None: their times do not depend on the parameters."""
+    if schedule is None or not schedule.landings:
+        return None
+    places = [None if one.kind != "args" else place_of(problem.args, one.index, one.item) for one in names]
+    if schedule.landings.parameters().isdisjoint(place for place in places if place is not None):
+        return None
+    forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
+    return LandingJump(schedule, places, rate, forward)

@@ -1,0 +1,325 @@
+"""Steps end where f switches as a function of t alone, whichever method, direction and kind of function."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+import types
+import warnings
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import invariode as iv
+from cases import FAMILIES, SERIES, dealt, families, families_and_series, hidden
+from invariode._functions.graph.plain import may_switch, plain_graph
+from invariode._functions.layout import Parameters, arguments_of
+from invariode._run.landings import schedule_of
+
+SPLINE = CubicSpline([0.0, 2.0, 5.0, 9.0, 12.0], [0.0, 1.0, -1.0, 0.5, 0.0])
+#: Functions of t on (0, 12), and where they, or their derivatives, jump.
+SWITCHING = {
+    "pulse": (lambda t: 3.0 if 1 <= t <= 1.5 else 0.0, [1, 1.5]),
+    "periodic": (lambda t: 2.0 if t % 2.3 < 1.1 else 0.0, [2.3 * k + s for k in range(6) for s in (0, 1.1)]),
+    "floor": (lambda t: math.floor(0.7 * t), [k / 0.7 for k in range(9)]),
+    "ceil": (lambda t: np.ceil(-0.7 * t + 0.2), [(k + 0.2) / 0.7 for k in range(9)]),
+    "remainder": (lambda t: (2 * t + 1) % 3.1, [(3.1 * k - 1) / 2 for k in range(9)]),
+    "doses": (lambda t: 1.0 if t - 5 * math.floor(t / 5) < 0.3 else 0.0, [0.3, 5, 5.3, 10, 10.3]),
+    "abs": (lambda t: abs(t - 3) + np.abs(np.sin(t)), [3, math.pi, 2 * math.pi, 3 * math.pi]),
+    "limited": (lambda t: min(max(t - 2, 0.0), 3.0), [2, 5]),
+    "table": (lambda t: np.interp(t, [0.0, 1.0, 2.5, 4.0], [0.0, 1.0, 1.0, 0.0]), [1, 2.5, 4]),
+    "spline": (lambda t: SPLINE(t), [2, 5, 9]),
+    "sine": (
+        lambda t: 1.0 if np.sin(2 * t) > 0.3 else 0.0,
+        [(x + 2 * math.pi * k) / 2 for k in range(4) for x in (math.asin(0.3), math.pi - math.asin(0.3))],
+    ),
+    "nested": (lambda t: 1.0 if t % 5 % 2 < 0.7 else 0.0, [0.7, 2, 2.7, 4, 4.7, 5, 5.7, 7, 7.7, 9, 9.7, 10, 10.7]),
+    "heaviside": (lambda t: np.heaviside(t - 4, 0.5) * np.sign(t - 7), [4, 7]),
+    "accelerating": (
+        lambda t: 1.0 if t * t % 40 < 10 else 0.0,
+        [math.sqrt(40 * k + s) for k in range(4) for s in (0, 10)],
+    ),
+}
+
+
+#: Errors in tolerances; those of the trapezoidal rule are as large for u = 3 sin 2t.
+FACTOR = {"ode23t": 30}
+
+
+def exact(u, breaks, t0, y0, t, rate=0.5):
+    """y' = u(t) − rate y from (t0, y0): by Gauss's formula between the breaks, where u is smooth."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    ends = np.unique(np.concatenate([[t0, t], [one for one in breaks if min(t0, t) < one < max(t0, t)]]))
+    y = y0 * np.exp(-rate * (t - t0))
+    for a, b in itertools.pairwise(ends if t >= t0 else ends[::-1]):
+        parts = math.ceil(abs(b - a))
+        for i in range(parts):
+            low, high = a + (b - a) * i / parts, a + (b - a) * (i + 1) / parts
+            s = 0.5 * (low + high) + 0.5 * (high - low) * nodes
+            values = np.array([float(u(one)) for one in s])
+            y += 0.5 * (high - low) * weights @ (values * np.exp(rate * (s - t)))
+    return y
+
+
+@dealt(method=[*FAMILIES, *SERIES], name=SWITCHING)
+def test_values_are_those_of_the_exact_solution(method, name):
+    """To ten tolerances, forwards and backwards, for Python and compiled functions, which take the same steps."""
+    u, breaks = SWITCHING[name]
+    for t0, tf, rate in ((0.0, 12.0, 2.0), (12.0, 0.0, -2.0)):
+
+        def f(t, y, rate=rate):
+            return [u(t) - rate * y[0]]
+
+        inside = [one for one in breaks if 1e-9 < one < 12 - 1e-9]
+        for rtol in (1e-3, 1e-6):
+            atol = 1e-2 * rtol
+            sols = [iv.solve_ivp(one, (t0, tf), [1.0], method, rtol=rtol, atol=atol) for one in (f, iv.compile(f))]
+            y = exact(u, breaks, t0, 1.0, tf, rate)
+            for sol in sols:
+                assert abs(sol.y[0, -1] - y) <= FACTOR.get(method, 10) * (rtol * np.abs(sol.y).max() + atol)
+                assert all(np.abs(sol.t - one).min() < 1e-12 * 12 for one in inside)
+                assert sol.stats.discontinuities == ()
+
+
+@families_and_series
+def test_an_infusion_that_steps_would_pass_over(method):
+    k = 0.1
+    for kind in (iv.compile, lambda fun: fun):
+        fun = kind(lambda t, X, k: [-k * X[0] + (3000.0 if 1 <= t <= 1.5 else 0.0)])
+        sol = iv.solve_ivp(fun, (0, 30), [0.0], method, args=(k,))
+        right = 3000 / k * (1 - math.exp(-0.5 * k)) * math.exp(-28.5 * k)
+        assert sol.y[0, -1] == pytest.approx(right, rel=10 * 1e-3)
+
+
+@families_and_series
+@pytest.mark.parametrize("span", [(0, 10), (10, 0)], ids=["forwards", "backwards"])
+def test_sensitivities_jump_at_times_that_depend_on_parameters(method, span):
+    """∫ of 1.0 if t % p < q: 4 q + (10 − 4 p) at (p, q) = (2.3, 1.1)."""
+    for kind in (iv.compile, lambda fun: fun):
+        fun = kind(lambda t, y, p, q: [1.0 if t % p < q else 0.0])
+        sol = iv.solve_ivp(fun, span, [0.0], method, args=(2.3, 1.1), sensitivities=True, adjoint=True, rtol=1e-6)
+        sign = math.copysign(1, span[1] - span[0])
+        assert sol.y[0, -1] == pytest.approx(sign * (4 * 1.1 + 10 - 4 * 2.3), rel=1e-9)
+        assert sol.sensitivities[0, :, -1] == pytest.approx([-4 * sign, 4 * sign], rel=1e-9)
+        assert sol.gradient([1.0]) == pytest.approx([-4 * sign, 4 * sign], rel=1e-9)
+
+
+@families
+def test_sensitivities_to_the_times_of_a_dose(method):
+    """y' = a u(t) − k y with u = 1 from b to b + d: closed forms."""
+    a, b, d, k, tf = 2.0, 1.3, 0.6, 0.4, 6.0
+    value = lambda a, b, d, k: a / k * (np.exp(-k * (tf - b - d)) - np.exp(-k * (tf - b)))  # noqa: E731
+    p = np.array([a, b, d, k])
+    right = [np.imag(value(*(p + 1e-30j * one))) / 1e-30 for one in np.eye(4)]
+    fun = lambda t, y, a, b, d, k: [(a if b < t < b + d else 0.0) - k * y[0]]  # noqa: E731
+    sol = iv.solve_ivp(fun, (0, tf), [0.0], method, args=(a, b, d, k), rtol=1e-7, sensitivities=True, adjoint=True)
+    assert sol.sensitivities[0, :, -1] == pytest.approx(right, abs=1e-4)
+    assert sol.gradient([1.0]) == pytest.approx(right, abs=1e-4)
+
+
+def test_landings_are_generated_as_the_run_proceeds():
+    """83 334 doses of two hours a day: y' = u − y/10, periodic, so that the last value is known."""
+    fun = iv.compile(lambda t, y: [(1.0 if t % 24 < 2 else 0.0) - 0.1 * y[0]])
+    sol = iv.solve_ivp(fun, (0, 1e6), [0.0], "ode23", rtol=1e-4, atol=1e-8, keep="end")
+    day = math.exp(-2.4)
+    at_zero = 10 * (1 - math.exp(-0.2)) * math.exp(-2.2) / (1 - day)  # at the beginning of each day
+    hours = 1e6 % 24
+    right = (at_zero * math.exp(-0.2) + 10 * (1 - math.exp(-0.2))) * math.exp(-0.1 * (hours - 2))
+    assert sol.y[0, -1] == pytest.approx(right, rel=1e-3)
+    assert sol.stats.steps >= 2 * 41666
+
+
+def test_conditions_that_change_too_often_are_named():
+    for fun in (lambda t, y: [1.0 if t % 1e-9 < 5e-10 else 0.0], lambda t, y: [math.floor(1e9 * t) % 2]):
+        with pytest.warns(iv.AccuracyWarning, match=r"(modulo|floor).* changes about .* times between t0 and tf"):
+            iv.solve_ivp(fun, (0, 1e6), [0.0], max_steps=3, on_failure="return")
+
+
+COUNT = 0
+
+
+def test_functions_whose_tracing_could_be_noticed_are_not_traced():
+    """They write to what is not theirs, call what is not known, or read what may have effects."""
+    seen, table, settings = [0], {}, types.SimpleNamespace(period=2.0)
+    array = np.zeros(3)
+
+    def counting(t, y):
+        seen[0] += 1
+        return [1.0 if t < 3 else 0.0]
+
+    def nonlocal_one(t, y):
+        nonlocal array
+        array = array + 1
+        return [1.0 if t < 3 else 0.0]
+
+    def global_one(t, y):
+        global COUNT
+        COUNT += 1
+        return [1.0 if t < 3 else 0.0]
+
+    def remembering(t, y):
+        table[t] = y
+        return [1.0 if t < 3 else 0.0]
+
+    def appending(t, y):
+        seen.append(t)
+        return [1.0 if t < 3 else 0.0]
+
+    def filling(t, y):
+        np.add(array, 1, out=array)
+        return [1.0 if t < 3 else 0.0]
+
+    def aliased(t, y):
+        mine = array
+        mine += 1
+        return [1.0 if t < 3 else 0.0]
+
+    def of_attributes(t, y):
+        return [1.0 if t % settings.period < 1 else 0.0]
+
+    def setting(t, y):
+        settings.last = t
+        return [1.0 if t < 3 else 0.0]
+
+    def printing(t, y):
+        print(t)
+        return [1.0 if t < 3 else 0.0]
+
+    def random_one(t, y):
+        return [np.random.default_rng().normal() if t < 3 else 0.0]
+
+    def calling(t, y):
+        return counting(t, y)
+
+    for fun in (
+        *(counting, nonlocal_one, global_one, remembering, appending, filling, aliased, of_attributes, setting),
+        *(printing, random_one, calling),
+    ):
+        before = copy.deepcopy((seen, table, vars(settings), array.tolist(), COUNT))
+        assert not may_switch(fun) or plain_graph(fun, 1, arguments_of(())) is None
+        assert before == (seen, table, vars(settings), array.tolist(), COUNT)
+
+
+def test_a_function_is_traced_for_what_it_uses_when_it_runs():
+    """Closures, helpers and lists have their values of that moment."""
+    times = [1.0, 2.0]
+
+    def rate(t):
+        return 5.0 if times[0] < t < times[1] else 0.0
+
+    def fun(t, y):
+        return [rate(t)]
+
+    assert iv.solve_ivp(fun, (0, 10), [0.0]).y[0, -1] == pytest.approx(5, rel=1e-9)
+    times[:] = [3.0, 7.0]
+    assert iv.solve_ivp(fun, (0, 10), [0.0]).y[0, -1] == pytest.approx(20, rel=1e-9)
+
+
+@families_and_series
+def test_runs_go_on_bit_for_bit(method, tmp_path):
+    """Interrupted anywhere, extended, and loaded from a file."""
+
+    @iv.compile
+    def fun(t, y):
+        return [y[1], -y[0] + (1.0 if t % 0.7 < 0.2 else 0.0) * (2.0 if t < 3.0 else 1.0)]
+
+    problem = iv.Problem(fun, (0, 8), [1.0, 0.0])
+    whole = problem.solve(method, rtol=1e-6)
+    for steps in (1, 7, whole.stats.steps // 2):
+        part = problem.solve(method, rtol=1e-6, max_steps=steps, on_failure="return")
+        part.save(tmp_path / "part.npz")
+        for sol in (part, iv.load(tmp_path / "part.npz", problem)):
+            sol = sol.extend(8, max_steps=100_000)
+            assert np.array_equal(sol.t, whole.t)
+            assert np.array_equal(sol.y, whole.y)
+            assert dict(sol.stats) == dict(whole.stats)
+
+
+@families_and_series
+def test_ensembles_and_prepared_solvers_do_the_same(method):
+    """Also where each row has its own times."""
+    fun = iv.compile(lambda t, y, p: [(1.0 if t % p < 0.5 else 0.0) - y[0]])
+    rows = np.array([[1.1], [2.3], [3.7]])
+    many = iv.solve_ensemble(fun, (0, 9), [0.3], method, args=rows, rtol=1e-5, workers=1)
+    problem = iv.Problem(fun, (0, 9), [0.3], args=(1.0,))
+    prepared = problem.prepare(method, rtol=1e-5)
+    for i, row in enumerate(rows):
+        alone = problem.replace(args=tuple(row)).solve(method, rtol=1e-5)
+        assert np.array_equal(many.y_end[i], alone.y[:, -1])
+        again = prepared(args=tuple(row))
+        assert np.array_equal(again.t, alone.t)
+        assert np.array_equal(again.y, alone.y)
+    fixed = iv.compile(lambda t, y, p: [p * (1.0 if t % 2 < 0.5 else 0.0) - y[0]])
+    together = iv.solve_ensemble(fixed, (0, 9), [0.3], method, args=rows, rtol=1e-5, workers=2)
+    for i, row in enumerate(rows):
+        alone = iv.solve_ivp(fixed, (0, 9), [0.3], method, args=tuple(row), rtol=1e-5)
+        assert np.array_equal(together.y_end[i], alone.y[:, -1])
+
+
+@families
+def test_landings_meet_everything_else(method):
+    """Events, actions, breakpoints with doses, bounds, invariants and output times on landings: y' = −y/2 + u(t)."""
+    u = lambda t: 2.0 if t % 4 < 1 else 0.0  # noqa: E731
+    breaks = [0, 1, 4, 5, 8, 9]
+    problem = iv.Problem(
+        lambda t, y: [(2.0 if t % 4 < 1 else 0.0) - 0.5 * y[0], 1.0, -y[2] + y[3], y[2] - y[3]],
+        (0, 10),
+        [0.5, 0.0, 1.0, 2.0],
+        events=iv.Event(lambda t, y: y[1] - 5.0, action=lambda t, y: [y[0] + 1.0, *y[1:]]),
+        invariants=iv.Invariants(lambda t, y: y[2] + y[3], jac=lambda t, y: [[0, 0, 1.0, 1.0]]),
+        nonnegative=True,
+    )
+    dose = lambda t, y: [y[0] + 3.0, *y[1:]]  # noqa: E731
+    times = [0.0, 1.0, 4.0, 5.0, 6.5, 10.0]
+    sol = problem.solve(method, rtol=1e-6, atol=1e-8, breakpoints={4.0: dose}, t_eval=times, dense_output=True)
+    y4 = exact(u, breaks, 0, 0.5, 4.0) + 3
+    y5 = exact(u, breaks, 4, y4, 5.0) + 1
+    assert sol.t_events[0] == pytest.approx([5.0], abs=1e-9)
+    at = dict(zip(sol.t.tolist(), sol.y[0].tolist(), strict=True))
+    assert at[1.0] == pytest.approx(exact(u, breaks, 0, 0.5, 1.0), abs=1e-4)
+    assert at[6.5] == pytest.approx(exact(u, breaks, 5, y5, 6.5), abs=1e-4)
+    assert at[10.0] == pytest.approx(exact(u, breaks, 5, y5, 10.0), abs=1e-4)
+    assert sol.sol(3.3)[0] == pytest.approx(exact(u, breaks, 0, 0.5, 3.3), abs=1e-4)
+    assert sol.y[2] + sol.y[3] == pytest.approx(3, abs=1e-9)
+
+
+def test_a_mass_matrix_and_algebraic_equations():
+    """Algebraic variables jump with their equations."""
+    for method in ("ode15s", "radau", "ode23t"):
+        sol = iv.solve_ivp(
+            lambda t, y: [-y[0] + y[1], y[1] - (2.0 if t >= 1.5 else 1.0)],
+            (0, 3),
+            [0.0, 1.0],
+            method,
+            mass=np.diag([1.0, 0.0]),
+            rtol=1e-6,
+            atol=1e-8,
+        )
+        right = (1 - math.exp(-1.5)) * math.exp(-1.5) + 2 * (1 - math.exp(-1.5))
+        assert sol.y[:, -1] == pytest.approx([right, 2.0], abs=1e-4)
+
+
+def test_where_nothing_is_known_runs_are_as_before():
+    """What is hidden from tracing takes the steps it took, and f is called as often as it is counted."""
+    calls = []
+
+    def fun(t, y):
+        calls.append(t)
+        return [-y[0] + (1.0 if t < 2 else 0.0)]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", iv.DiscontinuityWarning)
+        sol = iv.solve_ivp(hidden(fun), (0, 10), [1.0], rtol=1e-6)
+        assert len(calls) == sol.nfev + sol.stats.nfev_check
+        same = iv.solve_ivp(fun, (0, 10), [1.0], rtol=1e-6)
+    assert np.array_equal(sol.t, same.t)
+
+
+def test_times_are_doubles_that_people_write():
+    """Where a line or a period leads to a double exactly, that is the landing."""
+    problem = iv.Problem(lambda t, y: [1.0 if 1 <= t <= 1.5 or t % 24 < 2 else np.floor(t / 7)], (0, 100), [0.0])
+    times = schedule_of(problem, Parameters.of(())).landings.apart(0, 100, np.zeros(0))
+    expected = sorted({1, 1.5, *range(0, 100, 24), *range(2, 100, 24), *range(0, 100, 7)})
+    assert np.array_equal(times, expected)
