@@ -255,7 +255,7 @@ def make_variations(
     about.tell()
     return Variations(
         names=[one.name for one in names],
-        start=np.ascontiguousarray(wanted.start(names, args, n).T),
+        start=start,
         sizes=measure,
         for_core=for_core,
         slope=slope_for_core,
