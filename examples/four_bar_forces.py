@@ -64,6 +64,7 @@ def main():
     )
     force = system.multipliers(sol)  # on the first of the two points of each pin, in newtons if q is in metres
     size = np.hypot(force[0::2], force[1::2])
+    print(f"{'pins':>20} off by {max(abs(gap) for q in sol.y[:9].T for gap in pins(0, q)):.1e}")
     figure, axes = plt.subplots(1, 2, figsize=(9.6, 4), layout="constrained")
     names = ("ground and crank", "crank and coupler", "coupler and rocker", "rocker and ground")
     for name, one in zip(names, size, strict=True):

@@ -131,6 +131,7 @@ def test_landings_are_generated_as_the_run_proceeds():
     assert sol.stats.steps >= 2 * 41666
 
 
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # what then happens in the run
 def test_conditions_that_change_too_often_are_named():
     for fun in (lambda t, y: [1.0 if t % 1e-9 < 5e-10 else 0.0], lambda t, y: [math.floor(1e9 * t) % 2]):
         with pytest.warns(iv.AccuracyWarning, match=r"(modulo|floor).* changes about .* times between t0 and tf"):

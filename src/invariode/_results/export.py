@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._base import arguments
 from .._base.arguments import Array
 from .._base.extras import extra
 from .._base.formats import write
@@ -95,7 +96,7 @@ class Exports(Result):
             The file cannot be written.
         """
         require_whole(self)
-        ending = Path(path).suffix.lower()
+        ending = Path(arguments.path("path", path)).suffix.lower()
         if ending in _OTHER_FORMATS:
             raise ValueError(
                 f"save writes NPZ files, and {os.fspath(path)!r} ends in {ending}: {_OTHER_FORMATS[ending]}"
