@@ -65,7 +65,7 @@ def test_what_was_analysed_can_be_read():
     assert sorted(dae.blocks[0][1]) == ["tension", "x''", "z''"]
     assert dae.repairs == []
     text = str(dae)
-    assert "3 equations, index 3, 2 degrees of freedom, 2 hidden constraints" in text
+    assert "3 equations, index 3, 2 degrees of freedom, 2 constraints" in text
     assert re.search(r"rod +2 ", text)
 
 

@@ -160,7 +160,7 @@ class Dae:
     >>> dae.index, dae.freedom
     (3, 2)
     >>> print(dae)
-    Dae('pendulum'): 3 equations, index 3, 2 degrees of freedom, 2 hidden constraints
+    Dae('pendulum'): 3 equations, index 3, 2 degrees of freedom, 2 constraints
     equation  differentiated  determines
     F[0]                   0  x''
     F[1]                   0  tension
@@ -270,10 +270,10 @@ class Dae:
 
     def __repr__(self) -> str:
         structure, (c, d, match) = self._structure, self._structure.arrangement.offsets
-        hidden = int(c.sum())
+        count = int(c.sum())
         head = (
             f"Dae({self.name!r}): {len(self.y0)} equations, index {self.index}, {self.freedom} degree"
-            f"{'s' * (self.freedom != 1)} of freedom, {hidden} hidden constraint{'s' * (hidden != 1)}"
+            f"{'s' * (self.freedom != 1)} of freedom, {count} constraint{'s' * (count != 1)}"
         )
         width = max(len("equation"), *map(len, structure.names))
         lines = [head, f"{'equation':<{width}}  differentiated  determines"]

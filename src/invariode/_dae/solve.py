@@ -191,8 +191,10 @@ def decic(
 
     Returns
     -------
-    y0, yp0 : ndarray, (n,)
-        The nearest consistent values; hidden constraints are satisfied too.
+    y0 : ndarray, (n,)
+        The nearest consistent values, which satisfy hidden constraints too.
+    yp0 : ndarray, (n,)
+        Their derivatives.
 
     Raises
     ------
