@@ -6,8 +6,8 @@ take? Newton's laws of load and trolley, and the length of the rope, are four eq
 of the trolley, the force on it, the tension and the length. They have no degree of freedom: the path must be
 differentiated four times, which nobody has to do by hand, and the result is exact to roundoff.
 
-Source: W. Blajer and K. Kołodziejczyk, A geometric approach to solving problems of control constraints: theory and a DAE
-framework, Multibody Syst. Dyn. 11 (2004) 343-364, for the problem; the path is another one.
+Source: W. Blajer and K. Kołodziejczyk, A geometric approach to solving problems of control
+constraints: theory and a DAE framework, Multibody Syst. Dyn. 11 (2004) 343-364, with another path.
 """
 
 import matplotlib.pyplot as plt

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
 
@@ -543,7 +544,8 @@ class Dae:
         self._tell_move(start)
         unknowns = self._functions(reduction).unknowns
         through = Through(unknowns, reduction, starts, self._guess, self._p)
-        on_failure = options.pop("on_failure", "return")
+        on_failure = options.pop("on_failure", None)
+        options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
         if (callback := options.get("callback")) is not None:
             options["callback"] = through.callback(callback)
         if (points := options.get("breakpoints")) is not None:
@@ -593,14 +595,18 @@ class Dae:
                 return self._presented(sol, reduction)
         raise ValueError("the solution is not one of a problem of this Dae: solve what dae.problem(t_span) returns")
 
-    def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure = "return") -> Solution:
+    def _again(
+        self, reduction: Reduction, before: OnFailure | None, sol: Solution, on_failure: OnFailure | None = None
+    ) -> Solution:
+        """Another solution of the reduced problem, which goes on from one that was presented."""
+        return self._presented(sol, reduction, on_failure or before)
+
+    def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
         """A solution of the reduced problem in the unknowns of F; what it does not satisfy is a failure."""
         unknowns = self._functions(reduction).unknowns
         source = sol._origin.source
         p = arguments_of(source.problem.args).values()
-        found = in_unknowns(
-            sol, unknowns, p, self.names, reduction, lambda one: self._presented(one, reduction, on_failure)
-        )
+        found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
         if sol.status == FAILED and (text := impasse(sol, reduction, p)):
             found = found.changed(message=text)
         elif text := violation(sol, unknowns, reduction, p):

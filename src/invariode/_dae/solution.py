@@ -210,10 +210,10 @@ class _Origin:
     reduction : Reduction
         The reduction.
     present : callable
-        Expresses another solution of the reduced problem in the unknowns.
+        ``present(solution, on_failure=None)`` expresses another solution of the reduced problem in the unknowns.
     """
 
-    def __init__(self, reduced: Solution, reduction: Reduction, present: Callable[[Solution], Solution]) -> None:
+    def __init__(self, reduced: Solution, reduction: Reduction, present: Callable[..., Solution]) -> None:
         self.reduced, self.reduction, self.present = reduced, reduction, present
         self.source = reduced._origin.source
 
@@ -222,7 +222,10 @@ class _Origin:
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         """See `Solution.extend`."""
-        return self.present(self.reduced.extend(t_end, **options))
+        own = options.copy()
+        on_failure = own.pop("on_failure", None)
+        own["on_failure"] = "return"
+        return self.present(self.reduced.extend(t_end, **own), on_failure)
 
     def gradient(self, sol: Solution, *given: Any) -> NoReturn:
         """See `Solution.gradient`."""
@@ -290,7 +293,7 @@ def in_unknowns(
     p: Array,
     labels: Sequence[str],
     reduction: Reduction,
-    present: Callable[[Solution], Solution],
+    present: Callable[..., Solution],
 ) -> DaeSolution:
     """Return a solution of the reduced problem in the unknowns of F."""
     states = sol.y
