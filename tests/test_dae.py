@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -498,3 +499,89 @@ def test_ode15i_solves_matlabs_example():
 def test_stiff_amplifier_with_the_default_method():
     sol = iv.solve_dae(transistors, (0, 0.2), PROBLEMS["transistors"].y0, rtol=1e-5, atol=1e-7)
     assert PROBLEMS["transistors"].error(sol) < 1e-3
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Functions that cannot be traced
+
+
+def opaque(equations):
+    """The same residuals, computed from bytes, which symbolic values do not become."""
+
+    def unpacked(t, y, yp, *args):
+        given = struct.pack(f"{2 * len(y)}d", *y, *yp)
+        unpacked.calls += 1
+        values = struct.unpack(f"{2 * len(y)}d", given)
+        return equations(t, values[: len(y)], values[len(y) :], *args)
+
+    unpacked.calls = 0
+    return unpacked
+
+
+def test_functions_that_cannot_be_traced_are_solved_as_they_stand_up_to_index_1():
+    """Index 0 and 1, with y' behind a singular matrix, nonlinear in y'; with fewer calls than IDA at equal error."""
+    cases = {
+        "robertson": (1e-6, 1e-12, 3e-5, 1741),
+        "akzo": (1e-6, 1e-8, 3e-6, 471),
+        "transistors": (1e-4, 1e-6, 1e-3, 38890),
+    }
+    for name, (rtol, atol, error, calls_of_ida) in cases.items():
+        problem = PROBLEMS[name]
+        start = problem.analysed().consistent()
+        F = opaque(problem.F)
+        sol = iv.solve_dae(F, problem.t_span, start.y, start.yp, rtol=rtol, atol=atol, keep="end")
+        assert problem.error(sol) < error, name
+        assert sol.nfev <= F.calls <= calls_of_ida, name
+        exact = iv.solve_dae(F, problem.t_span, start.y, start.yp, method="radau", rtol=rtol, atol=atol, keep="end")
+        assert problem.error(exact) < error / 10, name
+    problem = PROBLEMS["weissinger"]
+    sol = iv.solve_dae(opaque(problem.F), (1, 10), problem.y0, [0.8], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(sol.y[0], np.sqrt(sol.t**2 + 0.5), rtol=1e-6)
+    np.testing.assert_allclose(sol.yp[0], sol.t / sol.y[0], rtol=1e-5)
+
+
+def test_what_needs_expressions_says_so():
+    F = opaque(PROBLEMS["akzo"].F)
+    y0 = PROBLEMS["akzo"].y0
+    with pytest.raises(
+        TypeError, match=r"F cannot be traced: .* cannot be solved either: its index is above 1: .*y\[4\]"
+    ):
+        iv.solve_dae(opaque(PROBLEMS["pendulum, first order"].F), (0, 1), [1, 0, 0, 0, 0])
+    with pytest.raises(TypeError, match="fixed needs its expressions"):
+        iv.solve_dae(F, (0, 1), y0, fixed=[0])
+    with pytest.raises(TypeError, match="sensitivities needs its expressions"):
+        iv.solve_dae(F, (0, 1), y0, sensitivities=True)
+    with pytest.raises(ValueError, match="not by dop853"):
+        iv.solve_dae(F, (0, 1), y0, method="dop853")
+    with pytest.raises(TypeError, match="F cannot be traced"):
+        iv.Dae(F, 0, y0)
+    with pytest.raises(TypeError, match="combinations of derivatives in F change"):
+        iv.solve_dae(opaque(lambda t, y, yp: [y[0] * yp[0] - 1, yp[1]]), (0, 1), [0, 0])
+
+
+def test_residual_forms_have_neighbours_too():
+    """Events, actions, extension, dense output and tolerances for each unknown."""
+
+    def equations(t, y, yp, rate):
+        return [yp[0] + rate * y[0], y[1] - y[0] ** 2]
+
+    F = opaque(equations)
+    given = {"args": (2.0,), "rtol": 1e-8, "atol": [1e-10, 1e-10]}
+    sol = iv.solve_dae(F, (0, 1), [1, 0], events=lambda t, y, rate: y[1] - 0.25, dense_output=True, **given)
+    assert sol.t_events[0][0] == pytest.approx(np.log(2) / 2, abs=1e-7)
+    assert sol.sol(0.5)[1] == pytest.approx(np.exp(-2), rel=1e-6)
+    assert sol.extend(2.0).y[1, -1] == pytest.approx(np.exp(-8), rel=1e-5)
+    double = iv.Event(lambda t, y, rate: y[0] - 0.5, action=lambda t, y, rate: [2 * y[0], 0])
+    with pytest.raises(ValueError, match="actions of events are not possible with a singular mass matrix"):
+        iv.solve_dae(F, (0, 0.5), [1, 0], events=double, **given)
+    for method in ("dop853", "radau"):  # traced, with an algebraic equation that is not linear
+        nonlinear = iv.solve_dae(
+            lambda t, y, yp: [yp[0] + 2 * y[0], y[1] ** 3 + y[1] - y[0]],
+            (0, 0.5),
+            [1, 0.7],
+            method=method,
+            events=iv.Event(lambda t, y: y[0] - 0.5, action=lambda t, y: [1.0, 0.6823278038280193]),
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        assert nonlinear.y[0, -1] == pytest.approx(2 * np.exp(-1), rel=1e-6)

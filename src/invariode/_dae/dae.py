@@ -42,7 +42,7 @@ from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
 from .._solve.problem import Problem
-from .checks import impasse, violation
+from .checks import impasse, point_of, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
 from .reduction import Given, Reduction
 from .solution import Unknowns, in_unknowns
@@ -87,6 +87,10 @@ class Start:
     yp: Array
     moved: dict[str, float]
     _x: Array = dataclasses.field(repr=False)
+
+
+class UntracedError(TypeError):
+    """F has no graph: its structure is not known."""
 
 
 class _Traced(NamedTuple):
@@ -476,7 +480,8 @@ class Dae:
             reduction = Reduction(self._structure, nonlinear)
             if reduction.algebraic == len(reduction.states) > 0:  # an ODE is needed for the steps
                 return self._reduced("raise")
-            made = reduction, Starts(reduction, self._p)
+            first = Starts(Reduction(self._structure, "algebraic"), self._p) if reduction.is_raised else None
+            made = reduction, Starts(reduction, self._p, first)
             self._reductions[nonlinear] = made
             if not reduction.is_nonlinear:  # there is only one
                 self._reductions["raise"] = self._reductions["algebraic"] = made
@@ -536,14 +541,16 @@ class Dae:
             See `solve_dae`.
         """
         span = interval(t_span)
-        takes_mass = find_method(method)[0].mass == "any"
+        listed = to_events(events)
+        acts = any(getattr(one, "action", None) is not None for one in listed)  # which singular mass matrices exclude
+        takes_mass = find_method(method)[0].mass == "any" and not acts
         reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
         if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
             method = "radau"
         start = self._start((reduction, starts), fixed, t=span[0])
         self._tell_move(start)
         unknowns = self._functions(reduction).unknowns
-        through = Through(unknowns, reduction, starts, self._guess, self._p)
+        through = Through(unknowns, partial(self._after_action, reduction, starts), self._p)
         on_failure = options.pop("on_failure", None)
         options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
         if (callback := options.get("callback")) is not None:
@@ -553,9 +560,28 @@ class Dae:
         atol = self._atol(reduction, options)
         describing: dict[str, Any] = {"sensitivities": sensitivities}
         if events is not None:
-            describing["events"] = [through.event(one) for one in to_events(events)]
+            describing["events"] = [through.event(one) for one in listed]
         problem = self._problem(reduction, start, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
+
+    def _after_action(
+        self,
+        reduction: Reduction,
+        starts: Starts,
+        t: float,
+        state: Array,
+        old: tuple[Array, Array],
+        new: tuple[Array, Array],
+        args: Sequence[Any],
+    ) -> Array:
+        """The consistent state nearest to one in which unknowns, or their derivatives, have changed."""
+        p = arguments_of(args).values() if args else self._p
+        x = point_of(reduction, t, state, p).x
+        (before, _), (after, _) = self._guess(*old), self._guess(*new)
+        levels = min(len(x), len(after))
+        x[:levels] += after[:levels] - before[:levels]
+        found = starts.nearest(Point(t, x), len(x), ())
+        return np.array([found[one] for one in reduction.states])
 
     def _atol(self, reduction: Reduction, options: Options) -> Array | None:
         """The tolerances of the states, if there is one for each unknown: derivatives have that of their unknown."""
@@ -649,7 +675,11 @@ def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
     arguments = arguments_of(args)
     size = _size(residuals, args, n, order)
     made = TracedFunction(residuals, inplace=False, elementary="own", by="trace")
-    shape = made.known(Shape((order + 1) * n, size, arguments, event=False))
+    try:
+        shape = made.known(Shape((order + 1) * n, size, arguments, event=False))
+    except TypeError as error:
+        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
+        raise UntracedError(f"F cannot be traced: {why.partition(': ')[2] or why}") from None
     outputs = made.graph(shape)
     assert outputs is not None
     rank = made.constants(arguments)

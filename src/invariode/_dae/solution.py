@@ -69,6 +69,10 @@ class Values:
             found[:, k] = at(float(t[k]), states[:, k], p)
         return found
 
+    def at(self, t: float, state: Array, p: Array) -> Array:
+        """Return the values, (m,), at one point."""
+        return np.asarray(self.formula(t, state, *([p] if len(p) else [])), dtype=float)
+
     def _one(self, points: int) -> Callable[..., Any]:
         many = points * self._operations > _MANY_OPERATIONS
         if self._code is None and many and find_spec("llvmlite") is not None:
@@ -76,7 +80,7 @@ class Values:
             code = GraphFunction(self.formula)
             parameters = 1 + max((one.value for one in in_order(self.nodes) if one.op == "p"), default=-1)
             self._code = as_python(code.native(n, len(self.nodes), parameters, event=False), len(self.nodes))
-        return self._code or (lambda t, y, p: self.formula(t, y, *([p] if len(p) else [])))
+        return self._code or self.at
 
     def __getstate__(self) -> dict[str, Any]:
         return {"_name": self._name, "formula": self.formula, "nodes": None, "_code": None, "_make": None}
@@ -161,7 +165,7 @@ class DenseUnknowns:
 
     _imposed = None
 
-    def __init__(self, dense: Any, unknowns: Unknowns, p: Array) -> None:
+    def __init__(self, dense: Any, unknowns: Any, p: Array) -> None:
         self._dense_states, self._unknowns, self._p = dense, unknowns, p
         self.t_min, self.t_max, self.ts = dense.t_min, dense.t_max, dense.ts
 
@@ -172,10 +176,10 @@ class DenseUnknowns:
         """Return y' at t, with the shape of y."""
         return self._values(self._unknowns.yp, t)
 
-    def _values(self, values: Values, t: ArrayLike) -> Array:
+    def _values(self, values: Any, t: ArrayLike) -> Array:
         times = real_numbers("t", t)
         states = self._dense_states(np.atleast_1d(times))
-        found = values(np.atleast_1d(times), states, self._p)
+        found: Array = values(np.atleast_1d(times), states, self._p)
         return found[:, 0] if times.ndim == 0 else found
 
 
@@ -207,14 +211,22 @@ class _Origin:
     ----------
     reduced : Solution
         The solution of the reduced problem.
-    reduction : Reduction
-        The reduction.
+    reduction : Reduction or ResidualForm
+        How it was reduced.
     present : callable
         ``present(solution, on_failure=None)`` expresses another solution of the reduced problem in the unknowns.
+    y : callable
+        ``y(t, state)``, the unknowns.
     """
 
-    def __init__(self, reduced: Solution, reduction: Reduction, present: Callable[..., Solution]) -> None:
-        self.reduced, self.reduction, self.present = reduced, reduction, present
+    def __init__(
+        self,
+        reduced: Solution,
+        reduction: Any,
+        present: Callable[..., Solution],
+        y: Callable[[float, Array], Array],
+    ) -> None:
+        self.reduced, self.reduction, self.present, self.y = reduced, reduction, present, y
         self.source = reduced._origin.source
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -225,6 +237,8 @@ class _Origin:
         own = options.copy()
         on_failure = own.pop("on_failure", None)
         own["on_failure"] = "return"
+        if (callback := own.get("callback")) is not None:
+            own["callback"] = lambda t, state: callback(t, self.y(t, state))
         return self.present(self.reduced.extend(t_end, **own), on_failure)
 
     def gradient(self, sol: Solution, *given: Any) -> NoReturn:
@@ -289,10 +303,10 @@ class DaeSolution(Solution):
 
 def in_unknowns(
     sol: Solution,
-    unknowns: Unknowns,
+    unknowns: Any,
     p: Array,
     labels: Sequence[str],
-    reduction: Reduction,
+    reduction: Any,
     present: Callable[..., Solution],
 ) -> DaeSolution:
     """Return a solution of the reduced problem in the unknowns of F."""
@@ -312,7 +326,7 @@ def in_unknowns(
         "_drift": sol._drift,
         "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
         "_sensitivities": _sensitivities(sol, unknowns, p),
-        "_origin": _Origin(sol, reduction, present),
+        "_origin": _Origin(sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p)),
     }
     dense = None if sol.sol is None else DenseUnknowns(sol.sol, unknowns, p)
     made = DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
@@ -320,7 +334,7 @@ def in_unknowns(
     return made
 
 
-def _sensitivities(sol: Solution, unknowns: Unknowns, p: Array) -> SensitivityData | None:
+def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | None:
     known = sol._sensitivities
     if known is None:
         return None

@@ -8,13 +8,14 @@ from typing import Any, Literal, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, interval, numbers, shown
+from .._base.arguments import Array, call_name, interval, numbers, shown, state
 from .._base.types import EventsLike, MethodName, Span
 from .._problem.accepted import run_options
 from .._problem.options import Options
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.solution import Solution
-from .dae import Dae
+from .dae import Dae, UntracedError
+from .residual import ResidualForm, solve_residual
 
 __all__ = ["decic", "ode15i", "solve_dae"]
 
@@ -108,7 +109,19 @@ def solve_dae(
     True
     """
     span = interval(t_span)
-    dae = Dae(F, span[0], y0, yp0, args=args, names=names, equations=equations, order=order)
+    try:
+        dae = Dae(F, span[0], y0, yp0, args=args, names=names, equations=equations, order=order)
+    except UntracedError as error:
+        if order == 2 or sensitivities is not None or fixed:
+            what = "order=2" if order == 2 else "sensitivities" if sensitivities is not None else "fixed"
+            raise TypeError(f"{error}. {what} needs its expressions") from None
+        start = state(y0), np.zeros(np.size(y0)) if yp0 is None else state(yp0)
+        labels = [f"y[{j}]" for j in range(np.size(y0))] if names is None else list(names)
+        try:
+            form = ResidualForm(F, span[0], *start, tuple(args), labels)
+        except ValueError as objection:
+            raise TypeError(f"{error}. As it stands it cannot be solved either: {objection}") from None
+        return solve_residual(form, span, tuple(args), method, events, call_name(F, "dae"), run_options(**options))
     return dae.solve(
         span, method, fixed=fixed or (), events=events, sensitivities=sensitivities, **run_options(**options)
     )

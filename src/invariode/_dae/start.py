@@ -79,10 +79,13 @@ class Starts:
         The equations.
     parameters : ndarray
         The values of the parameters.
+    first : Starts, optional
+        Those of the reduction in which no block is raised: what an equation determines then gives way to what it
+        contains besides, whatever the method.
     """
 
-    def __init__(self, reduction: Reduction, parameters: Array) -> None:
-        self._reduction, self._parameters = reduction, parameters
+    def __init__(self, reduction: Reduction, parameters: Array, first: Starts | None = None) -> None:
+        self._reduction, self._parameters, self._first = reduction, parameters, first
         structure = reduction.structure
         c, d, _ = reduction.arrangement.offsets
         last = [structure.derivative(structure.equations[i], int(c[i])) for i in range(reduction.n)]
@@ -108,6 +111,9 @@ class Starts:
         InvariantError
             There are none near the guess, or too many values are fixed, or the highest derivatives are not determined.
         """
+        if self._first is not None:
+            guess = Point(guess.t, self._first.nearest(guess, known, fixed))
+            known = len(guess.x)
         n, top = self._reduction.n, int(self._reduction.arrangement.offsets.d.max(initial=0))
         x = np.zeros((top + 1, n))
         levels = min(len(guess.x), top + 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from .._base.arguments import Array, shown
 from .._functions.layout import arguments_of
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import Event
-from .checks import point_of
-from .reduction import Reduction
-from .solution import Unknowns
-from .start import Point, Starts
+
+#: ``consistent(t, state, (y, yp), (new y, new yp), args)``: the state for unknowns that an action has changed.
+Consistent: TypeAlias = Callable[[float, Array, tuple[Array, Array], tuple[Array, Array], Sequence[Any]], Array]
 
 
 class Through:
@@ -22,37 +21,26 @@ class Through:
 
     Parameters
     ----------
-    unknowns : Unknowns
-        y as a function of the state.
-    reduction : Reduction
-        The reduced problem.
-    starts : Starts
-        Its consistent states, for what actions return.
-    guess : callable
-        ``guess(y, yp)`` returns them as values x_j^(l), and how many levels are known.
+    unknowns
+        y and y' as functions of the state, as in `Unknowns`.
+    consistent : callable
+        See `Consistent`.
     p : ndarray
         The parameters of a call without arguments.
     """
 
-    def __init__(
-        self,
-        unknowns: Unknowns,
-        reduction: Reduction,
-        starts: Starts,
-        guess: Callable[[Array, Array | None], tuple[Array, int]],
-        p: Array,
-    ) -> None:
-        self._unknowns, self._reduction, self._starts, self._guess, self._p = unknowns, reduction, starts, guess, p
+    def __init__(self, unknowns: Any, consistent: Consistent, p: Array) -> None:
+        self._unknowns, self._consistent, self._p = unknowns, consistent, p
 
     def y(self, t: float, state: Array, args: Sequence[Any] = ()) -> Array:
         """Return the unknowns at a state."""
-        p = arguments_of(args).values() if args else self._p
-        return np.asarray(self._unknowns.y.formula(t, state, *([p] if len(p) else [])), dtype=float)
+        found: Array = self._unknowns.y.at(t, state, arguments_of(args).values() if args else self._p)
+        return found
 
     def yp(self, t: float, state: Array, args: Sequence[Any] = ()) -> Array:
         """Return their derivatives."""
-        p = arguments_of(args).values() if args else self._p
-        return np.asarray(self._unknowns.yp.formula(t, state, *([p] if len(p) else [])), dtype=float)
+        found: Array = self._unknowns.yp.at(t, state, arguments_of(args).values() if args else self._p)
+        return found
 
     def event(self, given: Any) -> Event:
         """Return the event of the state with the attributes of an event of the unknowns."""
@@ -87,19 +75,6 @@ class Through:
         """Return breakpoints with actions on the state."""
         points: list[Breakpoint] = to_breakpoints("breakpoints", given)
         return [one.t if one.action is None else (one.t, self.action(one.action)) for one in points]
-
-    def _consistent(
-        self, t: float, state: Array, old: tuple[Array, Array], new: tuple[Array, Array], args: Sequence[Any]
-    ) -> Array:
-        """The consistent state nearest to one in which unknowns, or their derivatives, have changed."""
-        p = arguments_of(args).values() if args else self._p
-        x = point_of(self._reduction, t, state, p).x
-        before, _ = self._guess(*old)
-        after, _ = self._guess(*new)
-        levels = min(len(x), len(after))
-        x[:levels] += after[:levels] - before[:levels]
-        found = self._starts.nearest(Point(t, x), len(x), ())
-        return np.array([found[one] for one in self._reduction.states])
 
 
 def _as_event(fun: Any) -> Event:
