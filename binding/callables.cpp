@@ -578,8 +578,13 @@ void define_callables(nb::module_& module) {
       },
       nb::arg("capsule"), "The pointer in a capsule.");
   module.def(
-      "solve_address", [] { return reinterpret_cast<std::uintptr_t>(&solve_in_place); },
-      "Of a function (k, m, numbers) that solves a linear system in place, for generated code.");
+      "solve_addresses",
+      [] {
+        return std::tuple(reinterpret_cast<std::uintptr_t>(&solve_in_place),
+                          reinterpret_cast<std::uintptr_t>(&solve_sparse_in_place));
+      },
+      "Addresses of functions (k, m, numbers) and (k, m, entries, places, numbers) that solve a linear system in "
+      "place, for generated code.");
 }
 
 }  // namespace invariode::binding

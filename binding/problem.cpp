@@ -67,7 +67,11 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
     }
   }
   if (!nb::isinstance<nb::str>(spec.jac)) {
-    block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
+    if (spec.pattern)
+      block.jacobian = functions.vector(spec.jac, "the Jacobian of " + name, spec.pattern.columns.size());
+    else
+      block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
+    block.pattern = spec.pattern;
     return block;
   }
   const auto substitute = nb::cast<std::string>(spec.jac);
@@ -132,6 +136,7 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
                                 .function = {},
                                 .complex_f = {},
                                 .rate = {},
+                                .product = {},
                                 .found_pattern = spec.found_pattern > 0},
                      .jacobian = Matrix::without_values(spec.structure),
                      .mass = {},
@@ -142,7 +147,9 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
   if (is_function || spec.kind == Jacobian::Kind::complex_steps) {
     nb::object code = std::exchange(known, nb::none());
     if (nb::isinstance<nb::tuple>(code)) std::tie(code, known) = nb::cast<std::pair<nb::object, nb::object>>(code);
-    if (is_function)
+    if (is_function && code.is_none())
+      linear.source.product = functions.product(spec.product, "∂f/∂y v");
+    else if (is_function)
       linear.source.function = functions.matrix(code);
     else
       linear.source.complex_f = functions.complex_vector(code, "fun(t, y)", spec.structure.n);
@@ -286,13 +293,29 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense, bool along_steps) {
-            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,           std::move(name), held, level,
-                                     std::move(moves), std::move(metric), metric_size, along_steps,     sense};
+             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense, bool along_steps,
+             std::vector<std::size_t> starts, std::vector<int> columns) {
+            const bool valid = starts.empty() || (starts.size() == m + 1 && starts.front() == 0 &&
+                                                  starts.back() == columns.size() && std::ranges::is_sorted(starts));
+            if (!valid) throw std::invalid_argument("the pattern of an invariant's Jacobian is not one of its rows");
+            new (self) InvariantSpec{std::move(fun),
+                                     std::move(jac),
+                                     m,
+                                     std::move(name),
+                                     held,
+                                     level,
+                                     std::move(moves),
+                                     std::move(metric),
+                                     metric_size,
+                                     along_steps,
+                                     sense,
+                                     RowPattern{std::move(starts), std::move(columns)}};
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
           nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
-          nb::arg("sense") = 0, nb::arg("along_steps") = false);
+          nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
+          nb::arg("columns") = std::vector<int>{},
+          "starts, columns: where the entries are that a sparse jac returns, row by row.");
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(
           "__init__",

@@ -33,6 +33,7 @@ struct InvariantSpec {
   std::size_t metric_size = 0;  // how many values it has
   bool along_steps = false;     // its correction is made of what the step is made of
   int sense = 0;                // −1: it never rises as t grows; 1: it never falls; 0: it is kept
+  RowPattern pattern;           // of what `jac` returns; none: it is full
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, jac, metric}); }
 };
@@ -74,13 +75,13 @@ struct BreakpointSpec {
 struct LinearSpec {
   Structure structure;
   Jacobian::Kind kind;
-  nb::object jacobian;         // its values; its function, of complex steps f at complex y (each with the pattern of a
-                               // sparse one); or for sparse differences the pattern
+  nb::object jacobian;         // its values; its function, of complex steps f at complex y, of products None (each with
+                               // the pattern of a sparse one); or for sparse differences the pattern
   nb::object mass;             // None, the values of a constant one, or M(t)
   nb::object null_basis;       // (starts, rows, values) of Z
   nb::object lapack;           // None, or capsules by name
   std::int64_t found_pattern;  // evaluations of f that found the pattern; 0: it was given
-  nb::object product, preconditioner;  // of the kind `products`: functions, or None
+  nb::object product, preconditioner;  // of the kind `products`, and of derived ones without a function; or None
   std::size_t dimension;               // of its Krylov space
   nb::object rate;                     // ∂f/∂t, or None
 

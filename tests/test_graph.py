@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import invariode as iv
 from cases import families
 from invariode._functions.compiled import as_python
-from invariode._functions.graph.derivatives import gradient, jacobian, tangent
+from invariode._functions.graph.derivatives import dependences, gradient, jacobian, tangent
 from invariode._functions.graph.derived import Derived
 from invariode._functions.graph.function import GraphFunction
 from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
@@ -364,3 +364,62 @@ def test_graphs_are_pickled_as_data():
     assert again.elementary == "libm"
     np.testing.assert_array_equal(again(0.0, START, 2.0), f(0.0, START, 2.0))
     assert again.fun.text == f.fun.text
+
+
+def sparse_system(k):
+    """A x = b with A nearly tridiagonal, of k components of y: its rows by column, and b."""
+    graph = Graph()
+    y = [graph.y(i) for i in range(k)]
+    rows = [{i: 2.0 + y[i] * y[i]} for i in range(k)]
+    for i in range(1, k):
+        rows[i][i - 1], rows[i - 1][i] = -y[i], 1.0 + y[i] * 0.5
+    rows[0][k - 1] = y[1]
+    return graph, y, rows, [y[(i + 3) % k] * y[i] for i in range(k)]
+
+
+def test_sparse_systems_are_solved_as_dense_ones():
+    """In Python and in machine code, with several patterns in turn; derivatives and Taylor series follow."""
+    start = np.linspace(0.1, 1, 40)
+    kinds = set()
+    for k in (40, 30, 40):
+        graph, y, rows, right = sparse_system(k)
+        sparse = [row[0] for row in graph.solve_sparse(rows, [[b] for b in right])]
+        whole = [[row.get(j, graph.node(0.0)) for j in range(k)] for row in rows]
+        dense = [row[0] for row in graph.solve(whole, [[b] for b in right])]
+        kinds |= {len(one[0].arguments[0].value.places) > 0 for one in (sparse, dense)}
+        at = start[:k]
+        values = [Formula("f", lambda one=one: one, (k,)).array(0.0, at) for one in (sparse, dense)]
+        code = as_python(GraphFunction(Formula("f", lambda one=sparse: one, (k,))).native(k, k, 0, event=False), k)
+        for found in (values[0], code(0.0, at, np.zeros(0))):
+            np.testing.assert_allclose(found, values[1], rtol=1e-13)
+        slopes = []
+        for one in (sparse, dense):
+            row = jacobian(one, y)[7]
+            slopes.append(Formula("J", lambda row=row: [row[j] for j in sorted(row)], (k,)).array(0.0, at))
+        np.testing.assert_allclose(*slopes, rtol=1e-12, atol=1e-14)
+    assert kinds == {True, False}
+    function = GraphFunction(Formula("f", lambda: sparse, (k,)))
+    runs = [iv.solve_ivp(function, (0, 0.5), start, m, rtol=1e-11, atol=1e-12).y[:, -1] for m in ("dop853", "taylor")]
+    np.testing.assert_allclose(*runs, rtol=1e-9)
+
+
+def test_a_singular_sparse_system_has_no_value():
+    graph = Graph()
+    rows = [
+        {0: graph.y(0), 1: graph.y(0)},
+        {0: graph.y(0), 1: graph.y(0)},
+        *({i: graph.node(1.0)} for i in range(2, 30)),
+    ]
+    found = [row[0] for row in graph.solve_sparse(rows, [[graph.node(1.0)]] * 30)]
+    code = as_python(GraphFunction(Formula("f", lambda: found, (30,))).native(1, 30, 0, event=False), 30)
+    assert np.isnan(code(0.0, np.ones(1), np.zeros(0))).all()
+    assert np.isnan(Formula("f", lambda: found, (30,)).array(0.0, np.ones(1))).all()
+
+
+def test_dependences_count_the_terms_of_a_forward_jacobian():
+    graph = Graph()
+    a, b, c = (graph.y(i) for i in range(3))
+    product = a * b
+    masks, terms = dependences([product + c, graph.elementary("sin", c), graph.make("floor", a)], [a, b, c])
+    assert masks == [0b111, 0b100, 0]
+    assert terms == 2 + 3 + 1

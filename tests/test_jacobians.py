@@ -12,6 +12,7 @@ from scipy import sparse
 import invariode as iv
 from cases import IMPLICIT
 from invariode import _core
+from invariode._functions.graph.derived import derived
 from invariode._run.plan import make_plan
 from stiff import PROBLEMS
 
@@ -404,3 +405,39 @@ def test_a_run_with_a_detected_pattern_goes_on_from_a_file(tmp_path):
     np.testing.assert_array_equal(on.y, here.y)
     assert "enlarged 1 times" in on.stats.jacobian
     np.testing.assert_allclose(on.y[:, -1], straight.y[:, -1], rtol=1e-2, atol=1e-4)
+
+
+def test_a_long_jacobian_is_formed_by_products():
+    """Where everything depends on everything the code of all entries is long; products have the same values."""
+    n = 80
+
+    def chained(t, y):
+        total, slopes = 0.0, []
+        for i in range(n):
+            total = np.sin(total + y[i]) + 0.1 * total
+            slopes.append(total - y[i])
+        return slopes
+
+    y0 = np.linspace(-1, 1, n)
+    problem = iv.Problem(iv.compile(chained), (0, 1), y0)
+    assert derived(problem.fun, n, n, 0).is_product(n)
+    found, kind, structure = jacobian(problem, 0.3, y0)
+    assert (kind, structure) == ("derived", "dense")
+    expected = np.zeros((n, n))
+    rates, total, before = np.zeros(n), 0.0, 0.0
+    for i in range(n):
+        before, total = total, np.sin(total + y0[i]) + 0.1 * total
+        slope = np.cos(before + y0[i])
+        rates = (slope + 0.1) * rates
+        rates[i] = slope
+        expected[i] = rates
+        expected[i, i] -= 1
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+    sol = problem.solve("radau", rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(
+        sol.y[:, -1], iv.solve_ivp(chained, (0, 1), y0, "dop853", rtol=1e-10, atol=1e-12).y[:, -1], atol=1e-7
+    )
+    held = problem.replace(bounds=(-5.0, 5.0)).solve("radau", rtol=1e-8, atol=1e-10)  # products stay within bounds
+    np.testing.assert_allclose(held.y[:, -1], sol.y[:, -1], atol=1e-7)
+    again = problem.replace(t_span=(0, 0.5)).solve("radau", rtol=1e-8, atol=1e-10).extend(1.0)
+    np.testing.assert_allclose(again.y[:, -1], sol.y[:, -1], atol=1e-7)

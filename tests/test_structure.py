@@ -75,6 +75,7 @@ ROOMS = [
     "symbolic",
     "_studies",
     "_mechanics",
+    "_dae",
     "_solve",
     "_ensemble",
     "_run",

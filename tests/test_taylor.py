@@ -451,3 +451,15 @@ def test_squares_of_steps_are_exact_wherever_t_is():
         mantissas = np.frexp(np.diff(t[:-2]))[0] * 2**25  # the last two share what is left of the interval
         assert len(mantissas) > 10
         assert (mantissas == np.round(mantissas)).all()
+
+
+def test_a_linear_system_whose_solution_is_not_used_whole():
+    """Coefficients of all entries of the solution are there for those of the next order, if the matrix varies."""
+
+    def fun(t, y):
+        x = np.linalg.solve(np.array([[2 + y[0], y[1]], [1.0, 3.0]]), np.array([-y[0], 1.0]))
+        return [x[0], -y[1]]
+
+    expected = iv.solve_ivp(fun, (0, 1), [1.0, 2.0], "dop853", rtol=1e-12, atol=1e-12).y[:, -1]
+    for one in (fun, iv.compile(fun)):
+        np.testing.assert_allclose(solve(one, (0, 1), [1.0, 2.0], **TIGHT).y[:, -1], expected, rtol=1e-10)

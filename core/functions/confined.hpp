@@ -37,6 +37,7 @@ class Confined {
     source.function = within(source.function);
     source.complex_f = complex_within(source.complex_f);
     source.rate = within(source.rate);
+    source.product = product_within(source.product);
     return source;
   }
   /// A product J v, a function of (y, v).

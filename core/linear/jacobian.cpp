@@ -173,9 +173,26 @@ Status Jacobian::step_complex(double t, const double* y, bool& finite) {
 Status Jacobian::derive(Callback& f, double t, const double* y, const double* slope) {
   ++count_;
   noise_ = 0;
-  if (source_.function(t, y, matrix_) == Status::stop) return Status::stop;
+  const Status formed = source_.product ? multiply_groups(t, y) : source_.function(t, y, matrix_);
+  if (formed == Status::stop) return Status::stop;
   if (all_finite(matrix_.values.data(), matrix_.values.size())) return Status::ok;
   return difference_anywhere(f, t, y, slope);
+}
+
+/// J v with v = 1 in the columns of a group, which share no row, holds the entries of all of them.
+Status Jacobian::multiply_groups(double t, const double* y) {
+  const std::size_t n = matrix_.n();
+  std::vector<double> both(2 * n, 0.0);
+  std::copy(y, y + n, both.begin());
+  for (const std::vector<std::size_t>& columns : groups_) {
+    for (const std::size_t j : columns) both[n + j] = 1;
+    if (source_.product(t, both.data(), moved_.data()) == Status::stop) return Status::stop;
+    for (const std::size_t j : columns) {
+      both[n + j] = 0;
+      for_each_in_column(j, [&](std::size_t i, double& value) { value = moved_[i]; });
+    }
+  }
+  return Status::ok;
 }
 
 Status Jacobian::abandon_complex_steps(Callback& f, double t, const double* y, const double* slope) {

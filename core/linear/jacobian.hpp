@@ -40,6 +40,7 @@ class Jacobian {
     MatrixFunction function;     ///< of these kinds
     Callback complex_f;          ///< of complex steps
     Callback rate;               ///< ∂f/∂t, where it is known
+    Callback product;            ///< J v of t and (y | v), of a derived one that is formed by groups of columns
     bool found_pattern = false;  ///< the sparse structure was found from values of f, and may lack entries
   };
 
@@ -114,6 +115,7 @@ class Jacobian {
   Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status abandon_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status derive(Callback& f, double t, const double* y, const double* slope);
+  Status multiply_groups(double t, const double* y);
   Status difference_anywhere(Callback& f, double t, const double* y, const double* slope);
   Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
   Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope,

@@ -69,6 +69,7 @@ void Run::wrap_in_pieces(Problem& problem) {
   source.function = piece_.within(source.function);
   source.complex_f = piece_.within(source.complex_f);
   source.rate = piece_.within(source.rate);
+  source.product = piece_.within(source.product);
   if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
     krylov->product = piece_.within(krylov->product);
     krylov->preconditioner = piece_.within(krylov->preconditioner);

@@ -37,6 +37,9 @@ from ._solve.prepared import PreparedSolver
 from ._solve.problem import Problem
 
 if _typing.TYPE_CHECKING:
+    from ._dae.dae import Dae, Start
+    from ._dae.solution import DaeSolution
+    from ._dae.solve import decic, ode15i, solve_dae
     from ._mechanics.system import MechanicalSystem
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
@@ -59,6 +62,8 @@ __all__ = [
     "CheckReport",
     "Checkpoint",
     "CompiledFunction",
+    "Dae",
+    "DaeSolution",
     "DenseSolution",
     "DiscontinuityWarning",
     "Dissipated",
@@ -92,6 +97,7 @@ __all__ = [
     "SensitivityReport",
     "Solution",
     "SolveError",
+    "Start",
     "Stats",
     "Steps",
     "StiffnessWarning",
@@ -101,14 +107,17 @@ __all__ = [
     "check_sensitivities",
     "compile",
     "complex_ode",
+    "decic",
     "find_invariants",
     "fit",
     "impose",
     "load",
     "objective",
     "ode",
+    "ode15i",
     "odeint",
     "plot_work_precision",
+    "solve_dae",
     "solve_ensemble",
     "solve_ivp",
 ]
@@ -116,6 +125,12 @@ __all__ += METHODS
 
 #: Imported when they are first used, since a solve does not need them.
 _LATER = {
+    "Dae": "._dae.dae",
+    "Start": "._dae.dae",
+    "DaeSolution": "._dae.solution",
+    "decic": "._dae.solve",
+    "ode15i": "._dae.solve",
+    "solve_dae": "._dae.solve",
     "MechanicalSystem": "._mechanics.system",
     "complex_ode": "._solve.ode",
     "ode": "._solve.ode",

@@ -98,15 +98,18 @@ class Series:
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 
-def solve_address() -> int:
+def solve_addresses() -> tuple[int, int]:
     """
-    Of a function (k, m, numbers) that solves a linear system in place, for generated code.
+    Addresses of functions (k, m, numbers) and (k, m, entries, places, numbers) that solve a linear system in place, for generated code.
     """
 
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False, starts: Sequence[int] = [], columns: Sequence[int] = []) -> None:
+        """
+        starts, columns: where the entries are that a sparse jac returns, row by row.
+        """
 
 class Breakpoint:
     """A breakpoint, for the core."""

@@ -46,6 +46,12 @@ _NEGLIGIBLE = 0.01
 _LEVEL_ITERATIONS = 10
 
 
+#: Jacobians with this many columns, of which at most this part of the entries can differ from zero, are sparse: as
+#: those of mechanical systems.
+_MANY_COLUMNS, _FEW_ENTRIES = 100, 0.1
+_FULL: Sequence[int] = ()
+
+
 class InvariantSpec(NamedTuple):
     """An invariant in the form that the core takes."""
 
@@ -60,6 +66,8 @@ class InvariantSpec(NamedTuple):
     metric_size: int = 0  # number of its values
     sense: int = 0  # -1: it never rises as t grows; 1: it never falls; 0: it keeps its value
     along_steps: bool = False  # its correction is along the stages of the step
+    starts: Sequence[int] = ()  # where the entries of each row of a sparse `jac` begin; none: it has all entries
+    columns: Sequence[int] = ()  # the components to which these entries belong
 
 
 class Jump(NamedTuple):
@@ -298,9 +306,11 @@ def bind(
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
         if one.names is not None and len(one.names) != m:
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
-        kind = one.jac
+        kind, size, rows = one.jac, m * n, (_FULL, _FULL)
         if kind is None and y.dtype.kind != "c" and (exact := derived(one.fun, n, m, count_of(p))) is not None:
             kind = exact.dense()
+            if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * size:
+                kind, size, rows = exact.by_rows(), exact.entries, exact.row_pattern
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
         forms = one.fun
@@ -319,12 +329,12 @@ def bind(
             fits, spent = complex_steps_fit(partial(_values_at, forms, t, given), y, threshold)
             kind = "complex-step or 3-point" if fits else "3-point"
             evaluations += 0 if is_native(one.fun) else spent
-        kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
+        kind = to_native(f"the Jacobian of invariant {name}", kind, n, size, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
         order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
         along = one.direction == "stages"
-        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along))
+        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along, *rows))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     levelled = _in_levels(specs)

@@ -85,6 +85,7 @@ class _Jacobian(NamedTuple):
     kind: str
     source: Any  # its values or its function, with the pattern
     found: int = 0  # evaluations of f that found the pattern; 0: it was given
+    product: Any = None  # of a large one, whose columns are products
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,8 @@ def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) ->
 
     With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
     """
-    storage, kind, source, found = _jacobian(given, start) if matrix_free is None else _no_jacobian(given, start.y)
+    made = _jacobian(given, start) if matrix_free is None else _no_jacobian(given, start.y)
+    storage, kind, source, found, product = made
     mass = None if given.mass is None else _mass(given.mass, storage, start.args)
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
@@ -144,7 +146,7 @@ def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) ->
         lapack=_lapack(),
         found_pattern=found,
         rate=_rate(given, start),
-        **({} if matrix_free is None else vars(matrix_free)),
+        **({"product": product} if matrix_free is None else vars(matrix_free)),
     )
 
 
@@ -212,13 +214,17 @@ def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start
     graph, whatever was given."""
     n, pattern = len(start.y), None
     if bands is not None:
-        held, made = _Storage("banded", n, False, *bands), exact.banded(*bands)
         _require_bands(bands, exact)
-    elif _is_sparse(given, exact.entries, n):
-        held, made = _Storage("sparse", n, False), exact.sparse()
+        made = exact.banded(*bands)
+        return _Jacobian(_Storage("banded", n, False, *bands), "derived", (start.derivative(made, made.size), pattern))
+    if _is_sparse(given, exact.entries, n):
+        held = _Storage("sparse", n, False)
         pattern = _columns(exact.pattern.matrix(np.ones(exact.entries)))
     else:
-        held, made = _Storage("dense", n, False), exact.dense()
+        held = _Storage("dense", n, False)
+    if exact.is_product(n if pattern is None else exact.widest):
+        return _Jacobian(held, "derived", (None, pattern), product=start.product)
+    made = exact.dense() if pattern is None else exact.sparse()
     return _Jacobian(held, "derived", (start.derivative(made, made.size), pattern))
 
 

@@ -16,8 +16,8 @@ from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
-#: invariant which f does not conserve.
-LIMIT_REACHED, NOT_CONSERVED, STOPPED = -3, -2, 2
+#: invariant which f does not conserve, of one in which a step could not be made, and of one that was stopped.
+LIMIT_REACHED, NOT_CONSERVED, FAILED, STOPPED = -3, -2, -1, 2
 
 
 def at_events(states: Array) -> Array:

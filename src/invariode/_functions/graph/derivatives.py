@@ -78,6 +78,22 @@ def _backwards(slope: Callable[[Node], Node], factor: Node, singular: Node | Non
     return slope(factor) if own.op == "number" else _unless_zero(singular, own, factor)
 
 
+def dependences(outputs: Sequence[Node], variables: Sequence[Node]) -> tuple[list[int], int]:
+    """The variables on which each output depends, as bits of a number, and the terms of a forward Jacobian: one for
+    each node and each variable on which it depends."""
+    places = {variable: 1 << i for i, variable in enumerate(variables)}
+    known: dict[Node, int] = {}
+    terms = 0
+    for node in in_order(outputs):
+        found = places.get(node, 0)
+        if node.op not in _CONSTANT:
+            for one in node.arguments:
+                found |= known[one]
+        known[node] = found
+        terms += found.bit_count() if node.arguments else 0
+    return [known[one] for one in outputs], terms
+
+
 def tangent(outputs: Sequence[Node], direction: Mapping[Node, Node]) -> list[Node]:
     """The derivatives of the outputs along a direction, given by the components of t and y in it."""
     if not outputs:
@@ -139,9 +155,9 @@ def _of_branches(node: Node, rows: Mapping[Node, Row]) -> Row:
 
 def _of_solution(system: Node, rows: Mapping[Node, Row]) -> dict[Node, Row]:
     """Of all entries of X with A X = B: A X′ = B′ − A′ X, one linear system for all variables."""
-    graph, (k, m) = system.graph, system.value
-    matrix = [system.arguments[i * k : (i + 1) * k] for i in range(k)]
-    right = [system.arguments[k * k + i * m : k * k + (i + 1) * m] for i in range(k)]
+    graph, form = system.graph, system.value
+    k, m = form.k, form.m
+    matrix, right = form.matrix(system.arguments), form.right(system.arguments)
     entries = [[graph.make("entry", system, value=i * m + j) for j in range(m)] for i in range(k)]
     variables = sorted({v for one in system.arguments for v in rows[one]})
     if not variables:
@@ -152,14 +168,15 @@ def _of_solution(system: Node, rows: Mapping[Node, Row]) -> dict[Node, Row]:
         for v in variables:
             for j in range(m):
                 total = rows[right[i][j]].get(v)
-                for entry, row in zip(matrix[i], entries, strict=True):
+                for column, entry in matrix[i].items():
                     change = rows[entry].get(v)
                     if change is not None:
-                        term = change * row[j]
+                        term = change * entries[column][j]
                         total = -term if total is None else total - term
                 side.append(graph.node(0.0) if total is None else total)
         sides.append(side)
-    solved = graph.solve(matrix, sides)
+    of_matrix = system.arguments[: form.entries]
+    solved = graph.solved(form._replace(m=m * len(variables)), of_matrix, sides)
     return {
         entries[i][j]: {v: solved[i][place * m + j] for place, v in enumerate(variables)}
         for i in range(k)

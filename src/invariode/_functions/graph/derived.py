@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
-from .derivatives import Row, gradient, jacobian, tangent, tangents
+from .derivatives import Row, dependences, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
 from .landings import Crossing, timed
-from .nodes import Node
+from .nodes import Node, in_order
 from .python import Formula, Pattern
 
 #: How these functions were compiled.
 DERIVED = "derived"
+#: ∂/∂y is formed by products with unit vectors if it has more terms than the first number, and more than the second
+#: times the nodes of the function: its code would take long to compile (0.1 ms a term, benchmarks/dae_table.py). Unless
+#: all products take longer than the third times the operations that they replace.
+_MOST_TERMS, _MANY_TIMES, _LONGER = 10_000, 4, 16
 
 
 class Derived:
@@ -61,14 +65,42 @@ class Derived:
         return timed(self.outputs)
 
     @cached_property
+    def _dependences(self) -> tuple[list[int], int]:
+        return dependences(self.outputs, self._y)
+
+    @cached_property
+    def _size(self) -> int:
+        """How many nodes the function has."""
+        return sum(1 for _ in in_order(self.outputs))
+
+    @property
+    def _is_large(self) -> bool:
+        """Whether the code of all entries is so much longer than that of a product that it is not to be formed."""
+        terms = self._dependences[1]
+        return terms > _MOST_TERMS and terms > _MANY_TIMES * self._size
+
+    def is_product(self, columns: int) -> bool:
+        """Whether ∂/∂y is formed by products with the unit vectors of so many groups of columns."""
+        return self._is_large and columns * self._size <= _LONGER * self._dependences[1]
+
+    @cached_property
+    def widest(self) -> int:
+        """The most entries in a row."""
+        return max((one.bit_count() for one in self._dependences[0]), default=0)
+
+    @cached_property
     def pattern(self) -> Pattern:
         """Which entries of ∂/∂y can be other than zero."""
-        return Pattern.of(self.rows, self._n)
+        if not self._is_large:
+            return Pattern.of(self.rows, self._n)
+        one = self._graph.node(1.0)
+        rows = [{j: one for j in range(self._n) if mask >> j & 1} for mask in self._dependences[0]]
+        return Pattern.of(rows, self._n)
 
     @property
     def entries(self) -> int:
         """How many there are."""
-        return sum(map(len, self.rows))
+        return len(self.pattern.indices) if self._n == len(self.outputs) else sum(map(len, self.rows))
 
     @cached_property
     def bands(self) -> tuple[int, int]:
@@ -92,6 +124,18 @@ class Derived:
         """Its entries in the order of `pattern`."""
         order = self.pattern.places()
         return self._function("sparse", lambda: [self.rows[i][j] for i, j in order])
+
+    def by_rows(self) -> GraphFunction:
+        """Its entries row by row."""
+        return self._function("by_rows", lambda: [row[j] for row in self.rows for j in sorted(row)])
+
+    @property
+    def row_pattern(self) -> tuple[list[int], list[int]]:
+        """Where each row begins among the entries, and their columns."""
+        starts = [0]
+        for row in self.rows:
+            starts.append(starts[-1] + len(row))
+        return starts, [j for row in self.rows for j in sorted(row)]
 
     def product(self) -> GraphFunction:
         """∂/∂y times v, of (t, (y, v))."""

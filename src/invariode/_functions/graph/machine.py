@@ -18,7 +18,7 @@ from llvmlite import ir
 
 from ... import _core
 from .nodes import Node, as_rows, in_order
-from .operations import DOUBLE, INDEX, POINTER, SOLVE, Operations
+from .operations import DOUBLE, INDEX, POINTER, SOLVE, SOLVE_SPARSE, Operations
 from .rolled import Group, rolled
 
 _NAME = "graph"
@@ -97,7 +97,8 @@ def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node
     made = llvm.parse_assembly(text)
     if level > 0:
         _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
-    llvm.add_symbol(SOLVE, _core.solve_address())
+    for name, address in zip((SOLVE, SOLVE_SPARSE), _core.solve_addresses(), strict=True):
+        llvm.add_symbol(name, address)
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()
     return MachineCode(engine.get_function_address(_NAME), engine)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 #: Functions of one number: Python's, from `math`.
 ELEMENTARY: dict[str, Callable[[float], float]] = {
@@ -37,8 +37,8 @@ class Node:
         a linear system, and "entry", a number of its solution.
     arguments : tuple of Node
         What it is computed of.
-    value : float, int, (int, int) or None
-        The number, the index in y or p or in the solution, the sizes of a linear system.
+    value : float, int, tuple or None
+        The number, the index in y or p or in the solution, the sizes of a linear system; see `System`.
     """
 
     __slots__ = ("arguments", "graph", "op", "value")
@@ -91,6 +91,44 @@ class Node:
 
     def __pow__(self, exponent: Node | float) -> Node:
         return self.graph.power(self, self.graph.node(exponent))
+
+
+class System(NamedTuple):
+    """The value of a linear system A X = B, whose arguments are entries of A, then those of B (k, m), by rows.
+
+    Attributes
+    ----------
+    k, m : int
+        Unknowns, and columns of B.
+    places : tuple of int
+        i k + j of the entries of A that are arguments, ascending, if the others are zero; empty: all are arguments.
+    """
+
+    k: int
+    m: int
+    places: tuple[int, ...] = ()
+
+    @property
+    def entries(self) -> int:
+        """How many entries of A are arguments."""
+        return len(self.places) or self.k * self.k
+
+    def matrix(self, arguments: Sequence[Node]) -> list[dict[int, Node]]:
+        """The rows of A: nodes by column."""
+        rows: list[dict[int, Node]] = [{} for _ in range(self.k)]
+        for place, node in zip(self.places or range(self.k * self.k), arguments, strict=False):
+            rows[place // self.k][place % self.k] = node
+        return rows
+
+    def right(self, arguments: Sequence[Node]) -> list[Sequence[Node]]:
+        """The rows of B."""
+        first = self.entries
+        return [arguments[first + i * self.m : first + (i + 1) * self.m] for i in range(self.k)]
+
+
+#: Systems of at least this many unknowns are sparse if at most this part of their entries can differ from zero:
+#: elimination with row pivots costs more than sparse factors from there on (measured in benchmarks/dae_table.py).
+_SPARSE_SYSTEM, _SPARSE_PART = 24, 0.25
 
 
 class Graph:
@@ -204,10 +242,21 @@ class Graph:
 
     def solve(self, matrix: Sequence[Sequence[Node]], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
         """The solution X of A X = B, A of shape (k, k), B of shape (k, m), by rows: by elimination with row pivots."""
-        k, m = len(matrix), len(right[0])
-        flat = [entry for rows in (matrix, right) for row in rows for entry in row]
-        system = self.make("solve", *flat, value=(k, m))
-        return [[self.make("entry", system, value=i * m + j) for j in range(m)] for i in range(k)]
+        return self.solved(System(len(matrix), len(right[0])), [one for row in matrix for one in row], right)
+
+    def solve_sparse(self, matrix: Sequence[Mapping[int, Node]], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
+        """The solution X of A X = B, with the entries of each row of A by column: a large system by sparse factors."""
+        k, zero = len(matrix), self.node(0.0)
+        if k < _SPARSE_SYSTEM or sum(map(len, matrix)) > _SPARSE_PART * k * k:
+            return self.solve([[row.get(j, zero) for j in range(k)] for row in matrix], right)
+        entries = {i * k + j: row[j] for i, row in enumerate(matrix) for j in sorted(row)}
+        return self.solved(System(k, len(right[0]), tuple(entries)), [*entries.values()], right)
+
+    def solved(self, system: System, matrix: Sequence[Node], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
+        """The solution of a system with these entries of A, by rows."""
+        node = self.make("solve", *matrix, *(one for row in right for one in row), value=system)
+        k, m = system.k, system.m
+        return [[self.make("entry", node, value=i * m + j) for j in range(m)] for i in range(k)]
 
 
 #: Longer expressions are named by their operation alone.

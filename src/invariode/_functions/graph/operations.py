@@ -15,8 +15,8 @@ from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node
 
 DOUBLE, INDEX = ir.DoubleType(), ir.IntType(64)
 POINTER = DOUBLE.as_pointer()
-#: The core's solution of a linear system.
-SOLVE = "invariode_solve"
+#: The core's solutions of a linear system.
+SOLVE, SOLVE_SPARSE = "invariode_solve", "invariode_solve_sparse"
 
 
 def constants(module: Any, kind: Any, numbers: Sequence[float]) -> Any:
@@ -207,13 +207,21 @@ class Operations:
 
     def _solved(self, node: Node, a: list[Any]) -> Any:
         """A pointer to the solution of a linear system, which the core solves."""
-        k, m = node.value
+        k, m, places = node.value
         build = self.build
         with build.goto_entry_block():
-            place = build.alloca(DOUBLE, k * (k + m))
+            place = build.alloca(DOUBLE, len(a))
         for i, value in enumerate(a):
             build.store(value, build.gep(place, [INDEX(i)]))
-        kind = ir.FunctionType(ir.VoidType(), [INDEX, INDEX, POINTER])
-        called = self.module.globals.get(SOLVE) or ir.Function(self.module, kind, SOLVE)
-        build.call(called, [INDEX(k), INDEX(m), place])
-        return build.gep(place, [INDEX(k * k)])
+        sizes = [INDEX(k), INDEX(m)]
+        if not places:
+            self._call(SOLVE, [*sizes, place])
+        else:
+            where = build.gep(constants(self.module, INDEX, places), [INDEX(0), INDEX(0)], inbounds=True)
+            self._call(SOLVE_SPARSE, [*sizes, INDEX(len(places)), where, place])
+        return build.gep(place, [INDEX(node.value.entries)])
+
+    def _call(self, name: str, arguments: list[Any]) -> None:
+        """Calls a function of the core that returns nothing."""
+        kind = ir.FunctionType(ir.VoidType(), [one.type for one in arguments])
+        self.build.call(self.module.globals.get(name) or ir.Function(self.module, kind, name), arguments)

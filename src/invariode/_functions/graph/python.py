@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
-from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, as_rows, in_order
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, System, as_rows, in_order
 
 #: The name of the function that is executed.
 _CODE = "graph_code"
@@ -132,6 +132,7 @@ def _restored(
     graph = Graph()
     nodes: list[Node] = []
     for op, value, arguments in rows:
+        value = System(*value) if op == "solve" else value
         nodes.append(graph.make(op, *(nodes[i] for i in arguments), value=value))
     return Formula(name, lambda: [nodes[i] for i in outputs], layout, parameters)
 
@@ -148,8 +149,8 @@ def _written(node: Node, a: list[str], careful: bool) -> str:
     if op in ARITHMETIC or op in COMPARISONS:
         return f"{a[0]} {(ARITHMETIC | COMPARISONS)[op]} {a[1]}"
     if op == "solve":
-        k, m = node.value
-        return f"solved([{', '.join(a)}], {k}, {m})"
+        k, m, places = node.value
+        return f"solved([{', '.join(a)}], {k}, {m}{f', {places}' if places else ''})"
     if op == "entry":
         return f"{a[0]}[{node.value}]"
     if op == "piece":
@@ -198,9 +199,11 @@ def _sign(x: float) -> float:
     return math.copysign(1.0, x) if x else x
 
 
-def solved(numbers: list[float], k: int, m: int) -> list[float]:
+def solved(numbers: list[float], k: int, m: int, places: Sequence[int] = ()) -> list[float]:
     """NaN if the matrix is singular."""
-    matrix, right = np.reshape(numbers[: k * k], (k, k)), np.reshape(numbers[k * k :], (k, m))
+    entries = np.zeros(k * k)
+    entries[list(places) if places else slice(None)] = numbers[: -k * m]
+    matrix, right = np.reshape(entries, (k, k)), np.reshape(numbers[-k * m :], (k, m))
     try:
         found: list[float] = np.linalg.solve(matrix, right).ravel().tolist()
     except np.linalg.LinAlgError:

@@ -92,6 +92,7 @@ class Unrolled(SeriesWriter):
         self._inverses: dict[tuple[Node | None, float], Inverse] = {}
         self._units: dict[int, Inverse] = {}
         self._multiples: dict[tuple[Node, int, float], Any] = {}
+        self._entries: dict[tuple[Node, int, int], Value] = {}
         n, last = self._form.n, self._form.order
         graph = outputs[0].graph
         y = [graph.y(i) for i in range(n)]
@@ -218,24 +219,32 @@ class Unrolled(SeriesWriter):
     def _of_system(self, node: Node, k: int) -> Any:
         """A_0 X_k = B_k − Σ A_j X_{k−j}."""
         if node.op == "entry":
-            found = self._now(node.arguments[0], k)
-            return self._of(self._build.load(self._build.gep(found.ir, [INDEX(node.value)])))
-        size, columns = node.value
-        matrix, right = node.arguments[: size * size], node.arguments[size * size :]
-        entries = [node.graph.make("entry", node, value=i) for i in range(size * columns)]
-        numbers = [self._known[one][0] for one in matrix]
-        for i in range(size):
-            for c in range(columns):
+            return self._entry(node.arguments[0], node.value, k)
+        form = node.value
+        matrix, right = form.matrix(node.arguments), form.right(node.arguments)
+        numbers = [self._known[one][0] for one in node.arguments[: form.entries]]
+        for i in range(form.k):
+            for c in range(form.m):
                 terms = [
                     (a, x)
                     for j in range(1, k + 1)
-                    for m in range(size)
-                    if not isinstance(a := self._now(matrix[i * size + m], j), float)
-                    and not isinstance(x := self._now(entries[m * columns + c], k - j), float)
+                    for row, one in matrix[i].items()
+                    if not isinstance(a := self._now(one, j), float)
+                    and not isinstance(x := self._entry(node, row * form.m + c, k - j), float)
                 ]
-                side = minus(self._now(right[i * columns + c], k), self._sum_of(terms))
+                side = minus(self._now(right[i][c], k), self._sum_of(terms))
                 numbers.append(self._constant(side) if isinstance(side, float) else side)
         return self._of(self._ops.value(node, [one.ir for one in numbers]))
+
+    def _entry(self, system: Node, index: int, k: int) -> Any:
+        """A number of the solution, whether or not an expression uses it."""
+        solution = self._now(system, k)
+        if isinstance(solution, float):
+            return solution
+        key = (system, index, k)
+        if key not in self._entries:
+            self._entries[key] = self._of(self._build.load(self._build.gep(solution.ir, [INDEX(index)])))
+        return self._entries[key]
 
 
 class _At:

@@ -1,0 +1,749 @@
+"""`Dae`: F(t, y, y', *args) = 0 of any index, analysed once."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import (
+    Array,
+    call_name,
+    choice,
+    distinct_labels,
+    extra_arguments,
+    function,
+    interval,
+    number,
+    real_numbers,
+    shown,
+    state,
+    warn,
+)
+from .._base.suggestions import meant
+from .._base.types import EventsLike, MethodName, OnFailure, Span
+from .._functions.compiled import CompiledFunction, Shape
+from .._functions.graph.function import GraphFunction, TracedFunction
+from .._functions.graph.nodes import Node, in_order
+from .._functions.graph.python import Formula
+from .._functions.layout import TRUTHS, Listed, Numbers, arguments_of
+from .._problem.events import to_events
+from .._problem.invariants import Invariants
+from .._problem.methods import find_method
+from .._problem.options import Options
+from .._problem.sensitivities import SensitivitiesLike
+from .._results.result import FAILED, NOT_CONSERVED
+from .._results.solution import Solution
+from .._run.run import concluded
+from .._solve.problem import Problem
+from .checks import impasse, point_of, violation
+from .expressions import is_zero, leaves, primed, row_of, substituted
+from .reduction import Given, Reduction
+from .solution import Unknowns, in_unknowns
+from .start import Point, Starts
+from .structure import GenericPoints, Structure
+from .through import Through
+
+#: Changes of initial values below this part of them are roundoff, above the second they are reported in a warning.
+_MOVED, _LARGE_MOVE = 1e-10, 1e-6
+#: Printed tables have at most this many rows.
+_ROWS = 24
+
+
+#: What becomes of equations that are not linear in what they determine.
+Nonlinear: TypeAlias = Literal["raise", "algebraic"]
+
+
+class _Functions(NamedTuple):
+    """The functions of a reduced problem."""
+
+    slope: Any
+    levels: list[Any]
+    unknowns: Unknowns
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Start:
+    """Consistent initial values of a `Dae`.
+
+    Attributes
+    ----------
+    t : float
+        The time.
+    y, yp : ndarray, (n,)
+        The unknowns and their derivatives; they satisfy F = 0 and all hidden constraints.
+    moved : dict
+        By how much given values were changed, by name, such as "x" or "x'"; changes by roundoff are left out.
+    """
+
+    t: float
+    y: Array
+    yp: Array
+    moved: dict[str, float]
+    _x: Array = dataclasses.field(repr=False)
+
+
+class UntracedError(TypeError):
+    """F has no graph: its structure is not known."""
+
+
+class _Traced(NamedTuple):
+    """F as a graph of t, y, y', ..., and the parameters that stay variable."""
+
+    outputs: list[Node]
+    args: tuple[Any, ...]
+    names: tuple[str, ...]
+
+
+class Dae:
+    """Differential-algebraic equations F(t, y, y', *args) = 0 of any index, analysed for what they determine.
+
+    F is called once with symbolic values. From its expressions follow how often each equation has to be differentiated
+    to determine the highest derivatives (Pryce's Σ-method), an ordinary differential equation for them, and the hidden
+    constraints, which `problem` imposes as invariants in levels.
+
+    Parameters
+    ----------
+    F : callable
+        ``F(t, y, yp, *args)`` returns n residuals for the n unknowns y and their derivatives yp; with ``order=2``
+        ``F(t, y, yp, ypp, *args)``. It must be possible to trace it, as for `compile`.
+    t0 : float
+        The initial time.
+    y0 : array_like of shape (n,)
+        Initial values, or guesses of them: `consistent` finds the nearest values that satisfy all constraints.
+    yp0 : array_like of shape (n,), optional
+        Initial derivatives, or guesses. Default: unknown.
+    args : tuple, optional
+        Further arguments of F. Numbers and arrays are parameters of `problem`, if F can be traced with them.
+    names : sequence of n str, optional
+        Names of the unknowns. Default: y[0], y[1], ...
+    equations : sequence of n str, optional
+        Names of the equations. Default: F[0], F[1], ...
+    order : {1, 2}, default 1
+        The highest derivative that F takes.
+
+    Attributes
+    ----------
+    index : int
+        The structural index: how often F has to be differentiated, at most, to give an ODE for all unknowns. Where
+        terms cancel it is that of the equations after `repairs`.
+    freedom : int
+        The degrees of freedom: how many initial values can be chosen.
+    offsets : tuple of ndarray of int, (n,)
+        c and d of Pryce's method: equation i is differentiated c_i times, and determines the derivative of order d_j of
+        the unknown j on its place of the transversal. Unknowns that only rename others, as in u = x', are left out.
+    blocks : list of (list of str, list of str)
+        Equations and the derivatives that they determine together, in the order in which they are solved.
+    repairs : list of str
+        Equations that were replaced by combinations in which terms cancel.
+
+    Raises
+    ------
+    ValueError
+        The equations do not determine the unknowns. The message lists the equations and unknowns concerned.
+    TypeError
+        F cannot be traced. `solve_dae` solves such equations if their index is at most 1.
+
+    Notes
+    -----
+    J. D. Pryce, BIT 41 (2001) 364-394; G. Tan, N. S. Nedialkov and J. D. Pryce, BIT 57 (2017) 845-865; C. W. Gear,
+    B. Leimkuhler and G. K. Gupta, J. Comput. Appl. Math. 12-13 (1985) 77-90.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def pendulum(t, y, yp, ypp):
+    ...     x, z, tension = y
+    ...     return [ypp[0] + tension * x, ypp[1] + tension * z + 9.81, x**2 + z**2 - 1]
+    >>> dae = iv.Dae(pendulum, 0, [1, 0, 0], names=["x", "z", "tension"], order=2)
+    >>> dae.index, dae.freedom
+    (3, 2)
+    >>> print(dae)
+    Dae('pendulum'): 3 equations, index 3, 2 degrees of freedom, 2 constraints
+    equation  differentiated  determines
+    F[0]                   0  x''
+    F[1]                   0  tension
+    F[2]                   2  z''
+    """
+
+    def __init__(
+        self,
+        F: Callable[..., Any],
+        t0: float,
+        y0: ArrayLike,
+        yp0: ArrayLike | None = None,
+        *,
+        args: Iterable[Any] = (),
+        names: Sequence[str] | None = None,
+        equations: Sequence[str] | None = None,
+        order: Literal[1, 2] = 1,
+    ) -> None:
+        self.F = function("F", F, "F(t, y, yp)")
+        self.t0, self.order = number("t0", t0), _order(order)
+        self.y0 = _real_state("y0", y0)
+        n = len(self.y0)
+        self.yp0 = None if yp0 is None else _real_state("yp0", yp0, n)
+        self.args = extra_arguments(args)
+        self.name = call_name(F, "dae")
+        self.names = [f"y[{j}]" for j in range(n)] if names is None else distinct_labels(names, n)
+        self.equations = [f"F[{i}]" for i in range(n)] if equations is None else _names(equations, n)
+        traced = _traced(self.F, self.args, n, self.order)
+        if len(traced.outputs) != n:
+            raise ValueError(
+                f"F returns {len(traced.outputs)} residuals for {n} unknowns: as many equations as unknowns are needed"
+            )
+        self._args, self._parameter_names = traced.args, traced.names
+        self._p = arguments_of(traced.args).values()
+        self._analyse(traced.outputs)
+
+    def _analyse(self, outputs: list[Node]) -> None:
+        n, graph = len(self.y0), outputs[0].graph
+        renamed, gone = _aliases(outputs, n)
+        kept = [j for j in range(n) if j not in renamed]
+        place = {j: b for b, j in enumerate(kept)}
+        self._of = [
+            Given(place[j], 0, 1.0) if j in place else Given(place[renamed[j].j], *renamed[j][1:]) for j in range(n)
+        ]
+        m, mapping = len(kept), {}
+        for one in sorted(leaves(outputs)):
+            order, u = divmod(one, n)
+            b, more, sign = self._of[u]
+            leaf = graph.y((order + more) * m + b)
+            mapping[graph.y(one)] = leaf if sign > 0 else graph.negative(leaf)
+        self._given = substituted([one for i, one in enumerate(outputs) if i not in gone], mapping)
+        self._kept = kept
+        guess, self._known_levels = self._guess(self.y0, self.yp0)
+        self._structure = Structure(
+            self._given,
+            GenericPoints(self.t0, guess),
+            self._p,
+            [self.names[j] for j in kept],
+            [one for i, one in enumerate(self.equations) if i not in gone],
+        )
+        self._reductions: dict[str, tuple[Reduction, Starts]] = {}
+        self._made: dict[Reduction, _Functions] = {}
+
+    def _guess(self, y: Array, yp: Array | None) -> tuple[Array, int]:
+        """Values and derivatives of the unknowns that are left, and how many levels of them were given."""
+        m = len(self._kept)
+        known = max([1 + (yp is not None)] + [1 + one.order for one in self._of])
+        guess = np.zeros((known, m))
+        if yp is not None:
+            for u, (b, order, sign) in enumerate(self._of):
+                if order + 1 < known:
+                    guess[order + 1, b] = sign * yp[u]
+        for u, (b, order, sign) in enumerate(self._of):  # a value says more than the derivative of what it renames
+            guess[order, b] = sign * y[u]
+        return guess, known
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # What the analysis found
+
+    @property
+    def index(self) -> int:
+        c, d, _ = self._structure.arrangement.offsets
+        # An ODE for x_j^(order) needs x_j^(order + 1), which takes as many more differentiations as that is above d_j.
+        more = max((one.order + 1 - int(d[one.j]) for one in self._of), default=0)
+        return int(c.max(initial=0)) + max(more, 0)
+
+    @property
+    def freedom(self) -> int:
+        return self._structure.arrangement.offsets.freedom
+
+    @property
+    def offsets(self) -> tuple[Array, Array]:
+        c, d, _ = self._structure.arrangement.offsets
+        return c.copy(), d.copy()
+
+    @property
+    def repairs(self) -> list[str]:
+        return list(self._structure.repairs)
+
+    @property
+    def blocks(self) -> list[tuple[list[str], list[str]]]:
+        structure, (_, d, _) = self._structure, self._structure.arrangement.offsets
+        return [
+            ([structure.names[i] for i in rows], [primed(structure.unknowns[j], int(d[j])) for j in columns])
+            for rows, columns, _ in structure.arrangement.blocks
+        ]
+
+    def __repr__(self) -> str:
+        structure, (c, d, match) = self._structure, self._structure.arrangement.offsets
+        count = int(c.sum())
+        head = (
+            f"Dae({self.name!r}): {len(self.y0)} equations, index {self.index}, {self.freedom} degree"
+            f"{'s' * (self.freedom != 1)} of freedom, {count} constraint{'s' * (count != 1)}"
+        )
+        width = max(len("equation"), *map(len, structure.names))
+        lines = [head, f"{'equation':<{width}}  differentiated  determines"]
+        for i in range(min(len(c), _ROWS)):
+            determines = primed(structure.unknowns[match[i]], int(d[match[i]]))
+            lines.append(f"{structure.names[i]:<{width}}  {c[i]:>14}  {determines}")
+        if len(c) > _ROWS:
+            lines.append(f"... and {len(c) - _ROWS} more")
+        return "\n".join([*lines, *self.repairs])
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Consistent values
+
+    def consistent(
+        self,
+        fixed: Iterable[str | int] = (),
+        *,
+        y: ArrayLike | None = None,
+        yp: ArrayLike | None = None,
+        t: float | None = None,
+    ) -> Start:
+        """Find the consistent initial values that are nearest to the given ones.
+
+        Parameters
+        ----------
+        fixed : sequence of str or int, optional
+            Values that must stay: names of unknowns, with primes for derivatives, such as ``["x", "x'"]``, or indices
+            of unknowns. Positions give way to fixed velocities if there is no other solution.
+        y, yp : array_like of shape (n,), optional
+            Other values than y0 and yp0 to start from.
+        t : float, optional
+            Another time than t0.
+
+        Returns
+        -------
+        Start
+            With the fields `y`, `yp` and `moved`.
+
+        Raises
+        ------
+        InvariantError
+            There are no consistent values near these; too many values are fixed (the message says which follow from
+            which); or the start is a singular point, where the equations do not determine the highest derivatives.
+
+        Notes
+        -----
+        Newton's iteration of least norm, in weights of the size of the values, solves the constraints stage by stage,
+        those differentiated least first. Values that the equations leave free change only if a constraint contains
+        them.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def pendulum(t, y, yp, ypp):
+        ...     x, z, tension = y
+        ...     return [ypp[0] + tension * x, ypp[1] + tension * z + 9.81, x**2 + z**2 - 1]
+        >>> dae = iv.Dae(pendulum, 0, [0.6, -0.7, 0], names=["x", "z", "tension"], order=2)
+        >>> start = dae.consistent(fixed=["x"])
+        >>> start.y.round(3)
+        array([ 0.6  , -0.8  ,  7.848])
+        """
+        return self._start(self._reduced("algebraic"), fixed, y, yp, t)
+
+    def _start(
+        self,
+        reduced: tuple[Reduction, Starts],
+        fixed: Iterable[str | int] = (),
+        y: ArrayLike | None = None,
+        yp: ArrayLike | None = None,
+        t: float | None = None,
+    ) -> Start:
+        n = len(self.y0)
+        values = self.y0 if y is None else _real_state("y", y, n)
+        slopes = self.yp0 if yp is None else _real_state("yp", yp, n)
+        at = self.t0 if t is None else number("t", t)
+        reduction, starts = reduced
+        guess, known = self._guess(values, slopes)
+        held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
+        x = starts.nearest(Point(at, guess), known, held)
+        states, times = np.array([[x[one]] for one in reduction.states]).reshape(-1, 1), np.array([at])
+        unknowns = self._functions(reduction).unknowns
+        new = {order: of(times, states, self._p)[:, 0] for order, of in ((0, unknowns.y), (1, unknowns.yp))}
+        moved = {}
+        for order, old in ((0, values), (1, slopes)):
+            if old is None:
+                continue
+            for name, after, before in zip(self.names, new[order].tolist(), old.tolist(), strict=True):
+                if abs(after - before) > _MOVED * max(1.0, abs(after)):
+                    moved[primed(name, order)] = after - before
+        return Start(at, new[0], new[1], moved, x)
+
+    def _variable(self, given: object) -> tuple[int, int]:
+        """The order and the number of an unknown that is named with primes, or given by its index."""
+        if isinstance(given, str):
+            order = len(given) - len(given.rstrip("'"))
+            name = given.rstrip("'")
+            if name in self.names:
+                return order, self.names.index(name)
+            raise ValueError(
+                f"fixed: there is no unknown {given!r}{meant(name, self.names) or ''}; the unknowns are "
+                f"{', '.join(self.names[:12])}"
+            )
+        if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(self.names):
+            return 0, given
+        raise ValueError(f"fixed must list names such as 'x' or \"x'\", or indices of unknowns, got {shown(given)}")
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # The problem
+
+    def problem(
+        self,
+        t_span: Span,
+        fixed: Iterable[str | int] = (),
+        *,
+        nonlinear: Nonlinear = "raise",
+    ) -> Problem:
+        """Make the problem that has the solutions of the equations: an ODE with all constraints as invariants.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf). Consistent values are found at t0.
+        fixed : sequence of str or int, optional
+            As in `consistent`.
+        nonlinear : {'raise', 'algebraic'}, default 'raise'
+            How equations are treated that are not linear in the highest derivatives they determine. 'raise'
+            differentiates them once more, for all methods; 'algebraic' leaves them as algebraic equations under a
+            singular mass matrix, for methods that take one, such as radau and ode15s.
+
+        Returns
+        -------
+        Problem
+            Its state holds the unknowns that have initial values, and derivatives of them, as its `labels` say.
+            `solution` turns a solution of it into one in the unknowns of F.
+
+        Raises
+        ------
+        InvariantError
+            There are no consistent initial values near the given ones.
+
+        Warns
+        -----
+        UserWarning
+            Given values were changed by more than roundoff.
+        """
+        span = interval(t_span)
+        choice("nonlinear", nonlinear, ("raise", "algebraic"))
+        reduction, starts = self._reduced(nonlinear)
+        start = self._start((reduction, starts), fixed, t=span[0])
+        self._tell_move(start)
+        return self._problem(reduction, start, span)
+
+    def _problem(
+        self,
+        reduction: Reduction,
+        start: Start,
+        span: tuple[float, float],
+        atol: Array | None = None,
+        **describing: Any,
+    ) -> Problem:
+        y0, structure = np.array([start._x[one] for one in reduction.states]), reduction.structure
+        labels = [primed(structure.unknowns[j], order) for order, j in reduction.states]
+        if not len(y0):  # all unknowns follow from t: the time itself is the state
+            y0, labels = np.array([span[0]]), ["t"]
+        mass = reduction.mass()
+        return Problem(
+            self._functions(reduction).slope,
+            span,
+            y0,
+            args=self._args,
+            invariants=self._invariants(reduction, atol) or None,
+            mass=None if mass is None else np.diag(mass),
+            name=self.name,
+            labels=labels,
+            **describing,
+        )
+
+    def _tell_move(self, start: Start) -> None:
+        """Warns where given initial values were changed that the equations leave to the user."""
+        _, d, _ = self._structure.arrangement.offsets
+        if not self.freedom:  # all values are determined: those given are guesses
+            return
+        large = []
+        for u, (j, order, _) in enumerate(self._of):
+            for more, old in ((0, self.y0), (1, self.yp0)):
+                name = primed(self.names[u], more)
+                change = start.moved.get(name)
+                if change is None or old is None or order + more >= d[j] or (more and not old[u]):
+                    continue
+                new = (start.y if more == 0 else start.yp)[u]
+                if abs(change) > _LARGE_MOVE * max(1.0, abs(new)):
+                    large.append(f"{name} from {old[u]:.6g} to {new:.6g}")
+        if large:
+            rest = f", and {len(large) - 6} more" if len(large) > 6 else ""
+            warn(f"initial values were moved onto the constraints: {', '.join(large[:6])}{rest}")
+
+    def _reduced(self, nonlinear: Nonlinear) -> tuple[Reduction, Starts]:
+        if nonlinear not in self._reductions:
+            reduction = Reduction(self._structure, nonlinear)
+            if reduction.algebraic == len(reduction.states) > 0:  # an ODE is needed for the steps
+                return self._reduced("raise")
+            first = Starts(Reduction(self._structure, "algebraic"), self._p) if reduction.is_raised else None
+            made = reduction, Starts(reduction, self._p, first)
+            self._reductions[nonlinear] = made
+            if not reduction.is_nonlinear:  # there is only one
+                self._reductions["raise"] = self._reductions["algebraic"] = made
+        return self._reductions[nonlinear]
+
+    def _functions(self, reduction: Reduction) -> _Functions:
+        """The functions of the reduced problem, compiled if llvmlite is installed, made once."""
+        if reduction not in self._made:
+            slopes = reduction.slopes or [reduction.graph.node(1.0)]
+            levels = [self._function(f"level{k}", level.in_states) for k, level in enumerate(reduction.levels)]
+            self._made[reduction] = _Functions(
+                self._function(self.name, slopes), levels, Unknowns(self._of, self._given, reduction)
+            )
+        return self._made[reduction]
+
+    def _function(self, name: str, outputs: list[Node]) -> Any:
+        formula = Formula(name, lambda: outputs, (len(outputs),), self._parameter_names)
+        return GraphFunction(formula) if find_spec("llvmlite") is not None else formula
+
+    def _invariants(self, reduction: Reduction, atol: Array | None = None) -> list[Invariants]:
+        """The levels, each in a constant metric: in the weights of the error test rows can be nearly dependent."""
+        found = []
+        for k, (level, fun) in enumerate(zip(reduction.levels, self._functions(reduction).levels, strict=True)):
+            order: dict[str, Any] = {}
+            if not reduction.algebraic:
+                moves = [reduction.place[one] for one in level.moves]
+                metric = np.ones(len(moves)) if atol is None else atol[moves] ** -2.0
+                order = {"level": k, "moves": moves, "metric": metric}
+            found.append(Invariants(fun, value=0, names=level.names, **order))
+        return found
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Solutions
+
+    def solve(
+        self,
+        t_span: Span,
+        method: MethodName = "auto",
+        *,
+        fixed: Iterable[str | int] = (),
+        events: EventsLike = None,
+        sensitivities: SensitivitiesLike | None = None,
+        **options: Unpack[Options],
+    ) -> Solution:
+        """Solve the equations; the result is in the unknowns of F.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        method, fixed, events, sensitivities, **options
+            As in `solve_dae`.
+
+        Returns
+        -------
+        Solution
+            See `solve_dae`.
+        """
+        span = interval(t_span)
+        listed = to_events(events)
+        acts = any(getattr(one, "action", None) is not None for one in listed)  # which singular mass matrices exclude
+        takes_mass = find_method(method)[0].mass == "any" and not acts
+        reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
+        if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
+            method = "radau"
+        start = self._start((reduction, starts), fixed, t=span[0])
+        self._tell_move(start)
+        unknowns = self._functions(reduction).unknowns
+        through = Through(unknowns, partial(self._after_action, reduction, starts), self._p)
+        on_failure = options.pop("on_failure", None)
+        options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
+        if (callback := options.get("callback")) is not None:
+            options["callback"] = through.callback(callback)
+        if (points := options.get("breakpoints")) is not None:
+            options["breakpoints"] = through.breakpoints(points)
+        atol = self._atol(reduction, options)
+        describing: dict[str, Any] = {"sensitivities": sensitivities}
+        if events is not None:
+            describing["events"] = [through.event(one) for one in listed]
+        problem = self._problem(reduction, start, span, atol, **describing)
+        return self._presented(problem.solve(method, **options), reduction, on_failure)
+
+    def _after_action(
+        self,
+        reduction: Reduction,
+        starts: Starts,
+        t: float,
+        state: Array,
+        old: tuple[Array, Array],
+        new: tuple[Array, Array],
+        args: Sequence[Any],
+    ) -> Array:
+        """The consistent state nearest to one in which unknowns, or their derivatives, have changed."""
+        p = arguments_of(args).values() if args else self._p
+        x = point_of(reduction, t, state, p).x
+        (before, _), (after, _) = self._guess(*old), self._guess(*new)
+        levels = min(len(x), len(after))
+        x[:levels] += after[:levels] - before[:levels]
+        found = starts.nearest(Point(t, x), len(x), ())
+        return np.array([found[one] for one in reduction.states])
+
+    def _atol(self, reduction: Reduction, options: Options) -> Array | None:
+        """The tolerances of the states, if there is one for each unknown: derivatives have that of their unknown."""
+        given = options.get("atol")
+        if given is None or np.ndim(given) == 0:
+            return None
+        each = real_numbers("atol", given)
+        if each.shape != (len(self.names),):
+            raise ValueError(
+                f"atol must be a number or have one value per unknown, {len(self.names)}, got {shown(given)}"
+            )
+        own = {(one.order, one.j): each[u] for u, one in enumerate(self._of)}
+        found = np.array([own.get((order, j), own[0, j]) for order, j in reduction.states] or [1.0])
+        options["atol"] = found
+        return found if (found > 0).all() else None
+
+    def solution(self, sol: Solution) -> Solution:
+        """Express a solution of a problem of this DAE in the unknowns of F.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem that `problem` returned, perhaps with other `args`.
+
+        Returns
+        -------
+        Solution
+            As that of `solve_dae`.
+        """
+        source = getattr(sol._origin, "source", None)
+        if source is None:
+            raise ValueError(
+                "the solution comes from a file or a pickle: load it with its problem, load(path, problem)"
+            )
+        for reduction, functions in self._made.items():
+            if functions.slope is source.problem.fun:
+                return self._presented(sol, reduction)
+        raise ValueError("the solution is not one of a problem of this Dae: solve what dae.problem(t_span) returns")
+
+    def _again(
+        self, reduction: Reduction, before: OnFailure | None, sol: Solution, on_failure: OnFailure | None = None
+    ) -> Solution:
+        """Another solution of the reduced problem, which goes on from one that was presented."""
+        return self._presented(sol, reduction, on_failure or before)
+
+    def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
+        """A solution of the reduced problem in the unknowns of F; what it does not satisfy is a failure."""
+        unknowns = self._functions(reduction).unknowns
+        source = sol._origin.source
+        p = arguments_of(source.problem.args).values()
+        found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
+        if sol.status == FAILED and (text := impasse(sol, reduction, p)):
+            found = found.changed(message=text)
+        elif text := violation(sol, unknowns, reduction, p):
+            found = found.changed(status=NOT_CONSERVED, success=False, message=text)
+        return concluded(found, on_failure)
+
+
+def _order(order: object) -> int:
+    if order not in (1, 2) or isinstance(order, bool):
+        raise ValueError(f"order must be 1, for F(t, y, yp), or 2, for F(t, y, yp, ypp), got {shown(order)}")
+    return 1 if order == 1 else 2
+
+
+def _real_state(name: str, given: ArrayLike, n: int | None = None) -> Array:
+    found = state(given)
+    if found.dtype.kind == "c":
+        raise ValueError(f"{name} must be real: write complex equations in real and imaginary parts")
+    if n is not None and len(found) != n:
+        raise ValueError(f"{name} must have {n} values, as y0 has, got {len(found)}")
+    return np.array(found, dtype=float)
+
+
+def _names(names: Sequence[str], n: int) -> list[str]:
+    found = list(names)
+    if len(found) != n or not all(isinstance(one, str) for one in found):
+        raise ValueError(f"equations must be {n} names, one for each residual, got {shown(names)}")
+    return found
+
+
+def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
+    """The graph of F. Arguments without which it cannot be traced, such as counts of loops, are constants of it."""
+    fun = F.fun if isinstance(F, TracedFunction) else F
+    if isinstance(F, CompiledFunction) and fun is F:
+        raise TypeError("F must be a Python function, or one that compile has traced")
+
+    def residuals(t: Any, z: Any, *rest: Any) -> Any:
+        return fun(t, *(z[level * n : (level + 1) * n] for level in range(order + 1)), *rest)
+
+    residuals.__name__ = residuals.__qualname__ = call_name(fun, "F")
+    arguments = arguments_of(args)
+    size = _size(residuals, args, n, order)
+    made = TracedFunction(residuals, inplace=False, elementary="own", by="trace")
+    try:
+        shape = made.known(Shape((order + 1) * n, size, arguments, event=False))
+    except TypeError as error:
+        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
+        raise UntracedError(f"F cannot be traced: {why.partition(': ')[2] or why}") from None
+    outputs = made.graph(shape)
+    assert outputs is not None
+    rank = made.constants(arguments)
+    names, place = _argument_names(fun, len(args), order), 0
+    renumbered: dict[int, int] = {}
+    kept, kept_names = [], []
+    for one, entry, name in zip(args, arguments.entries, names, strict=True):
+        count = int(arguments_of([one]))
+        if _is_variable(entry, rank):
+            for k in range(count):
+                renumbered[place + k] = len(renumbered)
+            kept.append(one)
+            kept_names.append(name)
+        place += count
+    graph = outputs[0].graph
+    used = [node for node in in_order(outputs) if node.op == "p"]
+    outputs = substituted(outputs, {node: graph.p(renumbered[node.value]) for node in used})
+    return _Traced(outputs, tuple(kept), tuple(kept_names))
+
+
+def _is_variable(entry: Any, rank: int) -> bool:
+    if isinstance(entry, Numbers):
+        return entry.rank > max(rank, TRUTHS)
+    return isinstance(entry, Listed) and all(_is_variable(one, rank) for one in entry.entries)
+
+
+def _size(residuals: Any, args: tuple[Any, ...], n: int, order: int) -> int:
+    """How many values F returns: as many as unknowns, unless a call says otherwise."""
+    try:
+        with np.errstate(all="ignore"):
+            return int(np.size(residuals(0.0, np.ones((order + 1) * n), *args)))
+    except (ArithmeticError, ValueError, IndexError):
+        return n
+
+
+def _argument_names(fun: Any, count: int, order: int) -> list[str]:
+    try:
+        known = [one.name for one in inspect.signature(fun).parameters.values() if one.kind in (0, 1)][2 + order :]
+    except (TypeError, ValueError):
+        known = []
+    return [known[i] if i < len(known) else f"args[{i}]" for i in range(count)]
+
+
+def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, Given], set[int]]:
+    """Equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
+
+    Without them the first-order form of an equation has the structure of the equation itself.
+    """
+    found: dict[int, Given] = {}
+    gone: set[int] = set()
+    for i, equation in enumerate(equations):
+        used = sorted(leaves([equation]))
+        if len(used) != 2 or any(one.op in ("t", "p") for one in in_order([equation])):
+            continue
+        row = row_of(equation, used)
+        if len(row) < 2 or any(one.op != "number" or abs(one.value) != 1 for one in row.values()):
+            continue
+        graph = equation.graph
+        if not is_zero(substituted([equation], {graph.y(one): graph.node(0.0) for one in used})[0]):
+            continue
+        low, high = used
+        k, (order, j) = low % n, divmod(high, n)
+        if low >= n or k == j or k in found or j in found or any(k == one.j for one in found.values()):
+            continue
+        found[k] = Given(j, order, -row[high].value / row[low].value)
+        gone.add(i)
+    return found, gone

@@ -1,0 +1,144 @@
+"""Linear systems of nodes, and how regular matrices are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.graph.nodes import Graph, Node
+from .expressions import substituted
+
+#: A number is a safe pivot if it is at least this part of the largest number of its row: threshold pivoting.
+_SAFE = 0.1
+#: Blocks of more rows are tested by sparse factors instead of singular values.
+_LARGE = 120
+#: Iterations of the scaling of rows and columns, which converges by a factor of 4 each.
+_SCALINGS = 4
+
+
+def solution(graph: Graph, matrix: Sequence[Mapping[int, Node]], right: Sequence[Node]) -> list[Node]:
+    """Return the x with Σ_j A_ij x_j = b_i, as nodes; the rows of A map columns to nodes.
+
+    Entries that are numbers, and of the size of the others in their rows, are pivots at every point: they are
+    eliminated as formulas, in Markowitz's order. What is left is one `solve` node.
+    """
+    elimination = _Elimination(graph, matrix, right)
+    elimination.run()
+    return elimination.solution()
+
+
+class _Elimination:
+    """A partial elimination of numbers, and its way back."""
+
+    def __init__(self, graph: Graph, matrix: Sequence[Mapping[int, Node]], right: Sequence[Node]) -> None:
+        self.graph = graph
+        self.rows: dict[int, dict[int, Node]] = {i: dict(row) for i, row in enumerate(matrix)}
+        self.right = list(right)
+        self.columns: dict[int, set[int]] = {j: set() for j in range(len(matrix))}  # rows that are left, by column
+        for i, row in self.rows.items():
+            for j in row:
+                self.columns[j].add(i)
+        self.pivots: list[tuple[int, int]] = []
+        self.left = dict.fromkeys(self.rows)
+
+    def run(self) -> None:
+        """Eliminates while a safe pivot makes no more new entries than the system has rows."""
+        candidates = {i: self._best(i) for i in self.left}
+        while True:
+            found = min((one for one in candidates.values() if one is not None), default=None)
+            if found is None or found[0] > 4 * len(self.right):
+                return
+            _, i, j = found
+            changed = self._eliminate(i, j)
+            candidates.pop(i)
+            # Costs depend on the lengths of columns too: those of rows with the same columns have changed.
+            for k in changed | {k for q in self.rows[i] if q in self.columns for k in self.columns[q]}:
+                candidates[k] = self._best(k)
+
+    def _best(self, i: int) -> tuple[int, int, int] | None:
+        """The cheapest safe pivot of a row: (Markowitz's cost, row, column)."""
+        row = self.rows[i]
+        numbers = {j: abs(x.value) for j, x in row.items() if x.op == "number"}
+        largest = max(numbers.values(), default=0.0)
+        safe = [j for j, size in numbers.items() if size >= _SAFE * largest and size > 0]
+        return min(((len(row) - 1) * (len(self.columns[j]) - 1), i, j) for j in safe) if safe else None
+
+    def _eliminate(self, i: int, j: int) -> set[int]:
+        """Takes a pivot; returns the rows that have changed."""
+        pivot = self.rows[i]
+        del self.left[i]
+        for q in pivot:
+            self.columns[q].discard(i)
+        changed = self.columns.pop(j)
+        for k in sorted(changed):
+            row = self.rows[k]
+            factor = row.pop(j) / pivot[j]
+            for q, x in pivot.items():
+                if q != j:
+                    row[q] = row[q] - factor * x if q in row else self.graph.negative(factor * x)
+                    self.columns[q].add(k)
+            self.right[k] = self.right[k] - factor * self.right[i]
+        self.pivots.append((i, j))
+        return changed
+
+    def solution(self) -> list[Node]:
+        graph, rows, columns = self.graph, [*self.left], sorted(self.columns)
+        found: dict[int, Node] = {}
+        if len(rows) == 1:
+            found[columns[0]] = self.right[rows[0]] / self.rows[rows[0]][columns[0]]
+        elif rows:
+            place = {j: b for b, j in enumerate(columns)}
+            matrix = [{place[j]: self.rows[i][j] for j in sorted(self.rows[i])} for i in rows]
+            solved = graph.solve_sparse(matrix, [[self.right[i]] for i in rows])
+            found = {j: one[0] for j, one in zip(columns, solved, strict=True)}
+        for i, j in reversed(self.pivots):
+            total = self.right[i]
+            for q, x in self.rows[i].items():
+                if q != j:
+                    total = total - x * found[q]
+            found[j] = total / self.rows[i][j]
+        return substituted([found[j] for j in range(len(self.right))], {})
+
+
+def equilibrated(A: Array) -> Array:
+    """Return the matrix with rows and columns scaled so that their largest entries are about 1."""
+    r, s = np.ones(A.shape[0]), np.ones(A.shape[1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_SCALINGS):
+            sizes = np.abs(r[:, None] * A * s)
+            rows, columns = sizes.max(axis=1, initial=0), sizes.max(axis=0, initial=0)
+            r /= np.sqrt(np.where(rows > 0, rows, 1))
+            s /= np.sqrt(np.where(columns > 0, columns, 1))
+        scaled: Array = r[:, None] * A * s
+    return scaled
+
+
+def condition(A: Array) -> float:
+    """Return the smallest over the largest singular value of the equilibrated matrix; 0 if that is not finite.
+
+    Of a large matrix a bound from above, the inverse growth of a solution with its sparse factors.
+    """
+    if not np.isfinite(A).all() or (np.abs(A).max(axis=1, initial=0) == 0).any():
+        return 0.0
+    scaled = equilibrated(A)
+    if not np.isfinite(scaled).all():
+        return 0.0
+    if len(A) > _LARGE:
+        return _by_growth(scaled)
+    sizes = np.linalg.svd(scaled, compute_uv=False)
+    return float(sizes[-1] / sizes[0]) if sizes[0] > 0 else 0.0
+
+
+def _by_growth(A: Any) -> float:
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    try:
+        probe = splu(csc_array(A)).solve(np.where(np.arange(len(A)) % 3 == 0, -1.0, 1.0))
+    except RuntimeError:  # singular
+        return 0.0
+    largest = float(np.abs(probe).max())
+    return 1 / largest if np.isfinite(largest) and largest > 0 else 0.0

@@ -1,0 +1,232 @@
+"""From the structure of a DAE to an ODE with invariants in levels.
+
+With the offsets c, d the states are x_j^(l), l < d_j: (x_j^(l))' = x_j^(l + 1), and the last of these, x_j^(d_j), are
+the solutions of f_i^(c_i) = 0, block after block of the system Jacobian. The equations that were differentiated, and
+all that follow from them, hold along the solutions of this ODE: for k = max c, ..., 1 the f_i^(c_i - k) = 0 with
+c_i >= k are one level of invariants, which moves the x_j^(d_j - k). Its Jacobian is a part of J, of full rank where J
+is regular.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.graph.derivatives import tangent
+from .._functions.graph.nodes import Node
+from .expressions import Sums, leaves, primed, row_of, substituted
+from .linear_systems import solution
+from .offsets import Offsets
+from .structure import Arrangement, Structure
+
+#: A derivative of an unknown: its order and the number of the unknown.
+Variable = tuple[int, int]
+
+
+class Given(NamedTuple):
+    """An unknown of the user's in terms of the unknowns that are left after aliases: sign x_j^(order)."""
+
+    j: int
+    order: int
+    sign: float
+
+
+class Level(NamedTuple):
+    """Invariants that are imposed together.
+
+    Attributes
+    ----------
+    equations : list of Node
+        In terms of x_j^(l).
+    in_states : list of Node
+        The same in terms of the states.
+    moves : list of Variable
+        What they determine.
+    names : list of str
+        Their names.
+    """
+
+    equations: list[Node]
+    in_states: list[Node]
+    moves: list[Variable]
+    names: list[str]
+
+
+def nonlinear_blocks(structure: Structure, arrangement: Arrangement) -> set[int]:
+    """Return the blocks whose equations are not linear in the x_j^(d_j) that they determine.
+
+    An equation that was differentiated is linear in its highest derivatives; one with c_i = 0 need not be.
+    """
+    (c, d, _), n, found = arrangement.offsets, structure.n, set()
+    for k, block in enumerate(arrangement.blocks):
+        unknown = {int(d[j]) * n + j for j in block.columns}
+        if any(
+            c[i] == 0 and leaves([node]) & unknown for i, _, node in _of_rows(arrangement, block.rows, block.columns)
+        ):
+            found.add(k)
+    return found
+
+
+def _of_rows(arrangement: Arrangement, rows: Sequence[int], columns: Sequence[int]) -> Iterable[tuple[int, int, Node]]:
+    return ((rows[a], columns[b], node) for a, b, node in arrangement.part(rows, columns))
+
+
+def raised(structure: Structure, arrangement: Arrangement, which: set[int]) -> Arrangement:
+    """Return the arrangement in which these blocks, and all that they need, are differentiated once more.
+
+    What was nonlinear becomes a constraint. Blocks are formed again: more equations are in J.
+    """
+    waiting, more = [*which], set(which)
+    while waiting:
+        for k in arrangement.blocks[waiting.pop()].needs:
+            if k not in more:
+                more.add(k)
+                waiting.append(k)
+    c, d, match = (one.copy() for one in arrangement.offsets)
+    for k in more:
+        c[[*arrangement.blocks[k].rows]] += 1
+        d[[*arrangement.blocks[k].columns]] += 1
+    return structure.arranged(Offsets(c, d, match))
+
+
+class Reduction:
+    """An ODE with invariants that has the solutions of a DAE.
+
+    Parameters
+    ----------
+    structure : Structure
+        The equations.
+    nonlinear : {'raise', 'algebraic'}
+        What becomes of blocks that are not linear in what they determine: 'raise' differentiates them once more;
+        'algebraic' leaves them as equations of index 1, under a singular mass matrix.
+
+    Attributes
+    ----------
+    arrangement : Arrangement
+        Offsets, J and blocks.
+    states : list of Variable
+        The variables of the ODE; algebraic ones are last.
+    algebraic : int
+        How many are algebraic.
+    slopes : list of Node
+        The derivatives of the states, then the residuals of the algebraic equations, in terms of the states.
+    levels : list of Level
+        The invariants.
+    """
+
+    def __init__(self, structure: Structure, nonlinear: Literal["raise", "algebraic"]) -> None:
+        self.structure, self.n, self.graph = structure, structure.n, structure.graph
+        self.arrangement = structure.arrangement
+        held = nonlinear_blocks(structure, self.arrangement)
+        self.is_nonlinear, self.is_raised = bool(held), False
+        if nonlinear == "raise" and held:
+            self.arrangement, self.is_raised, held = raised(structure, self.arrangement, held), True, set()
+        self._c, self._d, _ = self.arrangement.offsets
+        blocks = self.arrangement.blocks
+        algebraic = [(int(self._d[j]), j) for k in sorted(held) for j in blocks[k].columns]
+        differential = sorted((order, j) for j in range(self.n) for order in range(int(self._d[j])))
+        self.states: list[Variable] = differential + algebraic
+        self.algebraic = len(algebraic)
+        self.place = {one: k for k, one in enumerate(self.states)}
+        self._known = {self._leaf(*one): self.graph.y(k) for one, k in self.place.items()}
+        self._tops: dict[Variable, list[Node]] = {}  # x_j^(d_j), x_j^(d_j + 1), ... in terms of the states
+        residuals = self._solve_blocks(held)
+        self.slopes = self.of([(order + 1, j) for order, j in differential]) + residuals
+        self.levels = [self._level(k) for k in range(int(self._c.max(initial=0)), 0, -1)]
+
+    def _leaf(self, order: int, j: int) -> Node:
+        return self.graph.y(order * self.n + j)
+
+    def _solve_blocks(self, held: set[int]) -> list[Node]:
+        """Solves f_i^(c_i) = 0 for the x_j^(d_j), block after block; returns the residuals of those that are held."""
+        structure, graph, c, d = self.structure, self.graph, self._c, self._d
+        known, residuals = dict(self._known), []
+        for k, (rows, columns, _) in enumerate(self.arrangement.blocks):
+            equations = [structure.derivative(structure.equations[i], int(c[i])) for i in rows]
+            if k in held:
+                residuals += substituted(equations, known)
+                for j in columns:
+                    self._tops[int(d[j]), j] = [known[self._leaf(int(d[j]), j)]]
+                continue
+            zeros = {self._leaf(int(d[j]), j): graph.node(0.0) for j in columns}
+            right = [graph.negative(one) for one in substituted(equations, known | zeros)]
+            part = self.arrangement.part(rows, columns)
+            matrix: list[dict[int, Node]] = [{} for _ in rows]
+            for (a, b, _), node in zip(part, substituted([node for *_, node in part], known), strict=True):
+                matrix[a][b] = node
+            for j, top in zip(columns, solution(graph, matrix, right), strict=True):
+                self._tops[int(d[j]), j] = [top]
+                known[self._leaf(int(d[j]), j)] = top
+        return residuals
+
+    def _level(self, k: int) -> Level:
+        structure, c, d = self.structure, self._c, self._d
+        which = [i for i in range(self.n) if c[i] >= k]
+        equations = [structure.derivative(structure.equations[i], int(c[i]) - k) for i in which]
+        return Level(
+            equations,
+            substituted(equations, self._known),
+            [(int(d[j]) - k, j) for j in range(self.n) if d[j] >= k],
+            [primed(structure.names[i], int(c[i]) - k) for i in which],
+        )
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # All variables as functions of (t, states)
+
+    def of(self, variables: Sequence[Variable]) -> list[Node]:
+        """Return these x_j^(l) in terms of t and the states."""
+        beyond = {j: order - int(self._d[j]) for order, j in sorted(variables)}  # the highest of each, above its top
+        for level in range(1, 1 + max(beyond.values(), default=0)):
+            chains = [self._tops[int(self._d[j]), j] for j, most in beyond.items() if most >= level]
+            chains = [chain for chain in chains if len(chain) == level]
+            if chains:
+                rates = substituted(tangent([chain[-1] for chain in chains], self._flow), {})
+                for chain, rate in zip(chains, rates, strict=True):
+                    chain.append(rate)
+        return [self._at(*one) for one in variables]
+
+    def _at(self, order: int, j: int) -> Node:
+        if (order, j) in self.place:
+            return self.graph.y(self.place[order, j])
+        top = int(self._d[j])
+        return self._tops[top, j][order - top]
+
+    @cached_property
+    def _flow(self) -> dict[Node, Node]:
+        """d/dt of t and of the states. Those of algebraic ones z, with 0 = f(t, y, z): f_z z' = -f_t - f_y y'."""
+        graph, count = self.graph, len(self.states) - self.algebraic
+        flow = {graph.t: graph.node(1.0), **{graph.y(k): self.slopes[k] for k in range(count)}}
+        if self.algebraic:
+            residuals = self.slopes[count:]
+            columns = range(count, len(self.states))
+            matrix = [{k - count: x for k, x in row_of(one, columns).items()} for one in residuals]
+            right = [graph.negative(one) for one in substituted(tangent(residuals, flow), {})]
+            flow |= {graph.y(k): x for k, x in zip(columns, solution(graph, matrix, right), strict=True)}
+        return flow
+
+    def in_states(self, nodes: Sequence[Node]) -> list[Node]:
+        """Return expressions of x_j^(l) in terms of t and the states."""
+        places = sorted(leaves(nodes))
+        found = self.of([divmod(place, self.n) for place in places])
+        return substituted(nodes, {self.graph.y(place): one for place, one in zip(places, found, strict=True)})
+
+    def sizes(self, nodes: Sequence[Node]) -> list[Node]:
+        """Return Σ |terms| of each of these sums in terms of t and the states: what residuals are compared with."""
+        sums, graph, found = Sums(), self.graph, []
+        for one in nodes:
+            total = graph.node(0.0)
+            terms = sums.terms([(1.0, one)])
+            for node, (_, size) in zip(self.in_states([*terms]), terms.values(), strict=True):
+                total = total + graph.make("abs", node) * size
+            found.append(total)
+        return found
+
+    def mass(self) -> Array | None:
+        """Return the singular mass matrix of the algebraic equations, as its diagonal; None: there are none."""
+        if not self.algebraic:
+            return None
+        return np.array([1.0] * (len(self.states) - self.algebraic) + [0.0] * self.algebraic)

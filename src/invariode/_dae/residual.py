@@ -1,0 +1,324 @@
+"""F(t, y, y') = 0 as it stands, for functions that cannot be traced, of index 0 and 1.
+
+F depends on y' by the r combinations w_d' that the constant null space of ∂F/∂y' leaves. With its basis V, whose
+vectors have a component of their own each, y = E w_d + Vᵀ w_a, where E has the units of the other components. Then
+
+    w_d' = z,   0 = F(t, E w_d + Vᵀ w_a, E z)
+
+is of index 1 in (w_d, w_a, z) where (F_y Vᵀ, F_y' E) is regular: where F is of index 0 or 1. The formulas of ode15s and
+radau, applied to it, are those of F(t, y, (α y + β) / h) = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import ATOL, EPS, RTOL, Array, shown
+from .._base.types import EventsLike, MethodName, OnFailure
+from .._linear.null_space import null_space
+from .._problem.events import to_events
+from .._problem.methods import find_method
+from .._problem.options import Options
+from .._results.solution import Solution
+from .._run.run import concluded
+from .._solve.problem import Problem
+from .linear_systems import condition
+from .solution import in_unknowns
+from .structure import SINGULAR
+from .through import Through
+
+#: Where ∂F/∂y' is formed: distances from the start in units of 1 + |y|.
+_DISTANCES, _SEED = (0.0, 1e-3, 1e-2), 11
+#: Increments of central differences, in units of 1 + |y|; what they leave of zeros, with room.
+_INCREMENT = EPS ** (1 / 3)
+_ROUNDOFF = 1e-6
+#: Derivatives below it are compared with it.
+_SMALL = 1e-3
+#: Newton's iteration for the start, and its smallest changes.
+_ITERATIONS, _SETTLED = 20, 1e-12
+#: Tolerances of z in units of those of y: errors of derivatives are not tested, as in other codes for F = 0.
+_UNTESTED = 1e10
+
+
+class ResidualForm:
+    """F as a semi-explicit system of u = (w_d, w_a, z).
+
+    Parameters
+    ----------
+    F : callable
+        ``F(t, y, yp, *args)``.
+    t : float
+        The initial time.
+    y, yp : ndarray, (n,)
+        Initial values, or guesses.
+    args : tuple
+        Further arguments of F.
+    names : sequence of str
+        Names of the unknowns.
+
+    Attributes
+    ----------
+    start : ndarray, (n + r,)
+        u at the start.
+    mass : ndarray
+        The singular mass matrix of the system.
+
+    Raises
+    ------
+    ValueError
+        F returns another number of values than y has; or the index is above 1, or the combinations change.
+    """
+
+    def __init__(
+        self,
+        F: Callable[..., Any],
+        t: float,
+        y: Array,
+        yp: Array,
+        args: tuple[Any, ...],
+        names: Sequence[str],
+    ) -> None:
+        self.F, self.n, self.calls = F, len(y), 0
+        self.names = list(names)
+        size = len(self.residual(t, y, yp, *args))
+        if size != self.n:
+            raise ValueError(f"F returns {size} residuals for {self.n} unknowns: as many equations are needed")
+        self.V = self._null_space(t, y, yp, args)
+        self.free = np.array([self._own(k) for k in range(len(self.V))], dtype=int)
+        self.bound = np.setdiff1d(np.arange(self.n), self.free)
+        self.r = len(self.bound)
+        self.mass = np.diag(np.concatenate([np.ones(self.r), np.zeros(self.n)]))
+        self._require_index_1(t, y, yp, args)
+        self.start = self._consistent(t, np.concatenate([self.states(y), self._combined(yp)]), args)
+
+    def _own(self, k: int) -> int:
+        """The component in which only vector k of the basis is not 0."""
+        alone = (self.V[k] == 1) & (np.count_nonzero(self.V, axis=0) == 1)
+        return int(np.flatnonzero(alone)[0])
+
+    def residual(self, t: float, y: Array, yp: Array, *args: Any) -> Array:
+        """Return F, as an array."""
+        self.calls += 1
+        return np.atleast_1d(np.asarray(self.F(t, y, yp, *args), dtype=float)).ravel()
+
+    def __call__(self, t: float, u: Array, *args: Any) -> Array:
+        """Return the right-hand side of the system."""
+        z = u[self.n :]
+        return np.concatenate([z, self.residual(t, self.y(u), self.yp(u), *args)])
+
+    def y(self, u: Array) -> Array:
+        """Return y at u, or at several of them in columns."""
+        found = np.zeros((self.n, *u.shape[1:]))
+        found[self.bound] = u[: self.r]
+        found += self.V.T @ u[self.r : self.n]
+        return found
+
+    def yp(self, u: Array) -> Array:
+        """Return a y' with F = 0 at u: that part of it on which F depends."""
+        found = np.zeros((self.n, *u.shape[1:]))
+        found[self.bound] = u[self.n :]
+        return found
+
+    def states(self, y: Array) -> Array:
+        """Return (w_d, w_a) of y."""
+        return np.concatenate([self._combined(y), y[self.free]])
+
+    def _combined(self, y: Array) -> Array:
+        found: Array = y[self.bound] - self.V[:, self.bound].T @ y[self.free]
+        return found
+
+    def jacobian(self, rtol: float, atol: Array) -> Callable[..., Array]:
+        """Return the Jacobian of the system, by forward differences of F, in increments of √ε max(|y|, atol / rtol).
+
+        The increments are fixed: those that follow the change of f, as in differences of other problems, would follow
+        that of F, which is 0 along the solution.
+        """
+        floor, root = atol / rtol, EPS**0.5
+
+        def formed(t: float, u: Array, *args: Any) -> Array:
+            y, yp = self.y(u), self.yp(u)
+            F, columns = self.residual(t, y, yp, *args), []
+            for j in range(self.n):
+                columns.append(self._difference(t, y, yp, args, j, root * max(abs(y[j]), floor[j]), F, of_yp=False))
+            of_y = np.array(columns).T
+            columns = []
+            for j in self.bound:
+                step = root * max(abs(yp[j]), floor[j], _SMALL)
+                columns.append(self._difference(t, y, yp, args, int(j), step, F, of_yp=True))
+            of_yp = np.reshape(columns, (self.r, self.n)).T
+            upper = np.hstack([np.zeros((self.r, self.n)), np.eye(self.r)])
+            return np.vstack([upper, np.hstack([of_y[:, self.bound], of_y @ self.V.T, of_yp])])
+
+        return formed
+
+    def _difference(
+        self, t: float, y: Array, yp: Array, args: tuple[Any, ...], j: int, step: float, F: Array, *, of_yp: bool
+    ) -> Array:
+        """∂F/∂y_j or ∂F/∂y_j' by a forward difference from the value F."""
+        moved = (yp if of_yp else y).copy()
+        moved[j] += step
+        exact = moved[j] - (yp if of_yp else y)[j]
+        found: Array = (self.residual(t, *((y, moved) if of_yp else (moved, yp)), *args) - F) / exact
+        return found
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Structure
+
+    def _slopes(self, t: float, y: Array, yp: Array, args: tuple[Any, ...], of_yp: bool) -> Array:
+        """∂F/∂y' or ∂F/∂y, by central differences."""
+        columns = []
+        moved = yp if of_yp else y
+        for j in range(self.n):
+            step = _INCREMENT * (1 + abs(moved[j]))
+            ends = []
+            for sign in (1, -1):
+                at = moved.copy()
+                at[j] += sign * step
+                ends.append(self.residual(t, *((y, at) if of_yp else (at, yp)), *args))
+            columns.append((ends[0] - ends[1]) / (2 * step))
+        return np.array(columns).T
+
+    def _null_space(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
+        """The null space of ∂F/∂y' at several points: a basis by rows."""
+        rng = np.random.default_rng(_SEED)
+        parts = []
+        for distance in _DISTANCES:
+            near = [one + distance * rng.standard_normal(self.n) * (1 + np.abs(one)) for one in (y, yp)]
+            with np.errstate(all="ignore"):
+                A = self._slopes(t, near[0], near[1], args, of_yp=True)
+            if np.isfinite(A).all():
+                largest = np.abs(A).max(axis=1, initial=0)
+                floor = _ROUNDOFF * np.where(largest > 0, largest, 1)
+                parts.append(np.where(np.abs(A) > floor[:, None], A, 0.0))
+        if not parts:
+            raise ValueError(f"F cannot be evaluated near the start, t = {t:.6g}: give other initial values")
+        alone, together = null_space(parts[0], _ROUNDOFF).vectors, null_space(np.vstack(parts), _ROUNDOFF).vectors
+        if len(alone) > len(together):
+            raise ValueError(
+                "the combinations of derivatives in F change along the solution: ∂F/∂y' is singular at the start, and "
+                "loses rank there only, or its null space depends on t and y"
+            )
+        return together
+
+    def _determining(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
+        """(F_y Vᵀ, F_y' E): how F determines (w_a, z)."""
+        of_y, of_yp = (self._slopes(t, y, yp, args, of_yp=which) for which in (False, True))
+        return np.hstack([of_y @ self.V.T, of_yp[:, self.bound]])
+
+    def _consistent(self, t: float, u: Array, args: tuple[Any, ...]) -> Array:
+        """u with F = 0 and this w_d, by Newton's iteration; u itself, which the run then tests, if none is near."""
+        found = u.copy()
+        for _ in range(_ITERATIONS):
+            y, yp = self.y(found), self.yp(found)
+            A, F = self._determining(t, y, yp, args), self.residual(t, y, yp, *args)
+            if not (np.isfinite(A).all() and np.isfinite(F).all()):
+                return u
+            change = np.linalg.lstsq(A, F, rcond=None)[0]
+            found[self.r :] -= change
+            if (np.abs(change) <= _SETTLED * np.maximum(1.0, np.abs(found[self.r :]))).all():
+                return found
+        return u
+
+    def _require_index_1(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> None:
+        if not len(self.free):
+            return
+        A = self._determining(t, y, yp, args)
+        if not condition(A) > max(SINGULAR, EPS**0.5):
+            algebraic = ", ".join(self.names[j] for j in self.free)
+            raise ValueError(
+                f"its index is above 1: the equations do not determine {algebraic} together with the derivatives at "
+                f"t = {t:.6g}"
+            )
+
+    def tolerances(self, atol: Any) -> tuple[Array, Array]:
+        """Return the tolerances of y, and those of u."""
+        each = np.asarray(atol, dtype=float)
+        if each.shape not in ((), (self.n,)):
+            raise ValueError(f"atol must be a number or have one value per unknown, {self.n}, got {shown(atol)}")
+        each = np.broadcast_to(each, (self.n,)).copy()
+        return each, np.concatenate([each[self.bound], each[self.free], _UNTESTED * each[self.bound]])
+
+
+class _Linear:
+    """A linear function of the state, as `Values` of expressions."""
+
+    def __init__(self, of: Callable[[Array], Array]) -> None:
+        self._of = of
+
+    def __call__(self, t: Array, states: Array, p: Array) -> Array:
+        return self._of(states)
+
+    def at(self, t: float, state: Array, p: Array) -> Array:
+        """Return the values at one point."""
+        return self._of(state)
+
+
+class _Unknowns:
+    """y and y' of a residual form, as `Unknowns` of a reduction."""
+
+    def __init__(self, form: ResidualForm) -> None:
+        self.y, self.yp = _Linear(form.y), _Linear(form.yp)
+
+
+def solve_residual(
+    form: ResidualForm,
+    span: tuple[float, float],
+    args: tuple[Any, ...],
+    method: MethodName,
+    events: EventsLike,
+    name: str,
+    options: Options,
+) -> Solution:
+    """Return the solution of F(t, y, y') = 0 in residual form.
+
+    `nfev` counts all calls of F, those for its structure and for Jacobians included.
+    """
+    if method == "auto":
+        method = "ode15s"
+    if find_method(method)[0].mass != "any":
+        raise ValueError(f"F cannot be traced, and is solved as it stands by ode15s, radau or ode23t, not by {method}")
+    unknowns, none = _Unknowns(form), np.zeros(0)
+
+    def after_action(
+        t: float, state: Array, old: tuple[Array, Array], new: tuple[Array, Array], given: Sequence[Any]
+    ) -> Array:
+        return np.concatenate([form.states(new[0]), state[form.n :]])
+
+    through = Through(unknowns, after_action, none)
+    on_failure = options.pop("on_failure", None)
+    options["on_failure"] = "return"
+    if (callback := options.get("callback")) is not None:
+        options["callback"] = through.callback(callback)
+    if (points := options.get("breakpoints")) is not None:
+        options["breakpoints"] = through.breakpoints(points)
+    rtol = options.get("rtol", RTOL)
+    of_y, options["atol"] = form.tolerances(options.get("atol", ATOL))
+    problem = Problem(
+        form,
+        span,
+        form.start,
+        args=args,
+        mass=form.mass,
+        jac=form.jacobian(float(np.min(rtol)), of_y),
+        name=name,
+        events=None if events is None else [through.event(one) for one in to_events(events)],
+    )
+    return _presented(form, unknowns, None, problem.solve(method, **options), on_failure)
+
+
+def _presented(
+    form: ResidualForm,
+    unknowns: _Unknowns,
+    before: OnFailure | None,
+    sol: Solution,
+    on_failure: OnFailure | None = None,
+) -> Solution:
+    """A solution of the semi-explicit system in the unknowns of F."""
+    on_failure = on_failure or before
+    present = partial(_presented, form, unknowns, on_failure)
+    found = in_unknowns(sol, unknowns, np.zeros(0), form.names, form, present)
+    return concluded(found.changed(nfev=form.calls), on_failure)

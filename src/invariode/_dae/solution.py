@@ -1,0 +1,349 @@
+"""Solutions of DAEs in the unknowns of F, from those of the reduced problem."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, real_numbers, warn
+from .._functions.compiled import as_python
+from .._functions.graph.derivatives import jacobian
+from .._functions.graph.derived import Derived
+from .._functions.graph.function import GraphFunction
+from .._functions.graph.nodes import Node, in_order
+from .._functions.graph.python import Formula
+from .._functions.layout import place_of
+from .._laws.bound import BoundInvariants
+from .._problem.options import ExtensionOptions
+from .._results.result import Names
+from .._results.sensitivities import SensitivityData
+from .._results.solution import Solution
+from .expressions import leaves
+from .reduction import Given, Reduction
+
+#: Operations of Python's code, at all points together, beyond which machine code is made instead.
+_MANY_OPERATIONS = 1_000_000
+
+
+class Values:
+    """Nodes as a function of many points (t, state); compiled if that pays.
+
+    Parameters
+    ----------
+    name : str
+        What they are.
+    make : function
+        Makes the nodes when they are first needed.
+    """
+
+    def __init__(self, name: str, make: Callable[[], Sequence[Node]]) -> None:
+        self._name, self._make = name, make
+        self._code: Callable[..., Array] | None = None
+
+    @cached_property
+    def nodes(self) -> list[Node]:
+        """The nodes."""
+        return list(self._make())
+
+    @cached_property
+    def formula(self) -> Formula:
+        """The nodes as a Python function."""
+        return Formula(self._name, lambda: self.nodes, (len(self.nodes),))
+
+    @cached_property
+    def _operations(self) -> int:
+        return sum(1 for node in in_order(self.nodes) if node.arguments)
+
+    def __call__(self, t: Array, states: Array, p: Array) -> Array:
+        """Return the values, (m, n_t), at the points in columns."""
+        found = np.empty((len(self.nodes), len(t)))
+        at = self._one(len(t))
+        for k in range(len(t)):
+            found[:, k] = at(float(t[k]), states[:, k], p)
+        return found
+
+    def at(self, t: float, state: Array, p: Array) -> Array:
+        """Return the values, (m,), at one point."""
+        return np.asarray(self.formula(t, state, *([p] if len(p) else [])), dtype=float)
+
+    def _one(self, points: int) -> Callable[..., Any]:
+        many = points * self._operations > _MANY_OPERATIONS
+        if self._code is None and many and find_spec("llvmlite") is not None:
+            n = 1 + max(leaves(self.nodes), default=0)
+            code = GraphFunction(self.formula)
+            parameters = 1 + max((one.value for one in in_order(self.nodes) if one.op == "p"), default=-1)
+            self._code = as_python(code.native(n, len(self.nodes), parameters, event=False), len(self.nodes))
+        return self._code or self.at
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_name": self._name, "formula": self.formula, "nodes": None, "_code": None, "_make": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.nodes = self.formula.outputs
+
+
+class Unknowns:
+    """The unknowns of F as functions of t and the state of the reduced problem.
+
+    Parameters
+    ----------
+    given : sequence of Given
+        The unknowns of F in terms of those that are left after aliases.
+    equations : sequence of Node
+        The equations as they were given, in terms of these.
+    reduction : Reduction
+        Their reduction.
+    """
+
+    def __init__(self, given: Sequence[Given], equations: Sequence[Node], reduction: Reduction) -> None:
+        def user(more: int) -> list[Node]:
+            found = reduction.of([(order + more, j) for j, order, _ in given])
+            return [x if one.sign > 0 else x.graph.negative(x) for x, one in zip(found, given, strict=True)]
+
+        self.y = Values("unknowns", lambda: user(0))
+        self.yp = Values("rates", lambda: user(1))
+        self.check = Values("residuals", lambda: _residuals_and_sizes(reduction, equations))
+        self.sensitive: dict[tuple[int | None, ...], Values] = {}
+        self.count = len(reduction.states) or 1
+
+    def sensitivities(self, t: Array, states: Array, S: Array, p: Array, places: tuple[int | None, ...]) -> Array:
+        """∂y/∂p, (n, k, n_t), from those of the states, (s, k, n_t); `places` of the parameters among the arguments."""
+        if places not in self.sensitive:
+            nodes, n = self.y.nodes, self.count
+            made = Derived("unknowns", nodes, n, "own").tangents(places).fun.outputs
+            self.sensitive[places] = Values("sensitivities", lambda: made)
+        k = len(places)
+        behind = np.swapaxes(S, 0, 1).reshape(-1, len(t))
+        found = self.sensitive[places](t, np.concatenate([states, behind]), p)
+        return np.swapaxes(found.reshape(k, -1, len(t)), 0, 1)
+
+
+def _residuals_and_sizes(reduction: Reduction, equations: Sequence[Node]) -> list[Node]:
+    """The equations as they were given, then Σ |terms| + Σ |∂f/∂x x| of each, to which roundoff is relative.
+
+    The x_j^(d_j) of a block solve one linear system: their errors are relative to the largest of them.
+    """
+    graph, n = reduction.graph, reduction.n
+    (_, d, _), blocks = reduction.arrangement.offsets, reduction.arrangement.blocks
+    places = sorted(leaves(equations))
+    values = dict(zip(places, reduction.in_states([graph.y(place) for place in places]), strict=True))
+    sizes = {place: graph.make("abs", value) for place, value in values.items()}
+    for block in blocks:
+        leading = [place for j in block.columns for place in places if place % n == j and place // n >= d[j]]
+        largest = graph.node(0.0)
+        for place in leading:
+            largest = graph.make("maximum", largest, sizes[place])
+        sizes.update(dict.fromkeys(leading, largest))
+    rows = jacobian(equations, [graph.y(place) for place in places])
+    slopes = iter(reduction.in_states([row[k] for row in rows for k in sorted(row)]))
+    totals = []
+    for row, total in zip(rows, reduction.sizes(equations), strict=True):
+        for k in sorted(row):
+            total = total + graph.make("abs", next(slopes)) * sizes[places[k]]
+        totals.append(total)
+    return [*reduction.in_states(equations), *totals]
+
+
+class DenseUnknowns:
+    """The unknowns as a continuous function of t: ``sol(t)`` has shape (n,) or (n, n_t).
+
+    Attributes
+    ----------
+    t_min, t_max : float
+        The ends of the interval.
+    ts : ndarray
+        The ends of the steps.
+    """
+
+    _imposed = None
+
+    def __init__(self, dense: Any, unknowns: Any, p: Array) -> None:
+        self._dense_states, self._unknowns, self._p = dense, unknowns, p
+        self.t_min, self.t_max, self.ts = dense.t_min, dense.t_max, dense.ts
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return self._values(self._unknowns.y, t)
+
+    def yp(self, t: ArrayLike) -> Array:
+        """Return y' at t, with the shape of y."""
+        return self._values(self._unknowns.yp, t)
+
+    def _values(self, values: Any, t: ArrayLike) -> Array:
+        times = real_numbers("t", t)
+        states = self._dense_states(np.atleast_1d(times))
+        found: Array = values(np.atleast_1d(times), states, self._p)
+        return found[:, 0] if times.ndim == 0 else found
+
+
+@dataclasses.dataclass
+class _OnStates(BoundInvariants):
+    """The invariants of the reduced problem, evaluated at its states where a solution asks for those of its y."""
+
+    states: Array = dataclasses.field(kw_only=True)
+    tolerances: tuple[ArrayLike, ArrayLike] = dataclasses.field(kw_only=True)
+
+    @classmethod
+    def of(cls, sol: Solution) -> _OnStates:
+        """Those of a solution of the reduced problem."""
+        bound = sol._invariants
+        fields = {one.name: getattr(bound, one.name) for one in dataclasses.fields(BoundInvariants)}
+        return cls(**fields, states=sol.y, tolerances=(sol._rtol, sol._atol))
+
+    def departure(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        return super().departure(t, self.states, pieces)
+
+    def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
+        return super().distance(t, self.states, *self.tolerances, pieces)
+
+
+class _Origin:
+    """What a solution of a DAE was made from.
+
+    Parameters
+    ----------
+    reduced : Solution
+        The solution of the reduced problem.
+    reduction : Reduction or ResidualForm
+        How it was reduced.
+    present : callable
+        ``present(solution, on_failure=None)`` expresses another solution of the reduced problem in the unknowns.
+    y : callable
+        ``y(t, state)``, the unknowns.
+    """
+
+    def __init__(
+        self,
+        reduced: Solution,
+        reduction: Any,
+        present: Callable[..., Solution],
+        y: Callable[[float, Array], Array],
+    ) -> None:
+        self.reduced, self.reduction, self.present, self.y = reduced, reduction, present, y
+        self.source = reduced._origin.source
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()  # functions do not travel with a pickled solution
+
+    def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+        """See `Solution.extend`."""
+        own = options.copy()
+        on_failure = own.pop("on_failure", None)
+        own["on_failure"] = "return"
+        if (callback := own.get("callback")) is not None:
+            own["callback"] = lambda t, state: callback(t, self.y(t, state))
+        return self.present(self.reduced.extend(t_end, **own), on_failure)
+
+    def gradient(self, sol: Solution, *given: Any) -> NoReturn:
+        """See `Solution.gradient`."""
+        raise ValueError(
+            "gradient is for states of the reduced problem: solve dae.problem(t_span) with adjoint=True, and use the "
+            "gradient of its solution"
+        )
+
+    def slopes(self, t: Array, y: Array) -> None:
+        """See `RunOrigin.slopes`: pictures join the outputs."""
+
+    def field(self, y: Array) -> None:
+        """See `RunOrigin.field`: a DAE has no f."""
+
+
+class DaeSolution(Solution):
+    """A solution of a DAE: a `Solution` in the unknowns of F, in their order.
+
+    Attributes
+    ----------
+    y, yp : ndarray, (n, n_t)
+        The unknowns, algebraic ones included, and their derivatives.
+    """
+
+    @property
+    def reduced(self) -> Solution:
+        """The solution of the reduced problem, in its states."""
+        if self._origin is None:
+            raise ValueError("this solution comes from a file or a pickle, without its reduced problem")
+        found: Solution = self._origin.reduced
+        return found
+
+    def impose(self) -> Solution:
+        """This solution with its values projected to roundoff onto all constraints.
+
+        Returns
+        -------
+        Solution
+        """
+        reduced = self.reduced.impose()
+        found: Solution = self._origin.present(reduced)
+        return found
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Save t, y, yp, events, counts and residuals to a file that ``invariode.load`` reads.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Notes
+        -----
+        The continuous solution and what an extension needs belong to the reduced problem: save ``sol.reduced`` to
+        keep these, and load it with ``dae.problem(...)``.
+        """
+        if self.sol is not None:
+            warn("save keeps the outputs of a DAE, and leaves out sol(t): save sol.reduced to keep it")
+        Solution.save(self.changed(sol=None, _origin=None), path)
+
+
+def in_unknowns(
+    sol: Solution,
+    unknowns: Any,
+    p: Array,
+    labels: Sequence[str],
+    reduction: Any,
+    present: Callable[..., Solution],
+) -> DaeSolution:
+    """Return a solution of the reduced problem in the unknowns of F."""
+    states = sol.y
+    y = unknowns.y(sol.t, states, p)
+    y_events = None
+    if sol.y_events is not None:
+        y_events = [
+            unknowns.y(t, np.reshape(found, (len(t), len(states))).T, p).T if len(t) else np.zeros(0)
+            for t, found in zip(sol.t_events, sol.y_events, strict=True)
+        ]
+    names = sol._names
+    private = {
+        "_invariants": _OnStates.of(sol),
+        "_rtol": sol._rtol,
+        "_atol": sol._atol if np.ndim(sol._atol) == 0 else float(np.min(sol._atol)),
+        "_drift": sol._drift,
+        "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
+        "_sensitivities": _sensitivities(sol, unknowns, p),
+        "_origin": _Origin(sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p)),
+    }
+    dense = None if sol.sol is None else DenseUnknowns(sol.sol, unknowns, p)
+    made = DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
+    made["yp"] = unknowns.yp(sol.t, states, p)
+    return made
+
+
+def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | None:
+    known = sol._sensitivities
+    if known is None:
+        return None
+    problem = sol._origin.source.problem
+    places = tuple(_place(one, problem.args) for one in problem.parameters())
+    values = unknowns.sensitivities(sol.t, sol.y, known.values, p, places)
+    end = unknowns.sensitivities(np.array([sol.t_end]), sol._origin.y[:, None], known.end[:, :, None], p, places)
+    return SensitivityData(known.names, values, end[:, :, 0], None)
+
+
+def _place(parameter: Any, args: tuple[Any, ...]) -> int | None:
+    return None if parameter.kind == "y0" else place_of(args, parameter.index, parameter.item)

@@ -1,0 +1,351 @@
+"""Consistent values of a DAE: the nearest ones to a guess, by Newton's iteration of least norm, stage by stage.
+
+Stage k = max c, ..., 1, 0 solves f_i^(c_i - k) = 0 for x_j^(d_j - k). Its Jacobian is a part of J, of full rank where J
+is regular, and earlier stages stay solved. In weights w the smallest change is δ = W (A W)⁺ r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._base.failures import InvariantError
+from .._functions.graph.derivatives import jacobian
+from .._functions.graph.nodes import Node
+from .._functions.graph.rounding import bounds
+from .expressions import Values, is_zero, leaves, primed, substituted
+from .linear_systems import condition, equilibrated
+from .offsets import Block
+from .reduction import Reduction, Variable
+from .structure import SINGULAR, filled
+
+#: Newton's iteration ends when changes are this part of the values, or decrease no more below the second number.
+_SETTLED, _STAGNATES = 1e-13, 1e-10
+_ITERATIONS, _HALVINGS = 100, 20
+#: Singular values below this part of the largest are 0.
+_RANK = 1e-12
+#: Residuals are roundoff below this part of their terms.
+_ROUNDOFF = 1e-9
+#: Weights of values that are 0, and of derivatives whose guess is unknown.
+_SMALL, _UNKNOWN = 1e-3, 1.0
+#: A single number is 0 if it is below this number of bounds of its roundoff.
+_ROUNDOFFS = 64.0
+#: Entries of a null vector below the first number are roundoff; below that part of the largest they are not named.
+_PART_OF_IT, _IN_IT = 1e-6, 0.1
+#: Systems of more unknowns are solved by sparse factors.
+_DENSE = 60
+
+
+class _UnsolvableError(Exception):
+    """A stage has no solution near its guess.
+
+    Attributes
+    ----------
+    stage : _Stage
+        Its equations.
+    is_deficient : bool
+        Its Jacobian has not the full rank.
+    """
+
+    def __init__(self, message: str, stage: _Stage, is_deficient: bool = False) -> None:
+        super().__init__(message)
+        self.stage, self.is_deficient = stage, is_deficient
+
+
+class Point(NamedTuple):
+    """Values of a DAE and of its derivatives.
+
+    Attributes
+    ----------
+    t : float
+        The time.
+    x : ndarray, (levels, n)
+        x_j^(l).
+    """
+
+    t: float
+    x: Array
+
+
+class Starts:
+    """Consistent values of a reduced DAE.
+
+    Parameters
+    ----------
+    reduction : Reduction
+        The equations.
+    parameters : ndarray
+        The values of the parameters.
+    first : Starts, optional
+        Those of the reduction in which no block is raised: what an equation determines then gives way to what it
+        contains besides, whatever the method.
+    """
+
+    def __init__(self, reduction: Reduction, parameters: Array, first: Starts | None = None) -> None:
+        self._reduction, self._parameters, self._first = reduction, parameters, first
+        structure = reduction.structure
+        c, d, _ = reduction.arrangement.offsets
+        last = [structure.derivative(structure.equations[i], int(c[i])) for i in range(reduction.n)]
+        names = [primed(structure.names[i], int(c[i])) for i in range(reduction.n)]
+        stages = [(level.equations, level.moves, level.names) for level in reduction.levels]
+        stages.append((last, [(int(d[j]), j) for j in range(reduction.n)], names))
+        self._stages = [_Stage(*one, reduction.n, parameters) for one in stages]
+
+    def nearest(self, guess: Point, known: int, fixed: Collection[Variable]) -> Array:
+        """Return the consistent x_j^(l), l <= d_j, (levels, n), nearest to a guess.
+
+        Parameters
+        ----------
+        guess : Point
+            The guess.
+        known : int
+            Its levels that were given: the others are free to move.
+        fixed : collection of Variable
+            What may not move.
+
+        Raises
+        ------
+        InvariantError
+            There are none near the guess, or too many values are fixed, or the highest derivatives are not determined.
+        """
+        if self._first is not None:
+            guess = Point(guess.t, self._first.nearest(guess, known, fixed))
+            known = len(guess.x)
+        n, top = self._reduction.n, int(self._reduction.arrangement.offsets.d.max(initial=0))
+        x = np.zeros((top + 1, n))
+        levels = min(len(guess.x), top + 1)
+        x[:levels] = guess.x[:levels]
+        w = np.maximum(np.abs(x), _SMALL)
+        w[known:] = np.maximum(w[known:], _UNKNOWN)
+        try:
+            found = x.copy()
+            for stage in self._stages:
+                stage.solve(guess.t, found, w, fixed)
+        except _UnsolvableError as error:
+            if not fixed or not set(fixed) & {one for stage in self._stages for one in stage.moves}:
+                raise InvariantError(str(error)) from None
+            found = self._together(guess.t, x, w, fixed)
+        self._require_regular(guess.t, found)
+        return found
+
+    def _together(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> Array:
+        """All stages at once: values of an early stage give way to fixed ones of a later one."""
+        n, d = self._reduction.n, self._reduction.arrangement.offsets.d
+        equations = [one for stage in self._stages for one in stage.equations]
+        names = [one for stage in self._stages for one in stage.names]
+        moves = [(order, j) for j in range(n) for order in range(int(d[j]) + 1)]
+        stage = _Stage(equations, moves, names, n, self._parameters)
+        found = x.copy()
+        try:
+            stage.solve(t, found, w, fixed)
+        except _UnsolvableError as error:
+            text = self._overdetermined(stage, t, found, fixed) if error.is_deficient else ""
+            raise InvariantError(text or str(error)) from None
+        return found
+
+    def _overdetermined(self, stage: _Stage, t: float, x: Array, fixed: Collection[Variable]) -> str:
+        """Which fixed values follow from others, and by which equations: rows u with uᵀ A = 0 on what is free."""
+        _, A = stage.evaluate(t, x)
+        free = [k for k, one in enumerate(stage.moves) if one not in fixed]
+        held = [k for k, one in enumerate(stage.moves) if one in fixed]
+        scale = np.maximum(np.abs(A).max(axis=1, keepdims=True), 1e-300)
+        U, sizes, _ = np.linalg.svd((A / scale)[:, free])
+        rank = int((sizes > _ROUNDOFF * sizes.max(initial=0)).sum())
+        rows: set[int] = set()
+        columns: set[int] = set()
+        for u in U[:, rank:].T:
+            on = u @ (A / scale)[:, held]
+            columns |= {held[k] for k in np.flatnonzero(np.abs(on) > _PART_OF_IT)}
+            rows |= set(np.flatnonzero(np.abs(u) > _PART_OF_IT).tolist())
+        if not columns:
+            return ""
+        structure, free_values = self._reduction.structure, self._reduction.arrangement.offsets.freedom
+        names = sorted(primed(structure.unknowns[j], order) for order, j in (stage.moves[k] for k in columns))
+        several = len(names) > 1
+        return (
+            f"too many values are fixed at t = {t:.6g}: {', '.join(stage.names[i] for i in sorted(rows))} "
+            f"{'relate' if len(rows) > 1 else 'relates'} {', '.join(names)}, "
+            + ("all of which are fixed, and their values contradict that" if several else "which has another value")
+            + f". The equations leave {free_values} value{'s' * (free_values != 1)} free: fix fewer, or correct them"
+        )
+
+    def _require_regular(self, t: float, x: Array) -> None:
+        for one in conditions(self._reduction, Point(t, x), self._parameters):
+            if one.is_singular:
+                text = f"the start is a singular point: {one.in_words()}. Start elsewhere"
+                raise InvariantError(text)
+
+
+class BlockCondition(NamedTuple):
+    """How well a block of J determines its unknowns at a point.
+
+    Attributes
+    ----------
+    quality : float
+        Smallest over largest singular value of the equilibrated block; of one number, its absolute value.
+    is_singular : bool
+        The block is singular to roundoff, or not finite.
+    """
+
+    quality: float
+    is_singular: bool
+    reduction: Reduction
+    block: Block
+    A: Array
+    t: float
+
+    def in_words(self, since: str = "") -> str:
+        """Return which equations do not, or with ``since="no longer "`` no longer, determine which unknowns."""
+        structure, (_, d, _) = self.reduction.structure, self.reduction.arrangement.offsets
+        rows, columns, _ = self.block
+        if not np.isfinite(self.A).all():
+            which = [structure.names[i] for i in rows]
+            return f"derivatives of {', '.join(which)} are not finite at t = {self.t:.10g}"
+        one, several = (
+            (f"{since}determines", f"{since}determine") if since else ("does not determine", "do not determine")
+        )
+        names = [primed(structure.unknowns[j], int(d[j])) for j in columns]
+        if len(self.A) == 1:
+            i, j = rows[0], columns[0]
+            name = structure.names[i]
+            by = primed(structure.unknowns[j], int(structure.sigma[i, j]))
+            return f"{name} {one} {names[0]}: ∂{name}/∂{by} = {self.A[0, 0]:.3g} at t = {self.t:.10g}"
+        U, _, V = np.linalg.svd(equilibrated(self.A))
+        which = [structure.names[rows[k]] for k in np.flatnonzero(np.abs(U[:, -1]) > _IN_IT * np.abs(U[:, -1]).max())]
+        what = [names[k] for k in np.flatnonzero(np.abs(V[-1]) > _IN_IT * np.abs(V[-1]).max())]
+        return (
+            f"{', '.join(which)} {several if len(which) > 1 else one} {', '.join(what)}: their matrix is singular at "
+            f"t = {self.t:.10g}"
+        )
+
+
+def conditions(reduction: Reduction, at: Point, parameters: Array) -> list[BlockCondition]:
+    """Return how well each block of J determines its unknowns at a point."""
+    found = []
+    for block in reduction.arrangement.blocks:
+        part = reduction.arrangement.part(block.rows, block.columns)
+        nodes = [node for *_, node in part]
+        levels = 1 + max(leaves(nodes), default=0) // reduction.n
+        x = np.zeros((max(levels, len(at.x)), reduction.n))
+        x[: len(at.x)] = at.x
+        y = x[:levels].ravel()
+        A = filled(part, len(block.rows), Values(nodes, parameters)(at.t, y))
+        if len(A) == 1:
+            quality = float(abs(A[0, 0]))
+            error = bounds(nodes, at.t, y.tolist(), parameters.tolist())[0]
+            singular = not quality > _ROUNDOFFS * error
+        else:
+            quality = condition(A)
+            singular = quality < SINGULAR
+        found.append(BlockCondition(quality, singular, reduction, block, A, at.t))
+    return found
+
+
+class _Stage:
+    """Equations, and the variables that they determine."""
+
+    def __init__(
+        self, equations: Sequence[Node], moves: Sequence[Variable], names: Sequence[str], n: int, parameters: Array
+    ) -> None:
+        self.equations, self.moves, self.names, self._n = list(equations), list(moves), list(names), n
+        self._parameters = parameters
+        self._made: tuple[list[tuple[int, int]], Values, int] | None = None
+
+    def _code(self) -> tuple[list[tuple[int, int]], Values, int]:
+        if self._made is None:
+            graph, n = self.equations[0].graph, self._n
+            rows = jacobian(self.equations, [graph.y(order * n + j) for order, j in self.moves])
+            places = [(i, k) for i, row in enumerate(rows) for k in sorted(row)]
+            slopes = substituted([rows[i][k] for i, k in places], {})
+            kept = [(place, slope) for place, slope in zip(places, slopes, strict=True) if not is_zero(slope)]
+            nodes = [*self.equations, *(slope for _, slope in kept)]
+            levels = 1 + max(leaves(nodes), default=0) // n
+            self._made = [place for place, _ in kept], Values(nodes, self._parameters), levels
+        return self._made
+
+    def evaluate(self, t: float, x: Array) -> tuple[Array, Array]:
+        """Return the residuals and their derivatives with respect to all that the stage may move."""
+        places, values, levels = self._code()
+        room = np.zeros((max(levels, len(x)), self._n))
+        room[: len(x)] = x
+        found = values(t, room[:levels].ravel())
+        m = len(self.equations)
+        A = np.zeros((m, len(self.moves)))
+        if places:
+            rows, columns = zip(*places, strict=True)
+            A[rows, columns] = found[m:]
+        return found[:m], A
+
+    def solve(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> None:
+        """Moves x onto the equations, by the smallest change in the weights, without moving what is fixed."""
+        free = [k for k, one in enumerate(self.moves) if one not in fixed]
+        where = tuple(np.array([self.moves[k] for k in free], dtype=int).reshape(-1, 2).T)
+        r, A = self.evaluate(t, x)
+        if not (np.isfinite(r).all() and np.isfinite(A).all()):
+            bad = [self.names[i] for i in np.flatnonzero(~(np.isfinite(r) & np.isfinite(A).all(axis=1)))]
+            raise _UnsolvableError(f"{', '.join(bad)} cannot be evaluated at the guess, t = {t:.6g}", self)
+        previous = np.inf
+        for _ in range(_ITERATIONS):
+            B = A[:, free] * w[where]
+            scale = np.maximum(np.linalg.norm(B, axis=1), 1e-300)
+            step, is_deficient = _least_norm(B / scale[:, None], r / scale)
+            left = np.abs(B @ step - r) / scale
+            sizes = np.abs(A) @ np.abs(np.array([x[one] for one in self.moves])) / scale
+            if is_deficient and (left > _ROUNDOFF * np.maximum(np.abs(r) / scale, np.minimum(sizes, 1.0))).any():
+                i = int(np.argmax(left))
+                raise _UnsolvableError(
+                    f"no consistent values near the guess at t = {t:.6g}: {self.names[i]} is {r[i]:.6g}, and what may "
+                    f"move does not change that (a singular point, or too many values are fixed)",
+                    self,
+                    is_deficient=True,
+                )
+            change, before, norm = w[where] * step, x[where].copy(), float(np.abs(r / scale).max(initial=0))
+            part = 1.0
+            for _ in range(_HALVINGS):
+                x[where] = before - part * change
+                r, A = self.evaluate(t, x)
+                finite = np.isfinite(r).all() and np.isfinite(A).all()
+                if finite and float(np.abs(r / scale).max(initial=0)) <= max(2 * norm, _SETTLED):
+                    break
+                part /= 2
+            size = float((np.abs(change) / np.maximum(w[where], np.abs(before))).max(initial=0))
+            if size <= _SETTLED or (size < _STAGNATES and size >= 0.5 * previous):
+                return
+            previous = size
+        i = int(np.argmax(np.abs(r)))
+        raise _UnsolvableError(
+            f"no consistent values near the guess at t = {t:.6g}: Newton's iteration does not converge, and leaves "
+            f"{self.names[i]} = {r[i]:.6g}. Give better initial values",
+            self,
+        )
+
+
+def _least_norm(A: Array, r: Array) -> tuple[Array, bool]:
+    """The x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
+    if max(A.shape) > _DENSE and (found := _by_factors(A, r)) is not None:
+        return found, False
+    x, _, rank, _ = np.linalg.lstsq(A, r, rcond=_RANK)
+    return x, bool(rank < len(r))
+
+
+def _by_factors(A: Array, r: Array) -> Array | None:
+    """The same by sparse factors of (1, Aᵀ; A, 0), or of a square A; None: they do not determine it to roundoff."""
+    from scipy.sparse import block_array, csc_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    m, n = A.shape
+    rows: Any = csc_array(A)
+    try:
+        if m == n:
+            x = splu(rows).solve(r)
+        else:
+            whole = block_array([[eye_array(n), rows.T], [rows, None]], format="csc")
+            x = splu(whole).solve(np.concatenate([np.zeros(n), r]))[:n]
+    except RuntimeError:  # singular
+        return None
+    if not np.isfinite(x).all() or (np.abs(rows @ x - r) > _ROUNDOFF * (abs(rows) @ np.abs(x) + np.abs(r))).any():
+        return None
+    return np.asarray(x)

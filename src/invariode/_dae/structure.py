@@ -1,0 +1,423 @@
+"""Structural analysis of f_i(t, x_j^(l)) = 0 by Pryce's Σ-method, with repairs where terms cancel.
+
+    σ_ij = the highest derivative of x_j in f_i,   d_j - c_i >= σ_ij, equality on a transversal of highest value;
+    J_ij = ∂f_i/∂x_j^(σ_ij) where d_j - c_i = σ_ij, else 0.
+
+The method succeeds where J is regular: then f_i^(c_i) = 0 determine all x_j^(d_j). Where J is singular everywhere, one
+equation is replaced by a combination in which its highest derivatives cancel, and the value of the transversal
+decreases (G. Tan, N. S. Nedialkov, J. D. Pryce, Conversion methods for improving structural analysis of
+differential-algebraic equation systems, BIT 57 (2017) 845-865).
+
+An unknown is absent from an equation only if that follows from exact identities. A derivative that vanishes at sampled
+points may still be there: of a saturated tanh, say, or of a branch that is not taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.graph.nodes import Node
+from .._functions.graph.rounding import bounds
+from .expressions import Sums, TimeDerivatives, Values, is_zero, leaves, primed, row_of, substituted
+from .linear_systems import condition, equilibrated, solution
+from .offsets import ABSENT, Block, Offsets, blocks, offsets, surplus
+
+#: Smallest over largest singular value of an equilibrated block below which it is singular.
+SINGULAR = 1e-11
+#: Distances of the generic points from the guess, in units of 1 + |x|: exponentials hide ranks far away from it.
+_DISTANCES = (0.01, 0.3, 0.1, 0.03, 0.003, 1e-3, 1e-4)
+_PER_DISTANCE, _SEED = 2, 7
+#: A derivative is 0 at a generic point if it is below this number of bounds of its roundoff.
+_ROUNDOFFS = 64.0
+#: Points at which the gap between zero and non-zero singular values is widest decide on null vectors.
+_CLEAREST, _AS_CLEAR = 4, 1e-3
+#: Entries of a null vector below this part of the largest are 0; numbers that differ by less are equal.
+_NEGLIGIBLE, _EQUAL = 1e-7, 1e-9
+
+
+class GenericPoints:
+    """Points (t, x, x', x'', ...) beside a guess, with as many derivatives as are needed.
+
+    Parameters
+    ----------
+    t0 : float
+        The time of the guess.
+    guess : ndarray, (levels, n)
+        The values and derivatives that are known; 0 is the guess of the others.
+    """
+
+    def __init__(self, t0: float, guess: Array) -> None:
+        self.n = guess.shape[1]
+        self._guess = guess
+        self._distances = [s for s in _DISTANCES for _ in range(_PER_DISTANCE)]
+        self._random = [np.random.default_rng([_SEED, k]) for k in range(len(self._distances))]
+        self.t = [t0 + s * float(rng.uniform()) for s, rng in zip(self._distances, self._random, strict=True)]
+        self._levels: list[list[Array]] = [[] for _ in self._distances]
+
+    def __len__(self) -> int:
+        return len(self._distances)
+
+    def y(self, k: int, levels: int) -> Array:
+        """Return the first `levels` derivatives at point k, one after the other."""
+        known = self._levels[k]
+        while len(known) < levels:
+            at = self._guess[len(known)] if len(known) < len(self._guess) else np.zeros(self.n)
+            known.append(at + self._distances[k] * self._random[k].standard_normal(self.n) * (1 + np.abs(at)))
+        return np.concatenate(known[:levels]) if levels else np.zeros(0)
+
+    def values(self, nodes: Sequence[Node], parameters: Array, which: Iterable[int] | None = None) -> list[Array]:
+        """Return the values of nodes at these points, by default at all."""
+        evaluate = Values(nodes, parameters)
+        levels = 1 + max(leaves(nodes), default=0) // self.n
+        return [evaluate(self.t[k], self.y(k, levels)) for k in (range(len(self)) if which is None else which)]
+
+
+class Arrangement(NamedTuple):
+    """Offsets with their system Jacobian.
+
+    Attributes
+    ----------
+    offsets : Offsets
+        c, d and the transversal.
+    J : dict
+        The entries of the system Jacobian, as nodes, by (i, j).
+    blocks : list of Block
+        Its block triangular form.
+    """
+
+    offsets: Offsets
+    J: dict[tuple[int, int], Node]
+    blocks: list[Block]
+
+    def part(self, rows: Sequence[int], columns: Sequence[int]) -> list[tuple[int, int, Node]]:
+        """Return the entries of a part of J: row and column in this part, and the node."""
+        place, row = {j: b for b, j in enumerate(columns)}, {i: a for a, i in enumerate(rows)}
+        return [(row[i], place[j], node) for (i, j), node in self.J.items() if i in row and j in place]
+
+
+def filled(part: Sequence[tuple[int, int, Node]], rows: int, values: Array, columns: int | None = None) -> Array:
+    """Return the matrix with these entries, of these values; square by default."""
+    A = np.zeros((rows, rows if columns is None else columns))
+    for (a, b, _), value in zip(part, values, strict=True):
+        A[a, b] = value
+    return A
+
+
+class Structure:
+    """The structure of a system of equations, after repairs.
+
+    Parameters
+    ----------
+    equations : sequence of Node
+        f_i, i = 0, ..., n - 1.
+    points : GenericPoints
+        Where it is tested whether matrices are singular.
+    parameters : ndarray
+        The values of the parameters.
+    unknowns, names : sequence of str
+        Names of the x_j and of the f_i.
+
+    Attributes
+    ----------
+    equations : list of Node
+        The equations after repairs.
+    sigma : ndarray of int, (n, n)
+        The signature matrix.
+    arrangement : Arrangement
+        The canonical offsets, J and its blocks.
+    repairs : list of str
+        Which equations were replaced, in words.
+    derivative : TimeDerivatives
+        d/dt of equations.
+
+    Raises
+    ------
+    ValueError
+        The equations do not determine the unknowns.
+    """
+
+    def __init__(
+        self,
+        equations: Sequence[Node],
+        points: GenericPoints,
+        parameters: Array,
+        unknowns: Sequence[str],
+        names: Sequence[str],
+    ) -> None:
+        self.n, self.unknowns, self.names = len(equations), list(unknowns), list(names)
+        self.points, self.parameters = points, parameters
+        self.graph = equations[0].graph
+        self.derivative = TimeDerivatives(self.n)
+        self.repairs: list[str] = []
+        self._sums = Sums()
+        self._given = list(equations)
+        self._made_of: list[dict[tuple[int, int], float | None]] = [{(i, 0): 1.0} for i in range(self.n)]
+        self.equations = [self._without_cancelled(one) for one in equations]
+        self.sigma = np.full((self.n, self.n), ABSENT)
+        self._rows: list[dict[int, Node]] = [{} for _ in range(self.n)]  # ∂f_i/∂x_j^(σ_ij) by j
+        for i in range(self.n):
+            self._sign(i, {})
+        while True:  # the value of the transversal decreases with each repair
+            self._arrange()
+            singular = next((block for block in self.arrangement.blocks if not self._is_regular(block)), None)
+            if singular is None:
+                break
+            self._combine(singular)
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Signature and offsets
+
+    def _without_cancelled(self, equation: Node) -> Node:
+        """The equation in normal form, if that depends on less."""
+        combined = self._sums([(1.0, equation)])
+        return combined if leaves([combined]) != leaves([equation]) else equation
+
+    def _sign(self, i: int, predicted: dict[int, int]) -> None:
+        """Row i of the signature, without unknowns whose derivative is the number 0, as in 0 y'; and without the
+        x_j^(l) that are `predicted` {j: l} to cancel, if their derivative is roundoff at all generic points."""
+        n = self.n
+        while True:
+            order: dict[int, int] = {}
+            for place in sorted(leaves(self.equations[i : i + 1])):
+                order[place % n] = place // n
+            row = row_of(self.equations[i], [order[j] * n + j for j in order])
+            slopes = {place % n: slope for place, slope in row.items()}
+            gone = [j for j in order if j not in slopes]
+            doubtful = [j for j in slopes if j in predicted and order[j] >= predicted[j]]
+            gone += [j for j in doubtful if self._vanishes(slopes[j])]
+            if not gone:
+                break
+            zeros = {self.graph.y(order[j] * n + j): self.graph.node(0.0) for j in gone}
+            self.equations[i] = substituted(self.equations[i : i + 1], zeros)[0]
+        self.sigma[i] = ABSENT
+        for j, highest in order.items():
+            self.sigma[i, j] = highest
+        self._rows[i] = slopes
+
+    def _vanishes(self, node: Node) -> bool:
+        levels = 1 + max(leaves([node]), default=0) // self.n
+        for k, values in enumerate(self.points.values([node], self.parameters)):
+            error = bounds([node], self.points.t[k], self.points.y(k, levels).tolist(), self.parameters.tolist())[0]
+            if np.isfinite(values[0]) and abs(values[0]) > _ROUNDOFFS * error:
+                return False
+        return True
+
+    def _arrange(self) -> None:
+        found = offsets(self.sigma)
+        if found is None:
+            raise ValueError(self._structurally_singular())
+        self.arrangement = self.arranged(found)
+
+    def arranged(self, found: Offsets) -> Arrangement:
+        """Return J and its blocks for these offsets."""
+        c, d, match = found
+        J = {(i, j): x for i, row in enumerate(self._rows) for j, x in row.items() if d[j] - c[i] == self.sigma[i, j]}
+        return Arrangement(found, J, blocks(match, [*J]))
+
+    def _is_regular(self, block: Block) -> bool:
+        """Whether the block is regular at one of the generic points."""
+        return any(condition(A) > SINGULAR for A in self._matrices(block))
+
+    def _matrices(self, block: Block) -> Iterable[Array]:
+        """The values of a block at the generic points."""
+        part = self.arrangement.part(block.rows, block.columns)
+        nodes = [node for *_, node in part]
+        evaluate = Values(nodes, self.parameters)
+        levels = 1 + max(leaves(nodes), default=0) // self.n
+        for k in range(len(self.points)):
+            yield filled(part, len(block.rows), evaluate(self.points.t[k], self.points.y(k, levels)))
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Repairs
+
+    def _combine(self, block: Block) -> None:
+        """Replaces an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
+        uᵀ J = 0 with u_k = 1, and c_k is the smallest offset of the equations in it."""
+        rows, columns = block.rows, block.columns
+        c, d, _ = self.arrangement.offsets
+        u, support, clear = self._null_vector(block)
+        low = int(min(c[rows[a]] for a in support))
+        for a in sorted((a for a in support if c[rows[a]] == low), key=lambda a: -abs(u[a])):
+            k, others = rows[a], [rows[b] for b in support if b != a]
+            factors = self._factors(k, others, columns, clear)
+            derived = [self.derivative(self.equations[i], int(c[i]) - low) for i in others]
+            high = {j: int(d[j]) - low for j in columns}
+            numbers = [self._number(factor, clear) for factor in factors]
+            combined = self._cancelling(k, numbers, derived, high)
+            if combined is None:
+                if any(place // self.n >= d[place % self.n] - low for place in leaves(factors)):
+                    continue  # the theorem requires factors without the highest derivatives
+                total = self.equations[k]
+                for factor, one in zip(factors, derived, strict=True):
+                    total = total + factor * one
+                combined, numbers = substituted([total], {})[0], [None] * len(others)
+            self._replace(k, combined, [(i, int(c[i]) - low, x) for i, x in zip(others, numbers, strict=True)])
+            self._sign(k, high)
+            return
+        highest = [self._named(j, int(d[j])) for j in columns]
+        raise ValueError(
+            f"the equations {_list(self.names, rows)} do not determine {', '.join(highest)}: their matrix is singular "
+            "everywhere, since terms cancel, and no linear combination without these as factors shows what is left. "
+            f"Rewrite the equations: introduce a new unknown for an expression in which {' and '.join(highest)} occur "
+            "together"
+        )
+
+    def _null_vector(self, block: Block) -> tuple[Array, list[int], list[int]]:
+        """A u with uᵀ J = 0 and few entries, where these are, and the points at which the rank is clearest."""
+        parts = []
+        for k, A in enumerate(self._matrices(block)):
+            if np.isfinite(A).all():
+                U, sizes, _ = np.linalg.svd(equilibrated(A))
+                parts.append((k, U, sizes, int((sizes <= SINGULAR * sizes[0]).sum())))
+        if not parts:
+            raise ValueError(f"equations {_list(self.names, block.rows)} cannot be evaluated near the start")
+        size, nullity = len(block.rows), min(part[3] for part in parts)
+        gaps = [0.0 if nullity == size else s[-1 - nullity] / max(s[0], 1e-300) for _, _, s, _ in parts]
+        best = sorted(range(len(parts)), key=lambda k: -gaps[k])[:_CLEAREST]
+        best = [k for k in best if gaps[k] >= _AS_CLEAR * gaps[best[0]]]
+        support: set[int] = set()
+        vectors = [_sparsest(parts[k][1][:, size - nullity :].T) for k in best]
+        for v in vectors:
+            support |= set(np.flatnonzero(np.abs(v) > _NEGLIGIBLE * np.abs(v).max()).tolist())
+        return vectors[0], sorted(support), [parts[k][0] for k in best]
+
+    def _factors(self, k: int, others: Sequence[int], columns: Sequence[int], clear: Sequence[int]) -> list[Node]:
+        """u_i with J[k] + Σ u_i J[i] = 0, from as many columns as there are factors, chosen by pivoting."""
+        if not others:
+            return []
+        from scipy.linalg import qr
+
+        rows, J = [*others, k], self.arrangement.J
+        part = self.arrangement.part(rows, columns)
+        values = self.points.values([node for *_, node in part], self.parameters, clear[:1])[0]
+        A = filled(part, len(rows), values, len(columns))
+        pivots = [columns[b] for b in qr(equilibrated(A[:-1]), pivoting=True)[2][: len(others)]]
+        matrix = [{a: J[i, j] for a, i in enumerate(others) if (i, j) in J} for j in pivots]
+        right = [self.graph.negative(J.get((k, j), self.graph.node(0.0))) for j in pivots]
+        return solution(self.graph, matrix, right)
+
+    def _number(self, node: Node, clear: Sequence[int]) -> float | None:
+        """The number that a node is at the points where the rank is clear; None: it is not the same at all."""
+        values = np.array([one[0] for one in self.points.values([node], self.parameters, clear)])
+        if not np.isfinite(values).all() or np.ptp(values) > _EQUAL * np.abs(values).max():
+            return None
+        found = float(np.median(values))
+        whole = float(round(found))
+        return whole if abs(found - whole) < _EQUAL * max(abs(found), 1.0) else found
+
+    def _cancelling(
+        self, k: int, numbers: Sequence[float | None], derived: Sequence[Node], high: dict[int, int]
+    ) -> Node | None:
+        """The combination with these numbers, if the highest derivatives are gone from its normal form, which proves
+        that they cancel."""
+        known = [x for x in numbers if x is not None]
+        if len(known) < len(numbers):
+            return None
+        found = self._sums([(1.0, self.equations[k]), *zip(known, derived, strict=True)])
+        left = {place % self.n: place // self.n for place in sorted(leaves([found]))}
+        return None if any(j in high and order >= high[j] for j, order in left.items()) else found
+
+    def _replace(self, k: int, by: Node, terms: Collection[tuple[int, int, float | None]]) -> None:
+        self.equations[k] = by
+        for i, order, factor in terms:
+            for (given, more), x in self._made_of[i].items():
+                key, known = (given, more + order), None if factor is None or x is None else factor * x
+                before = self._made_of[k].get(key, 0.0)
+                self._made_of[k][key] = None if before is None or known is None else before + known
+        self.repairs.append(
+            f"{self.names[k]} was replaced by {self.in_given_terms(k)}, in which the highest derivatives cancel"
+        )
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Words
+
+    def in_given_terms(self, i: int) -> str:
+        """Return equation i as a combination of the given ones, in words."""
+        text = ""
+        for (given, order), factor in self._made_of[i].items():
+            if factor == 0:
+                continue
+            name = self.names[given] + ("'" * order if order < 4 else f"^({order})")
+            size = "(...) " if factor is None else "" if abs(factor) == 1 else f"{abs(factor):.6g} "
+            sign = "-" if factor is not None and factor < 0 else "+"
+            text += f" {sign} {size}{name}" if text else f"{'-' if sign == '-' else ''}{size}{name}"
+        return text
+
+    def _named(self, j: int, order: int) -> str:
+        return primed(self.unknowns[j], order)
+
+    def _structurally_singular(self) -> str:
+        """The message for equations that have no transversal."""
+        empty = [i for i in range(self.n) if not self._rows[i]]
+        if empty:
+            return self._dependent(empty)
+        found = surplus(self.sigma > ABSENT)
+        return (
+            f"the equations do not determine the unknowns. Too many equations: {_list(self.names, found.equations)} "
+            f"({len(found.equations)}) contain only {_list(self.unknowns, found.of)} ({len(found.of)}). Too few "
+            f"equations: {_list(self.unknowns, found.unknowns)} ({len(found.unknowns)}) are only in "
+            f"{_list(self.names, found.within) or 'no equation'} ({len(found.within)})"
+        )
+
+    def _dependent(self, empty: Sequence[int]) -> str:
+        """The message for equations, or combinations of them, that contain no unknown."""
+        texts = []
+        for i in empty:
+            rest = self.equations[i]
+            is_redundant = is_zero(rest) or self._vanishes(rest)
+            several = len(self._made_of[i]) > 1
+            what = f"{self.in_given_terms(i)} contains no unknown" + (
+                ": these equations depend on each other" if several else ""
+            )
+            texts.append(
+                f"{what}, and {'one of them is redundant' if several else 'it says nothing (0 = 0)'}"
+                if is_redundant
+                else f"{what}, and {'they contradict each other' if several else 'it cannot be satisfied'}"
+            )
+        with_unknowns = [i for i in range(self.n) if i not in empty]
+        found = surplus((self.sigma > ABSENT)[with_unknowns])
+        unknowns = _list(self.unknowns, found.unknowns)
+        if found.unknowns and self._is_up_to_a_constant(found.unknowns):
+            verb = "is" if len(found.unknowns) == 1 else "are"
+            texts.append(
+                f"{unknowns} {verb} determined only up to a constant: replace one equation by one that fixes it (ground"
+                f" one, {self.unknowns[found.unknowns[-1]]} = 0)"
+            )
+        elif found.unknowns:
+            texts.append(f"so at least one equation is missing for {unknowns}")
+        return "the equations do not determine the unknowns: " + "; ".join(texts)
+
+    def _is_up_to_a_constant(self, which: Sequence[int]) -> bool:
+        """Whether the equations stay true if the same constant is added to these unknowns."""
+        n, graph = self.n, self.graph
+        for one in self._given:
+            row = row_of(one, [j for j in which if j in leaves([one])])
+            total = graph.node(0.0)
+            for slope in row.values():
+                total = total + slope
+            if not self._vanishes(self._sums([(1.0, total)])):
+                return False
+        return n > 0
+
+
+def _list(names: Sequence[str], which: Iterable[int]) -> str:
+    return ", ".join(names[i] for i in sorted(which))
+
+
+def _sparsest(space: Array) -> Array:
+    """A vector of a space, given by rows, with few non-zeros: a row of its reduced echelon form."""
+    N = space.copy()
+    for r in range(len(N)):
+        below, column = divmod(int(np.argmax(np.abs(N[r:]))), N.shape[1])
+        N[[r, r + below]] = N[[r + below, r]]
+        N[r] /= N[r, column]
+        for other in range(len(N)):
+            if other != r:
+                N[other] -= N[other, column] * N[r]
+    N[np.abs(N) < _EQUAL] = 0
+    found: Array = min(N, key=np.count_nonzero)
+    return found
