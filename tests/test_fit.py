@@ -236,16 +236,16 @@ class TestSteadyStates:
         np.testing.assert_allclose(log_likelihood.gradient(x), differences, rtol=1e-6)
 
     @pytest.mark.parametrize(
-        ("fun", "reason"),
+        ("fun", "first", "reason"),
         [
-            (lambda t, y, k: [k * y[0], -y[1]], "not stable"),
-            (lambda t, y, k: [k + 0 * y[0], -y[1]], "no steady state was found"),
-            (lambda t, y, k: -k * (y[0] ** 2 + y[1] ** 2 - 1) * y, "not isolated"),
+            (lambda t, y, k: [k * y[0], -y[1]], 0.0, "not stable"),
+            (lambda t, y, k: [k + 0 * y[0], -y[1]], 0.0, "no steady state was found"),
+            (lambda t, y, k: -k * (y[0] ** 2 + y[1] ** 2 - 1) * y, 0.1, "not isolated"),
         ],
     )
-    def test_what_is_no_steady_state_is_named(self, fun, reason):
+    def test_what_is_no_steady_state_is_named(self, fun, first, reason):
         """An unstable one, none, and a circle of them."""
-        problem = iv.Problem(fun, (0, 1), [0.0, 0.3], args=(1.0,))
+        problem = iv.Problem(fun, (0, 1), [first, 0.3], args=(1.0,))
         with pytest.raises(ValueError, match=reason):
             iv.fit(problem, [0.5, 1.0], {"y0": [0.1, 0.2]}, {"k": (0.5, 2)}, y0="steady")
 

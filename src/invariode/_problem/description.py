@@ -151,7 +151,7 @@ class Description:
             is_plain=is_plain_function(called) and not [one for one in others if one is not None],
         )
         if self.sensitivities is not None and self.args:
-            self.parameters()
+            self.parameter_names()
 
     def _require_real(self, what: str) -> None:
         """That the states are real numbers, for what is not defined for complex ones."""
@@ -160,8 +160,8 @@ class Description:
                 f"{what} is for real problems, and y0 is complex: write the problem in real and imaginary parts"
             )
 
-    def parameters(self) -> tuple[ParameterName, ...]:
-        """Those of the sensitivities, in their order; without these none."""
+    def parameter_names(self) -> tuple[ParameterName, ...]:
+        """The parameters of the sensitivities, in their order; without `sensitivities` none."""
         return self._parameters
 
     @cached_property

@@ -177,7 +177,11 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
         return True
     absolute = bool(np.all(np.asarray(plan.atol) > 0))
     return (
-        native and absolute and wanted.scales_all(problem.parameters()) and wanted.dy0dp is None and not problem.events
+        native
+        and absolute
+        and wanted.scales_all(problem.parameter_names())
+        and wanted.dy0dp is None
+        and not problem.events
     )
 
 
