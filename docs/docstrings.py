@@ -15,6 +15,7 @@ from numpydoc.validate import validate
 MODULES = (
     "invariode",
     "invariode.problems",
+    "invariode.sbml",
     "invariode.scipy",
     "invariode.symbolic",
 )

@@ -87,7 +87,7 @@ def test_totals_are_found_in_the_structure_and_nowhere_else():
 
     assert linear_totals(trace(chain, 4, _args(1.0)).outputs) == []
     found = linear_totals(trace(enzyme, 4, _args(1.0, 1.0, 1.0, 1.0)).outputs)
-    assert found == [{1: 1, 2: 1}, {0: 1, 2: 1, 3: 1}]
+    assert found == [{0: 1, 2: 1, 3: 1}, {1: 1, 2: 1}]
 
 
 def _args(*values):

@@ -68,7 +68,7 @@ def left_null_space(rows: Sequence[Mapping[Any, Fraction]]) -> list[dict[int, in
                     others[j] = Fraction(value)
                 else:
                     others.pop(j, None)
-    return _without_signs([_whole(one) for one in null])
+    return _simplest([_whole(one) for one in null])
 
 
 def _whole(weights: Row) -> dict[int, int]:
@@ -80,21 +80,29 @@ def _whole(weights: Row) -> dict[int, int]:
     return {i: sign * x // divisor for i, x in sorted(numbers.items())}
 
 
-def _without_signs(basis: list[dict[int, int]]) -> list[dict[int, int]]:
-    """Another basis of the same space, in which a vector is the sum with others as long as that has fewer negative
-    entries: totals of amounts rather than their differences."""
-    for k, one in enumerate(basis):
-        while negative := [i for i, x in one.items() if x < 0]:
-            sums = [_added(one, other) for j, other in enumerate(basis) if j != k and other.get(negative[0], 0) > 0]
-            better = [each for each in sums if sum(x < 0 for x in each.values()) < len(negative)]
-            if not better:
-                break
-            one = basis[k] = min(better, key=len)
-    return basis
+def _simplest(basis: list[dict[int, int]]) -> list[dict[int, int]]:
+    """Another basis of the same space: to each vector others are added or subtracted as long as that leaves fewer
+    negative entries, or as few and fewer entries: totals of amounts rather than their differences."""
+    changed = True
+    while changed:
+        changed = False
+        for k, one in enumerate(basis):
+            for j, other in enumerate(basis):
+                if j == k or not one.keys() & other.keys():
+                    continue
+                better = min((_combined(a, one, b, other) for a, b in ((1, 1), (1, -1), (-1, 1))), key=_complexity)
+                if _complexity(better) < _complexity(one):
+                    one, changed = better, True
+            basis[k] = one
+    return sorted(basis, key=lambda one: min(one))
 
 
-def _added(a: dict[int, int], b: dict[int, int]) -> dict[int, int]:
-    both = {i: a.get(i, 0) + b.get(i, 0) for i in sorted({*a, *b})}
+def _complexity(one: Mapping[int, int]) -> tuple[int, int]:
+    return sum(x < 0 for x in one.values()), len(one)
+
+
+def _combined(a: int, one: Mapping[int, int], b: int, other: Mapping[int, int]) -> dict[int, int]:
+    both = {i: a * one.get(i, 0) + b * other.get(i, 0) for i in sorted({*one, *other})}
     return {i: x for i, x in both.items() if x}
 
 

@@ -78,10 +78,10 @@ class Problem(Description):
 
     >>> def decay(t, y, p):
     ...     return [-p["lambda"] * y[0]]
-    >>> slow = iv.Problem(decay, (0, 1), [1.0], parameters={{"lambda": 0.5}})
-    >>> fast = slow.replace(parameters={{"lambda": 2.0}})
+    >>> slow = iv.Problem(decay, (0, 1), [1.0], parameters={"lambda": 0.5})
+    >>> fast = slow.replace(parameters={"lambda": 2.0})
     >>> fast.parameters
-    {{'lambda': 2.0}}
+    {'lambda': 2.0}
     """
 
     @property
