@@ -73,6 +73,7 @@ def test_no_module_imports_itself_by_a_detour():
 ROOMS = [
     "cli",
     "symbolic",
+    "petab",
     "sbml",
     "_studies",
     "_mechanics",
