@@ -140,6 +140,18 @@ def test_absent_reactants_keep_their_partners_where_they_are():
     assert np.isnan(S[:, 2]).all()
 
 
+def test_rows_of_constant_components_hold_no_equations():
+    """Their roundoff, 1e-30 here, is not scaled up to an equation: derivatives of the others stay right."""
+    from invariode._studies.steady import SteadyStates
+
+    problem = iv.Problem(enzyme, (0, 1), [2.0, 0.3, 0.1, 0.0], args=(1.0, 0.2, 0.7, 0.05))
+    states = SteadyStates(problem, ())
+    J = np.vstack([np.eye(3, 4), [1e-30, 1e-30, 0, -0.05]])
+    A, _ = states.system(J, np.ones(4), np.array([False, False, False, True]))
+    np.testing.assert_array_equal(A[3], 0)
+    np.testing.assert_array_equal(A[:, 3], 0)
+
+
 def test_a_solution_passes_an_unstable_state_but_stays_at_one():
     def logistic(t, y):
         return [y[0] * (1 - y[0])]

@@ -50,6 +50,9 @@ _FLOOR = 1e-6
 #: Newton's steps, and singular values of its matrix, in units of the largest, that are zero.
 _ITERATIONS, _ZERO = 12, 1e-11
 
+#: What the equations of the derivatives may leave, relative to their right-hand sides.
+_CONSISTENT = 1e-6
+
 #: A rate of growth above this part of the largest rate is one: the state is not stable.
 _GROWS = 1e-7
 
@@ -377,13 +380,13 @@ class SteadyStates:
         """[J; W M] for changes of the components in units of D, its rows divided by their sizes; and these sizes."""
         W = self.totals if self._mass is None else self.totals @ self._mass
         A = np.vstack([J, W]) * D
-        A[:, still] = 0.0
+        A[:, still] = A[np.flatnonzero(still)] = 0.0  # of the rows of constant components roundoff is left
         lengths = np.linalg.norm(A, axis=1)
         lengths[lengths == 0] = 1.0
         return A / lengths[:, None], lengths
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
-        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0."""
+        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is none, or no single one."""
         _, _, fp = self._values(y, args, with_parameters=True)
         D = sizes(y, y0)
         A, lengths = self.system(J, D, still)
@@ -395,7 +398,11 @@ class SteadyStates:
         right[: self._n] -= J @ S0  # of S - S0
         change = np.zeros_like(S0)
         if moving.any():
-            change[moving] = np.linalg.lstsq(A[:, moving], right / lengths[:, None], rcond=_ZERO)[0]
+            right /= lengths[:, None]
+            change[moving] = np.linalg.lstsq(A[:, moving], right, rcond=_ZERO)[0]
+            left = (A @ change - right)[~np.append(still, np.zeros(len(A) - self._n, dtype=bool))]
+            if (np.abs(left) > _CONSISTENT * (1 + np.abs(right).max(axis=0))).any():
+                return None
         return np.asarray(S0 + D[:, None] * change)
 
 
