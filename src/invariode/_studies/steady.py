@@ -386,7 +386,7 @@ class SteadyStates:
         return A / lengths[:, None], lengths
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
-        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is none, or no single one."""
+        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
         _, _, fp = self._values(y, args, with_parameters=True)
         D = sizes(y, y0)
         A, lengths = self.system(J, D, still)
