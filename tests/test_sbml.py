@@ -1,5 +1,6 @@
 """Models in SBML: a sample of the test suite, and laws of models that are written here."""
 
+import pickle
 import tarfile
 import tempfile
 from pathlib import Path
@@ -226,6 +227,23 @@ def test_the_problem_has_the_events_too_and_runs_more_than_once():
     problem = sbml.load(clocked(event("a", "x > 1", {"n": "n + 1", "x": "0"}))).problem((0, 4.5))
     ends = [problem.solve(method, rtol=1e-8).y_end for method in ("ode45", "ode15s", "ode45")]
     np.testing.assert_allclose(ends, [[0.5, 4]] * 3, rtol=1e-6)
+
+
+def test_models_and_their_problems_can_be_pickled():
+    model = sbml.load(clocked(event("a", "x > 1", {"n": "n + 1", "x": "0"}, delay="0.3")))
+    again, problem = pickle.loads(pickle.dumps((model, model.problem((0, 4.5)))))
+    expected = model.simulate(0, 4.5, 4, ["n", "x"])
+    np.testing.assert_array_equal(again.simulate(0, 4.5, 4, ["n", "x"]).array, expected.array)
+    np.testing.assert_allclose(problem.solve("auto", rtol=1e-8, atol=1e-12).y_end, expected.array[-1, ::-1], rtol=1e-6)
+
+
+def test_ensembles_of_a_model_with_events():
+    """Each trajectory has events of its own."""
+    problem = sbml.load(clocked(event("a", "x > h", {"n": "n + 1", "x": "0"}), parameter("h", 1))).problem((0, 4.5))
+    many = problem.solve_ensemble(args={"h": [0.6, 1.0, 2.0]}, workers=1, rtol=1e-8)
+    np.testing.assert_allclose(
+        many.y_end if hasattr(many, "y_end") else many.y[:, :, -1], [[0.3, 7], [0.5, 4], [0.5, 2]], atol=1e-6
+    )
 
 
 def test_concentrations_that_events_assign_are_amounts_with_the_volume_before():

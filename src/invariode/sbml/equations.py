@@ -64,7 +64,7 @@ class Equations:
 
     def __init__(self, contents: Contents, fast: bool = False, given: Iterable[str] = ()) -> None:
         self.contents, self.graph = contents, Graph()
-        self._given = {*given}
+        self._given, self._fast = {*given}, fast
         self.symbols = [*contents.compartments, *contents.values, *contents.species, *contents.reactions]
         self.symbols += [name for name in (*contents.rules, *contents.rates) if name not in {*self.symbols}]
         self.symbols = [*dict.fromkeys(self.symbols)]
@@ -90,6 +90,10 @@ class Equations:
         for name in (*contents.rules, *contents.initial):  # a cycle is an error, even if nobody asks for its values
             self.value(name)
             self.start(name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made again from the contents: nodes are equal by identity."""
+        return Equations, (self.contents, self._fast, self._given)
 
     def _require_known(self) -> None:
         known = {*self.symbols}

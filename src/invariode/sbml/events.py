@@ -93,6 +93,9 @@ class EventCode:
         exec(f"def holds(B):\n    return [{', '.join(self._triggers)}]\n", namespace)
         self.holds: Callable[[Sequence[bool]], list[bool]] = namespace["holds"]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return EventCode, (self._equations,)
+
     def _event(self, rule: EventRule) -> _Code:
         equations = self._equations
         graph = equations.graph

@@ -81,6 +81,9 @@ class Model:
             for one in contents.events
         ]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Model, (self._contents, self._fast, self._equations._given)
+
     @cached_property
     def moieties(self) -> list[dict[str, int]]:
         return [{self.states[i]: x for i, x in one.items()} for one in self._weights]
