@@ -34,7 +34,7 @@ extensions = [
     "tables",
 ]
 html_math_renderer = "mathml"
-exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
+exclude_patterns = ["**.ipynb", "howto/sbml-conformance.md", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
 templates_path = ["_templates"]
 default_role = "py:obj"
 nitpicky = True

@@ -14,7 +14,9 @@ from numpydoc.validate import validate
 #: What users import from; each lists its names in `__all__`.
 MODULES = (
     "invariode",
+    "invariode.petab",
     "invariode.problems",
+    "invariode.sbml",
     "invariode.scipy",
     "invariode.symbolic",
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 #: What the tests import. The annotations are not tested here: scipy-stubs asks for SciPy 1.14.
-EXTRAS = ("compiled", "plot", "data", "symbolic", "cli", "paper", "test")
+EXTRAS = ("compiled", "plot", "data", "symbolic", "sbml", "petab", "cli", "paper", "test")
 NOT_HERE = {"mypy", "scipy-stubs", "invariode"}
 
 

@@ -236,16 +236,16 @@ class TestSteadyStates:
         np.testing.assert_allclose(log_likelihood.gradient(x), differences, rtol=1e-6)
 
     @pytest.mark.parametrize(
-        ("fun", "reason"),
+        ("fun", "first", "reason"),
         [
-            (lambda t, y, k: [k * y[0], -y[1]], "not stable"),
-            (lambda t, y, k: [k + 0 * y[0], -y[1]], "no steady state was found"),
-            (lambda t, y, k: -k * (y[0] ** 2 + y[1] ** 2 - 1) * y, "not isolated"),
+            (lambda t, y, k: [k * y[0], -y[1]], 0.0, "not stable"),
+            (lambda t, y, k: [k + 0 * y[0], -y[1]], 0.0, "no steady state was found"),
+            (lambda t, y, k: -k * (y[0] ** 2 + y[1] ** 2 - 1) * y, 0.1, "not isolated"),
         ],
     )
-    def test_what_is_no_steady_state_is_named(self, fun, reason):
+    def test_what_is_no_steady_state_is_named(self, fun, first, reason):
         """An unstable one, none, and a circle of them."""
-        problem = iv.Problem(fun, (0, 1), [0.0, 0.3], args=(1.0,))
+        problem = iv.Problem(fun, (0, 1), [first, 0.3], args=(1.0,))
         with pytest.raises(ValueError, match=reason):
             iv.fit(problem, [0.5, 1.0], {"y0": [0.1, 0.2]}, {"k": (0.5, 2)}, y0="steady")
 
@@ -850,3 +850,45 @@ def test_data_with_labels_of_time_are_matched_by_them() -> None:
         fitted(column["time"], table)
     with pytest.raises(ValueError, match="repeat"):
         fitted(pd.Series(t, [0, 0, 1, 2, 3, 4]), pd.DataFrame({"drug": values}, index=[0, 1, 0, 2, 3, 4]))
+
+
+class TestWhere:
+    """Parameters that experiments have under names of their own."""
+
+    @staticmethod
+    def cooling(t, y, k, ambient):
+        return [-k * (y[0] - ambient)]
+
+    def experiments(self):
+        t, found = np.linspace(0.5, 4, 8), []
+        for k, start, ambient in ((0.5, 3.0, 1.0), (0.9, 4.0, 1.0), (0.5, 2.0, 0.2)):
+            data = ambient + (start - ambient) * np.exp(-k * t)
+            given = iv.Problem(self.cooling, (0, 4), [1.0], args=(1.0, 0.7), labels=["T"])
+            where = {"k": "k_slow" if k == 0.5 else "k_fast", "y0[T]": f"start_{start:g}"}
+            where["ambient"] = "ambient" if ambient == 1 else 0.2
+            found.append(iv.Experiment(given, t, {"T": data}, where=where))
+        return found
+
+    def test_shared_and_own_values_come_back(self):
+        names = {"k_slow": (0.1, 2), "k_fast": (0.1, 2), "ambient": (0, 3)}
+        names |= {f"start_{x}": (0.1, 9) for x in (3, 4, 2)}
+        fit = iv.fit(self.experiments(), parameters=names, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose([*fit.parameters.values()], [0.5, 0.9, 1.0, 3.0, 4.0, 2.0], rtol=1e-6)
+
+    def test_the_own_name_means_nothing_then(self):
+        with pytest.raises(ValueError, match="'k'"):
+            iv.fit(self.experiments(), parameters={"k": (0.1, 2)})
+
+    @pytest.mark.parametrize(
+        ("where", "message"),
+        [
+            ({"kk": "a"}, "takes no parameter 'kk'"),
+            ({"k": "a", "ambient": "a"}, "both called"),
+            ({"y0": "a"}, "both called|stands for|takes no"),
+            ({"k": None}, "where"),
+        ],
+    )
+    def test_what_is_wrong_is_named(self, where, message):
+        given = iv.Problem(lambda t, y, k, ambient: -k * y, (0, 4), [1.0, 2.0], args=(1.0, 0.7))
+        with pytest.raises((TypeError, ValueError), match=message):
+            iv.Experiment(given, [1.0], [[1.0], [2.0]], where=where)

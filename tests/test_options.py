@@ -331,4 +331,4 @@ class TestPublicNames:
 
 
 #: What users import besides the names of the package.
-MODULES = {"cli", "jax", "problems", "scipy", "symbolic", "torch"}
+MODULES = {"cli", "jax", "petab", "problems", "sbml", "scipy", "symbolic", "torch"}

@@ -80,7 +80,7 @@ def test_where_an_invariant_is_held_so_is_its_derivative(method):
         lotka_volterra, (0, 4), [1.0, 1.0], args=RATES, invariants=kept, sensitivities=[*range(4), "y0"]
     )
     sol = problem.solve(method, rtol=1e-5, dense_output=True)
-    names = problem.parameters()
+    names = problem.parameter_names()
     law = Directional(kept, RATES, names, 2, at=Point(0.0, problem.y0))
     start = law.tangent(0.0, np.vstack([problem.y0, sol.sensitivities[:, :, 0].T]))
     for t in [*sol.t[::7], 1.234, 2.345]:
@@ -102,7 +102,7 @@ def test_corrections_along_stages_hold_derivatives_too(direction):
     held = iv.Invariants(laws, direction=direction)
     problem = iv.Problem(orbit, (0, 10), y0, args=(1.0,), invariants=held, sensitivities=True)
     sol = problem.solve("ode45", rtol=1e-5)
-    law = Directional(laws, (1.0,), problem.parameters(), 4, at=Point(0.0, y0))
+    law = Directional(laws, (1.0,), problem.parameter_names(), 4, at=Point(0.0, y0))
     start, end = (law.tangent(0.0, np.vstack([sol.y[:, i], sol.sensitivities[:, :, i].T])) for i in (0, -1))
     np.testing.assert_allclose(end, start, rtol=0, atol=1e-10)
 

@@ -52,6 +52,7 @@ if _typing.TYPE_CHECKING:
     from ._studies.fit.result import Fit
     from ._studies.search import PolynomialInvariant, find_invariants
     from ._studies.sensitivities import SensitivityReport, check_sensitivities
+    from ._studies.steady import SteadyState, steady_state
     from ._studies.work_precision import plot_work_precision
 
 __all__ = [
@@ -99,6 +100,7 @@ __all__ = [
     "SolveError",
     "Start",
     "Stats",
+    "SteadyState",
     "Steps",
     "StiffnessWarning",
     "UnitQuaternion",
@@ -120,6 +122,7 @@ __all__ = [
     "solve_dae",
     "solve_ensemble",
     "solve_ivp",
+    "steady_state",
 ]
 __all__ += METHODS
 
@@ -148,6 +151,8 @@ _LATER = {
     "find_invariants": "._studies.search",
     "SensitivityReport": "._studies.sensitivities",
     "check_sensitivities": "._studies.sensitivities",
+    "SteadyState": "._studies.steady",
+    "steady_state": "._studies.steady",
     "plot_work_precision": "._studies.work_precision",
 }
 

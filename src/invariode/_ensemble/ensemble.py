@@ -10,8 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, as_array, extra_arguments, flag, items, numbers, positive_integer, shown
+from .._base.arguments import (
+    Array,
+    as_array,
+    extra_arguments,
+    flag,
+    items,
+    numbers,
+    positive_integer,
+    real_numbers,
+    shown,
+)
 from .._base.progress import bar
+from .._base.record import Record
 from .._base.types import MethodName
 from .._problem.description import Description
 from .._problem.options import (
@@ -159,6 +170,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
     states = problem.y0 if y0 is None else numbers("y0", y0)
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
+    args = _named(problem, args)
     if args is None or isinstance(args, tuple):
         return np.atleast_2d(states), extra_arguments(args) or problem.args
     extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else as_array("args", args)
@@ -173,6 +185,34 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
             f"y0 has {len(states)} rows and args has {len(extra)}: give one row of args for each row of y0"
         )
     return states, extra
+
+
+def _named(problem: Description, args: Any) -> Any:
+    """args of a problem with parameters by name: columns or rows of them become rows of records."""
+    if problem.parameters is None or args is None or isinstance(args, tuple):
+        return args
+    if isinstance(args, Mapping):
+        columns = {name: real_numbers(f"args of {name}", one) for name, one in args.items()}
+        sizes = {one.shape for one in columns.values()}
+        if not sizes - {()}:
+            return problem.arguments(args)
+        if len(sizes - {()}) > 1 or max(map(len, sizes)) > 1:
+            raise ValueError(f"columns of args must be of one length, got shapes {sorted(sizes)}")
+        (size,) = max(sizes, key=len)
+        every = [np.broadcast_to(one, size).tolist() for one in columns.values()]
+        return [problem.arguments(dict(zip(columns, row, strict=True))) for row in zip(*every, strict=True)]
+    rows = args if isinstance(args, list) else as_array("args", args).tolist()
+    names = [*problem.parameters]
+
+    def record(row: Any) -> Any:
+        if isinstance(row, Mapping) or (isinstance(row, tuple) and len(row) == 1 and isinstance(row[0], Record)):
+            return problem.arguments(row)
+        values = items(row)
+        if values is None or len(values) != len(names):
+            raise _no_rows(f"{shown(row)} as a row for the {len(names)} parameters {', '.join(names)}")
+        return problem.arguments(dict(zip(names, values, strict=True)))
+
+    return [record(row) for row in rows]
 
 
 def _row_of_arguments(row: Any) -> tuple[Any, ...]:

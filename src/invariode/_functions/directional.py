@@ -149,7 +149,7 @@ class Directional:
         self.how: str = " and ".join(filter(None, ["given" if partly else "", found]))
 
     def _by_graph(self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> _OfGraph | None:
-        traced = _with_graph(fun)
+        traced = with_graph(fun)
         if traced is None:
             return None
         floating = with_numbers(args, _as_floats(args, names))  # an integer may be an index, a parameter may not
@@ -356,7 +356,7 @@ def _as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[i
     return changes
 
 
-def _with_graph(fun: Any) -> Any:
+def with_graph(fun: Any) -> Any:
     """F as something that may have a graph. None: it is machine code, or belongs to the core."""
     inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
     if isinstance(inside, OnGraph):

@@ -10,6 +10,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, as_array, shown
+from .._base.record import Record
 from .contents import content
 
 #: What may become a constant of the code, in the order in which it is tried: truths are always constants, then what may
@@ -71,11 +72,11 @@ class Numbers:
 
 
 class Listed:
-    """A list or tuple of entries."""
+    """A list, tuple or record of entries; `kind` makes it of its values."""
 
     __slots__ = ("entries", "kind")
 
-    def __init__(self, kind: type, entries: tuple[Entry, ...]) -> None:
+    def __init__(self, kind: Callable[[Iterable[Any]], Any], entries: tuple[Entry, ...]) -> None:
         self.kind, self.entries = kind, entries
 
     def __eq__(self, other: object) -> bool:
@@ -235,9 +236,18 @@ def _entry(value: Any) -> Entry:
         return Numbers(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return Numbers(as_array("an array in args", value))
-    if type(value) in (list, tuple):
-        return Listed(type(value), tuple(map(_entry, value)))
+    if is_listed(value):
+        return Listed(_kind(value), tuple(map(_entry, value)))
     return Constant(value)
+
+
+def is_listed(value: Any) -> bool:
+    """Whether a value is taken apart into its entries: lists, tuples and records, but no classes made of these."""
+    return type(value) in (list, tuple, Record)
+
+
+def _kind(value: Any) -> Callable[[Iterable[Any]], Any]:
+    return value.names if isinstance(value, Record) else type(value)
 
 
 _NUMBER = (bool, int, float, np.bool_, np.integer, np.floating)
@@ -250,7 +260,7 @@ def numbers_in(value: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         for place, one in np.ndenumerate(value):
             yield (f"[{', '.join(map(str, place))}]" if place else ""), one
-    elif type(value) in (list, tuple):
+    elif is_listed(value):
         for i, entry in enumerate(value):
             for suffix, one in numbers_in(entry):
                 yield f"[{i}]{suffix}", one
@@ -297,8 +307,8 @@ def _changed(value: Any, numbers: Mapping[int, Any], places: Iterator[int]) -> A
         for i, number in inside.items():
             made.flat[i] = number
         return made
-    if type(value) in (list, tuple):
-        return type(value)(_changed(one, numbers, places) for one in value)
+    if is_listed(value):
+        return _kind(value)(_changed(one, numbers, places) for one in value)
     return value
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Self, Unpack
@@ -20,12 +20,14 @@ from .._base.arguments import (
     flag,
     function,
     interval,
+    items,
     quietly,
     shown,
     state,
     warn,
 )
 from .._base.notebook import html_of_problem
+from .._base.record import Record, record_of
 from .._base.types import EventsLike, Function, Span
 from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
@@ -102,6 +104,7 @@ class Description:
         y0: ArrayLike,
         *,
         args: Iterable[Any] | None = (),
+        parameters: Mapping[str, float] | None = None,
         invariants: InvariantsLike | None = None,
         events: EventsLike = None,
         jac: Any = None,
@@ -117,7 +120,7 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called, span, start, extra = _posed(fun, t_span, y0, args)
+        called, span, start, extra = _posed(fun, t_span, y0, _args_or(parameters, args))
         is_complex = start.dtype.kind == "c"
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         named = None if labels is None else distinct_labels(labels, len(start))
@@ -151,7 +154,7 @@ class Description:
             is_plain=is_plain_function(called) and not [one for one in others if one is not None],
         )
         if self.sensitivities is not None and self.args:
-            self.parameters()
+            self.parameter_names()
 
     def _require_real(self, what: str) -> None:
         """That the states are real numbers, for what is not defined for complex ones."""
@@ -160,9 +163,24 @@ class Description:
                 f"{what} is for real problems, and y0 is complex: write the problem in real and imaginary parts"
             )
 
-    def parameters(self) -> tuple[ParameterName, ...]:
-        """Those of the sensitivities, in their order; without these none."""
+    def parameter_names(self) -> tuple[ParameterName, ...]:
+        """The parameters of the sensitivities, in their order; without `sensitivities` none."""
         return self._parameters
+
+    @property
+    def parameters(self) -> dict[str, float] | None:
+        """The parameters by name, of a problem that was made with `parameters`; otherwise None."""
+        record = _record_in(self.args)
+        return None if record is None else dict(record.items())
+
+    def arguments(self, given: Any) -> Any:
+        """The arguments that were given in place of `args`: a dict changes some of the parameters."""
+        if not isinstance(given, Mapping):
+            return given
+        record = _record_in(self.args)
+        if record is None:
+            raise TypeError(f"args are a tuple, since the problem has no parameters by name, got {shown(given)}")
+        return (record.changed(given),)
 
     @cached_property
     def _parameters(self) -> tuple[ParameterName, ...]:
@@ -206,7 +224,8 @@ class Description:
         Parameters
         ----------
         **changes
-            Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
+            Arguments of `Problem` by name, `fun`, `t_span` and `y0` included. `parameters` changes the values of those
+            that it names, if the problem has parameters.
 
         Raises
         ------
@@ -237,6 +256,12 @@ class Description:
             "name": self._title,
             "labels": self._labels,
         }
+        if (parameters := changes.get("parameters")) is not None:
+            record = _record_in(self.args)
+            changes["parameters"] = parameters if record is None else dict(record.changed(parameters).items())
+            now["args"] = ()
+        elif isinstance(changes.get("args"), Mapping):
+            changes["args"] = self.arguments(changes["args"])
         return type(self)(**{**now, **changes})
 
     def _repr_html_(self) -> str:
@@ -244,6 +269,20 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _args_or(parameters: Any, args: Iterable[Any] | None) -> Iterable[Any] | None:
+    """The arguments of f: a record of the parameters, if there are any."""
+    if parameters is None:
+        return args
+    if args is not None and items(args) != []:
+        raise ValueError("a problem has args or parameters: put the numbers of args among the parameters")
+    return (record_of(parameters),)
+
+
+def _record_in(args: tuple[Any, ...]) -> Record | None:
+    """The record of parameters, if they are all that f takes."""
+    return args[0] if len(args) == 1 and isinstance(args[0], Record) else None
 
 
 def _posed(

@@ -655,6 +655,7 @@ class ProblemArguments(DescribingOptions, CallingOptions, total=False):
     fun: Function
     t_span: Span
     y0: ArrayLike
+    parameters: Mapping[str, float] | None
     inputs: InputsLike | None
     name: str | None
     labels: Sequence[str] | None

@@ -1,7 +1,8 @@
 """Names of parameters: numbers among the arguments of f, and initial values.
 
 A parameter is called as f calls it: ``k1``; ``p[2]`` in an array, list or tuple p; ``args[0]`` if f takes ``*args``, or
-does not tell names. The initial value of a component is ``y0[label]``, or ``y0[2]``.
+does not tell names; by its own name in the record of ``Problem(parameters=...)``. The initial value of a component is
+``y0[label]``, or ``y0[2]``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .._base.arguments import Array, call_name, items, shown
+from .._base.record import Record
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction
 from .._functions.graph.python import Formula
@@ -141,6 +143,8 @@ class _Known:
 
     def of_argument(self, index: int) -> list[ParameterName]:
         """The numbers of an argument."""
+        if index not in self._inside and isinstance(record := self._args[index], Record):
+            self._inside[index] = [ParameterName(one, "args", index, i) for i, one in enumerate(record.keys())]
         if index not in self._inside:
             name = self._names[index]
             found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
@@ -156,8 +160,15 @@ class _Known:
         for index, argument in enumerate(self._names):
             for one in self.of_argument(index):
                 found.setdefault(one.name, one)
-                found.setdefault(f"args[{index}]{one.name[len(argument) :]}", one)
+                if not isinstance(self._args[index], Record):
+                    found.setdefault(f"args[{index}]{one.name[len(argument) :]}", one)
         return found
+
+    @cached_property
+    def _in_records(self) -> dict[str, ParameterName]:
+        """The parameters of records: their names come before what else a name could mean."""
+        records = [i for i, one in enumerate(self._args) if isinstance(one, Record)]
+        return {one.name: one for i in records for one in self.of_argument(i)}
 
     def of_y0(self, index: int) -> ParameterName:
         """An initial value."""
@@ -182,6 +193,8 @@ class _Known:
         return self._all_of(index)
 
     def _named(self, name: str) -> list[ParameterName]:
+        if name in self._in_records:
+            return [self._in_records[name]]
         if name in self._names:
             return self._all_of(self._names.index(name))
         if name == Y0:

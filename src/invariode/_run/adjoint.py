@@ -128,7 +128,7 @@ def gradient(
             f"gradient: the run ended at t = {run.t} without success ({run.solution.message}); give times that it has "
             "reached as t="
         )
-    names = problem.parameters()
+    names = problem.parameter_names()
     require_possible(problem)
     functional = _functional(run, dG_dy, dG_dp, t, integrand, len(names))
     if problem.y0.dtype.kind == "c":
@@ -139,7 +139,7 @@ def gradient(
 def _of_complex(run: Forward, problem: Description, functional: CostFunctional) -> Array:
     """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
     initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
-    for one, value in zip(problem.parameters(), functional.direct, strict=True):
+    for one, value in zip(problem.parameter_names(), functional.direct, strict=True):
         if one.kind == "args" and np.imag(value):
             raise ValueError(f"dG_dp of {one.name} must be real, as G and args are, got {shown(value)}")
     form = real_form(problem, [], both_parts=True)
@@ -152,7 +152,7 @@ def _of_complex(run: Forward, problem: Description, functional: CostFunctional) 
     if all(one.kind == "args" for one in form.names):
         return functional.direct + of_parts
     found, place = [], 0
-    for one in problem.parameters():
+    for one in problem.parameter_names():
         if one.kind == "args":
             found.append(of_parts[place])
             place += 1

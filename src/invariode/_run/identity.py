@@ -236,7 +236,7 @@ def _described(problem: Description) -> Any:
         "args": problem.args,
         "bounds": problem.bounds,
         "inputs": [vars(one) for one in problem.inputs],
-        "sensitivities": None if problem.sensitivities is None else [one.name for one in problem.parameters()],
+        "sensitivities": None if problem.sensitivities is None else [one.name for one in problem.parameter_names()],
         **vars(problem.matrices),
     }
     return in_words(about, code=False)

@@ -110,7 +110,7 @@ def real_form(problem: Description, points: Sequence[Breakpoint], *, both_parts:
     ValueError
         It has something whose derivatives are not known.
     """
-    wanted, names = problem.sensitivities, problem.parameters()
+    wanted, names = problem.sensitivities, problem.parameter_names()
     assert wanted is not None
     of_start = [one.name for one in names if one.kind != "args"]
     for what, there in (("a mass matrix", problem.matrices.mass is not None), ("events", bool(problem.events))):

@@ -40,7 +40,7 @@ def require_second_order(problem: Description, method: Method) -> None:
         return
     t, y = np.array([problem.t_span[0]]), problem.y0[:, None]
     _require_no_velocities(problem, t, y, "")
-    if problem.parameters():
+    if problem.parameter_names():
         _require_no_velocities(
             _with_other_parameters(problem), t, y, " with other parameters: the sensitivities do too"
         )
@@ -97,7 +97,7 @@ def fits_any_args(problem: Description, method: MethodName) -> bool:
 
 
 def _with_other_parameters(problem: Description) -> Description:
-    own = [one for one in problem.parameters() if one.kind != Y0]
+    own = [one for one in problem.parameter_names() if one.kind != Y0]
     values = values_of(problem.args, problem.y0, own)
     others = np.where(values != 0, values * (1 + _CHANGE), _CHANGE)
     return problem.replace(args=with_values(problem.args, problem.y0, own, others)[0])

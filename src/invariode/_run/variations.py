@@ -215,7 +215,7 @@ def make_variations(
     TypeError, ValueError
         An unknown parameter; a derivative of a wrong shape; something for which there are no sensitivities.
     """
-    names, sizes, is_complex = problem.parameters(), np.abs(y0), y0.dtype.kind == "c"
+    names, sizes, is_complex = problem.parameter_names(), np.abs(y0), y0.dtype.kind == "c"
     require_possible(problem)
     if is_complex:
         problem, names, points = real_form(problem, points)

@@ -81,8 +81,8 @@ class PreparedSolver:
         ----------
         y0 : array_like of shape (n,), optional
             Another initial state.
-        args : tuple, optional
-            Other extra arguments.
+        args : tuple or dict, optional
+            Other extra arguments; for a problem with `parameters`, other values of some of them by name.
         t_span : (float, float), optional
             Another interval. It must contain `t_eval`, if that was given.
 
@@ -97,7 +97,7 @@ class PreparedSolver:
             As for `Problem.solve`.
         """
         if args is not None and type(args) is not tuple:
-            args = extra_arguments(args)
+            args = extra_arguments(self.problem.arguments(args))
         known = self._any_y0 and (args is None or self._any_args) and (t_span is None or self._any_span)
         start = self._plan.y0 if y0 is None else _as_state(y0, self._plan.y0)
         if known and start is not None:
@@ -178,7 +178,11 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
         return True
     absolute = bool(np.all(np.asarray(plan.atol) > 0))
     return (
-        native and absolute and wanted.scales_all(problem.parameters()) and wanted.dy0dp is None and not problem.events
+        native
+        and absolute
+        and wanted.scales_all(problem.parameter_names())
+        and wanted.dy0dp is None
+        and not problem.events
     )
 
 

@@ -38,6 +38,10 @@ class Problem(Description):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}
+    parameters : dict of str and float, optional
+        Numbers by any name, instead of `args`: f and all other functions of the problem are called as ``f(t, y, p)``
+        with a record p that has them as ``p["k1"]`` and ``p.k1``. Sensitivities, fits, ensembles and `replace` use
+        these names.
     inputs : Input or list of Input, optional
         Tabulated functions of t: `fun` and `jac` are called with their values after y, ``f(t, y, u, *args)``; native
         ones find these at the beginning of p. A run starts anew where an input jumps, as at `breakpoints`.
@@ -69,6 +73,15 @@ class Problem(Description):
     Problem('orbit', t_span=(0.0, 10.0), n=2)
     >>> problem.solve("ode23", rtol=1e-4).success
     True
+
+    Parameters by name:
+
+    >>> def decay(t, y, p):
+    ...     return [-p["lambda"] * y[0]]
+    >>> slow = iv.Problem(decay, (0, 1), [1.0], parameters={"lambda": 0.5})
+    >>> fast = slow.replace(parameters={"lambda": 2.0})
+    >>> fast.parameters
+    {'lambda': 2.0}
     """
 
     @property
@@ -183,9 +196,10 @@ class Problem(Description):
             fit in memory.
         method : str, default 'ode45'
             As in `solve`.
-        args : tuple, or array or list of shape (N, k), optional
+        args : tuple, or array or list of shape (N, k), or dict, optional
             A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
-            those of a list may be of any types. Default: the problem's.
+            those of a list may be of any types. For a problem with `parameters`: a dict of numbers or columns of N
+            numbers by name, a list of N dicts, or rows of all parameters. Default: the problem's.
         t_eval : array_like, optional
             Times of the output, sorted in the direction of integration. Default: the final states are kept, and no
             others.

@@ -99,7 +99,7 @@ def check_sensitivities(
     if wanted is None:
         raise ValueError(f"a Problem with sensitivities is needed, got {shown(problem)}")
     problem._require_real("check_sensitivities")
-    names = problem.parameters()
+    names = problem.parameter_names()
     own = [one.name for one in names if one.kind == "args"]
     at = Point(problem.t_span[0] if t is None else number("t", t), problem.y0 if y is None else state(y))
     n = len(problem.y0)

@@ -11,12 +11,12 @@ from typing import Any, Literal, NamedTuple, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._base.arguments import Array, call_name, choice, items, real_numbers, shown
+from ..._base.arguments import Array, call_name, choice, items, number, real_numbers, shown
 from ..._base.public import public
 from ..._base.suggestions import meant
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
-from ..._problem.parameters import ParameterName, parameter_names, values_of
+from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
 from ..._solve.problem import Problem
 from .data import Data, in_order, read
 
@@ -68,6 +68,10 @@ class Experiment:
         "steady": each run starts at the steady state of f(t0, y), for the parameters of the trial, that is reached from
         the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
         parameters. Default: the problem's y0.
+    where : dict, optional
+        Parameters that this experiment has under another name, or with a value of its own:
+        ``{"k": "k_cold", "y0[drug]": "dose_2", "flow": 0.5}``. A name is that of a parameter of the fit, which other
+        experiments may have too; ``"k"`` itself then means nothing in this experiment.
     **options
         Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
         which lists the options that are not accepted.
@@ -92,6 +96,7 @@ class Experiment:
         event_times: Mapping[str, ArrayLike] | None = None,
         event_sigma: float | str | Mapping[str, Any] | None = None,
         y0: Literal["steady"] | None = None,
+        where: Mapping[str, str | float] | None = None,
         **options: Unpack[Options],
     ) -> None:
         if not isinstance(problem, Problem):
@@ -102,6 +107,7 @@ class Experiment:
             raise TypeError("an experiment needs data, or event_times")
         if data is None and t is not None:
             raise TypeError("t was given without data")
+        problem, self._where, self._elsewhere = _elsewhere(problem, where)
         self.problem, self.options = problem, options
         self.steady = y0 is not None and choice("y0", y0, ("steady",)) == "steady"
         self.observation = Observation(problem, observe)
@@ -183,11 +189,14 @@ class Experiment:
 
     def dynamic(self, name: str) -> ParameterName | None:
         """The parameter of f, or the initial value, with this name; None if there is none."""
+        if name in self._where:
+            return self._where[name]
         if name not in self._dynamic:
             try:
                 found = self.found(name)
             except (TypeError, ValueError):
                 found = ()
+            found = tuple(one for one in found if one not in self._elsewhere)
             if len(found) > 1:
                 those = ", ".join(one.name for one in found)
                 raise ValueError(f"{name!r} stands for {len(found)} parameters: give each its own entry, {those}")
@@ -223,11 +232,49 @@ class Experiment:
         except ValueError:
             of_args = []
         levels = [one.level for one in self.series if one.level is not None]
-        return [*of_args, *(one.name for one in self.found("y0")), *self.observation.extras, *dict.fromkeys(levels)]
+        renamed = {one.name: name for name, one in self._where.items()}
+        own = [renamed.get(name, name) for name in (*of_args, *(one.name for one in self.found("y0")))]
+        return [*own, *self.observation.extras, *dict.fromkeys(levels)]
 
     def __repr__(self) -> str:
         counts = f"{sum(len(one.values) for one in self.series)} data of {', '.join(one.name for one in self.series)}"
         return f"Experiment({self.problem.name!r}, {counts})"
+
+
+def _elsewhere(
+    problem: Problem, where: Mapping[str, str | float] | None
+) -> tuple[Problem, dict[str, ParameterName], set[ParameterName]]:
+    """The problem with the values that `where` gives; the parameters that have other names, by these; and all that it
+    names."""
+    if where is None:
+        return problem, {}, set()
+    if not isinstance(where, Mapping):
+        raise TypeError(f'where must be a dict such as {{"k": "k_cold"}}, got {shown(where)}')
+    named: dict[str, ParameterName] = {}
+    fixed: list[tuple[ParameterName, float]] = []
+    for own, other in where.items():
+        found = parameter_names(
+            problem.fun,
+            problem.args,
+            problem._labels,
+            len(problem.y0),
+            own,
+            first=2 + len(problem.inputs),
+            option="where",
+        )
+        if len(found) != 1:
+            raise ValueError(f"where: {own!r} stands for {len(found)} parameters: give each its own entry")
+        if not isinstance(other, str):
+            fixed.append((found[0], number(f"where[{own!r}]", other)))
+        elif other in named:
+            raise ValueError(f"where: {own!r} and {named[other].name!r} are both called {other!r}: tie one by equals=")
+        else:
+            named[other] = found[0]
+    if fixed:
+        names, values = zip(*fixed, strict=True)
+        args, y0 = with_values(problem.args, problem.y0, names, values)
+        problem = problem.replace(args=args, y0=y0)
+    return problem, named, {*named.values(), *(one for one, _ in fixed)}
 
 
 class Observation:

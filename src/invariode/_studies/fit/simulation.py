@@ -24,9 +24,9 @@ from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..._solve.problem import Problem
+from ..steady import Found, SteadyStates
 from .experiment import Experiment, Series
 from .failed import Failed
-from .steady import SteadyStates
 
 
 class Simulated(NamedTuple):
@@ -153,8 +153,18 @@ class Simulation:
         args, y0 = with_values(problem.args, problem.y0, self._dynamic, own)
         if self._steady is None:
             return _Start(args, y0, None)
-        found = self._steady.at(own, y0)
-        return found if isinstance(found, Failed) else _Start(args, found.y, found.slopes)
+        S0 = np.zeros((len(y0), len(self._dynamic)))
+        for j, one in enumerate(self._dynamic):
+            if one.kind == "y0":
+                S0[one.index, j] = 1.0
+        found = self._steady.at(args, y0, S0)
+        if not isinstance(found, Found):
+            return Failed(found.reason)
+        if not found.stable:
+            return Failed("the steady state that was found is not stable")
+        if found.slopes is None or np.isnan(found.slopes).any():
+            return Failed("the steady state is not isolated: others with the same totals are beside it")
+        return _Start(args, found.y, found.slopes)
 
     def run(self, values: Array) -> Simulated | Failed:
         """The model's values for the data."""

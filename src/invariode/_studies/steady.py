@@ -1,0 +1,580 @@
+"""Steady states: f(t0, y) = 0 with the totals of the initial value, where the solution goes, with derivatives.
+
+The run follows y' = f(t0, y) until T |f| is small; then Newton's method with the exact Jacobian J and the totals W,
+
+    [J; W M] dy = [-f; W M (y0 - y)],
+
+finishes, and its result is accepted only where it moves y little. Totals come from the structure of f alone: a null
+space of sampled Jacobians has false members, which move the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from .._base.arguments import Array, positive, quietly, real_numbers, shown
+from .._base.public import public
+from .._base.rational import as_rows
+from .._base.suggestions import meant
+from .._base.types import MethodName
+from .._functions.compiled import as_python, to_native
+from .._functions.directional import Directional, Point, has_llvm, with_graph
+from .._functions.graph.derived import Derived, derived, native
+from .._functions.graph.function import GraphFunction
+from .._functions.graph.nodes import in_order
+from .._functions.graph.python import Formula
+from .._functions.graph.structure import linear_totals, replaced, staying_zero
+from .._functions.layout import Parameters, count_of, place_of, with_numbers
+from .._problem.grouped import Limits
+from .._problem.parameters import ParameterName, values_of
+from .._solve.problem import Problem
+
+Totals: TypeAlias = Literal["auto"] | Sequence[Any] | Array
+
+#: Tolerances of the run, relative to the size of a component, and of all of them: Newton's method does the rest.
+_RTOL, _ATOL = 1e-6, 1e-9
+
+#: The method of Newton is tried where T |f| is below this part of y, and accepted where it moves y by less.
+_NEAR = 1e-3
+
+#: After a trial that failed, T grows by this factor before the next one.
+_LATER = 4.0
+
+#: Components below this part of the largest count as of that size.
+_FLOOR = 1e-6
+
+#: Newton's steps, and singular values of its matrix, in units of the largest, that are zero.
+_ITERATIONS, _ZERO = 12, 1e-11
+
+#: What the equations of the derivatives may leave, relative to their right-hand sides.
+_CONSISTENT = 1e-6
+
+#: A rate of growth above this part of the largest rate is one: the state is not stable.
+_GROWS = 1e-7
+
+#: Accepted steps of the run, and its length in units of the fastest time at its start.
+_MOST_STEPS, _LONGEST = 20_000, 1e15
+
+
+class Found(NamedTuple):
+    """A steady state for values of the parameters.
+
+    Attributes
+    ----------
+    y : ndarray, (n,)
+        The state.
+    f : ndarray, (n,)
+        f there.
+    time : float
+        How long the solution was followed.
+    slopes : ndarray, (n, k), or None
+        Its derivatives for the parameters; None: others with the same totals are beside it.
+    eigenvalues : ndarray
+        Of the Jacobian, those of algebraic equations left out.
+    """
+
+    y: Array
+    f: Array
+    time: float
+    slopes: Array | None
+    eigenvalues: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether no small change grows."""
+        return is_stable(self.eigenvalues)
+
+
+class NotFound(NamedTuple):
+    """No steady state was reached, and why."""
+
+    reason: str
+    y: Array
+    f: Array
+    time: float
+
+
+@public
+@dataclass(frozen=True, eq=False)
+class SteadyState:
+    """A steady state of a problem, as returned by `steady_state`.
+
+    Attributes
+    ----------
+    y : ndarray of shape (n,)
+        The state; the last one of the run if no steady state was reached.
+    residual : float
+        The largest ``|f_i(t0, y)|``.
+    totals : ndarray of shape (m, n)
+        The rows w whose totals ``w @ y`` (``w @ M @ y`` with a mass matrix) the equations conserve; they are those of
+        y0.
+    success : bool
+        Whether it is a steady state.
+    message : str
+        Why not, or how it was found.
+    stable : bool
+        Whether no eigenvalue of the Jacobian has a positive real part (beyond roundoff). A solution stays at an
+        unstable state only from special initial values.
+    eigenvalues : ndarray, complex
+        The eigenvalues of the Jacobian at y.
+    time : float
+        How long the solution was followed, in units of t.
+    sensitivity_names : list of str
+        The parameters of `sensitivities`.
+    """
+
+    y: Array
+    residual: float
+    totals: Array
+    success: bool
+    message: str
+    stable: bool
+    eigenvalues: Array
+    time: float
+    sensitivity_names: list[str]
+    _slopes: Array | None
+
+    @property
+    def sensitivities(self) -> Array:
+        """∂y/∂p, of shape (n, k), for the parameters of the problem's `sensitivities`. NaN for an initial value of zero
+        without which components stay constant, if the state that it would lead to is another one.
+
+        Raises
+        ------
+        ValueError
+            There is no steady state, or it is not isolated: other states with the same totals are beside it.
+        """
+        if self._slopes is None:
+            why = (
+                "the state is not isolated: others with the same totals are beside it" if self.success else self.message
+            )
+            raise ValueError(f"there are no sensitivities: {why}")
+        return self._slopes
+
+    def __repr__(self) -> str:
+        kind = ("stable" if self.stable else "unstable") if self.success else "not reached"
+        return f"SteadyState({kind}, residual={self.residual:.3g}, {len(self.totals)} totals)"
+
+
+@public
+def steady_state(
+    problem: Problem, method: MethodName | None = None, *, totals: Totals = "auto", tol: float = 1e-10
+) -> SteadyState:
+    """Return the steady state to which the solution of a problem goes: f(t0, y) = 0 with the totals of y0.
+
+    The solution of y' = f(t0, y) from y0 is followed until it hardly moves; Newton's method with the exact Jacobian and
+    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Events and invariants do not.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its mass matrix, if it has one, is constant.
+    method : str, optional
+        The method that follows the solution. Default: 'ode15s'.
+    totals : "auto", or array_like of shape (m, n), or list of dict
+        The linear combinations of components that f conserves. "auto": from the structure of f, exactly, if f can be
+        traced. Dicts hold the nonzero coefficients by label. They select the state among its neighbours, where totals
+        are conserved.
+    tol : float, default 1e-10
+        Newton's method ends with a step below this part of each component.
+
+    Returns
+    -------
+    SteadyState
+
+    Raises
+    ------
+    TypeError, ValueError
+        The problem has a mass matrix that is a function, or complex states; totals that f does not conserve.
+
+    Notes
+    -----
+    Components that are zero and stay zero are left out, and so are those that stay constant because of that: where a
+    reactant is absent and never made, its partners keep their initial values and the derivatives of these.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def isomers(t, y, k, l):
+    ...     v = k * y[0] - l * y[1]
+    ...     return [-v, v]
+    >>> problem = iv.Problem(isomers, (0, 1), [1.0, 0.0], args=(3.0, 1.0), sensitivities=True)
+    >>> found = iv.steady_state(problem)
+    >>> found.y.round(9), found.totals
+    (array([0.25, 0.75]), array([[1., 1.]]))
+    >>> found.sensitivities.round(9)
+    array([[-0.0625,  0.1875],
+           [ 0.0625, -0.1875]])
+    """
+    if not isinstance(problem, Problem):
+        raise TypeError(f"steady_state needs an invariode.Problem, got {shown(problem)}")
+    names = problem.parameter_names()
+    S0 = None if problem.sensitivities is None else problem.sensitivities.start(names, problem.args, len(problem.y0))
+    states = SteadyStates(problem, names, method or "ode15s", totals, positive("tol", tol))
+    found = states.at(problem.args, problem.y0, S0)
+    W, labels = states.totals, [one.name for one in names]
+    residual = np.abs(found.f).max(initial=0.0)
+    if isinstance(found, NotFound):
+        return SteadyState(
+            found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None
+        )  # fmt: skip
+    message = "The solution goes to this state." if found.stable else "The state is unstable; the solution stays there."
+    return SteadyState(
+        found.y, residual, W, True, message, found.stable, found.eigenvalues, found.time, labels, found.slopes
+    )
+
+
+class SteadyStates:
+    """Steady states of a problem for any arguments and initial values.
+
+    Parameters
+    ----------
+    problem : Problem
+        f is taken at t0.
+    names : sequence of ParameterName
+        The parameters of the derivatives.
+    method, totals, tol
+        As in `steady_state`.
+
+    Attributes
+    ----------
+    totals : ndarray, (m, n)
+        As in `SteadyState`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        names: Sequence[ParameterName],
+        method: MethodName = "ode15s",
+        totals: Totals = "auto",
+        tol: float = 1e-10,
+    ) -> None:
+        problem._require_real("a steady state")
+        mass = problem.matrices.mass
+        if callable(mass):
+            raise ValueError("a steady state needs a constant mass matrix, and mass is a function")
+        self._n, self._tol, self._names = len(problem.y0), tol, list(names)
+        self._mass = None if mass is None else np.asarray(mass.toarray() if hasattr(mass, "toarray") else mass, float)
+        self._t = problem.t_span[0]
+        self._own = [(j, one) for j, one in enumerate(self._names) if one.kind == "args"]
+        fun, exact = self._at_start(problem)
+        self._exact = exact
+        self._values: Any = _OfGraph(fun, exact, self._n, self._own) if exact else _OfPython(fun, problem, self._own)
+        changes: dict[str, Any] = {
+            "fun": fun, "t_span": (self._t, np.inf), "events": None, "invariants": None, "inputs": None,
+            "sensitivities": None, "jac": None, "jac_sparsity": None, "lband": None, "uband": None,
+        }  # fmt: skip
+        self._problem, self._method = problem.replace(**changes), method
+        self.totals = self._conserved(totals, problem)
+
+    def _at_start(self, problem: Problem) -> tuple[Any, Derived | None]:
+        """f(t0, y, *args) as a function that does not depend on t, and its graph."""
+        fun, t0 = problem.fun, self._t
+        if problem.inputs:
+            fun = _Frozen(fun, t0, problem.inputs)
+        traced = with_graph(fun)
+        args = with_numbers(problem.args, _floats(problem.args, self._own))
+        parameters = Parameters.of(args)
+        try:
+            exact = None if traced is None else derived(traced, self._n, self._n, count_of(parameters))
+        except TypeError:
+            exact = None
+        if exact is None:
+            return _Frozen(fun, t0), None
+        outputs = exact.outputs
+        graph = outputs[0].graph
+        if any(node.op == "t" for node in in_order(outputs)):
+            if not isinstance(traced, GraphFunction):
+                return self._at_start(problem.replace(fun=_Frozen(fun, t0), inputs=None))
+            fixed = replaced(outputs, {graph.t: graph.node(t0)})
+            formula = Formula(traced.__name__, lambda: fixed, (self._n,), traced.fun.parameters)
+            traced = GraphFunction(formula, traced.elementary)
+            exact = derived(traced, self._n, self._n, count_of(parameters))
+        return (traced if has_llvm() else getattr(traced, "fun", traced)), exact
+
+    def _conserved(self, totals: Totals, problem: Problem) -> Array:
+        """The rows of the totals."""
+        if isinstance(totals, str):
+            if totals != "auto":
+                raise ValueError(f"totals must be 'auto' or rows of coefficients, got {totals!r}")
+            return as_rows([] if self._exact is None else linear_totals(self._exact.outputs), self._n)
+        rows = np.array([self._row(one, problem.labels) for one in totals], dtype=float).reshape(-1, self._n)
+        f, J, _ = self._values(problem.y0, problem.args, with_parameters=False)
+        size = np.abs(rows) @ np.abs(J)
+        wrong = np.abs(rows @ J) > 1e-8 * size.max(initial=0.0)
+        if wrong.any() or (np.abs(rows @ f) > 1e-8 * (np.abs(rows) @ np.abs(f))).any():
+            raise ValueError("totals are not conserved: a row of them times f is not zero at y0")
+        return rows
+
+    def _row(self, given: Any, labels: list[str]) -> Array:
+        if not isinstance(given, Mapping):
+            row = real_numbers("a row of totals", given)
+            if row.shape != (self._n,):
+                raise ValueError(f"a row of totals has {self._n} coefficients, got {shown(given)}")
+            return row
+        row = np.zeros(self._n)
+        for name, x in given.items():
+            if name not in labels:
+                raise ValueError(f"totals name {name!r}{meant(str(name), labels)}: components are {', '.join(labels)}")
+            row[labels.index(name)] = x
+        return row
+
+    def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None = None) -> Found | NotFound:
+        """The steady state for these arguments and this initial value.
+
+        `S0`: the derivatives of y0 for the parameters, (n, k); None: no derivatives are wanted.
+        """
+        zero, still = self._staying(args, y0)
+        run = _Approach(self, args, y0, still)
+        with quietly(), np.errstate(all="ignore"):
+            run.follow()
+        if run.found is None:
+            return NotFound(f"no steady state was found from y0 = {y0}: {run.reason}", run.y, run.f, run.time)
+        y, f, J, time = run.found
+        found = Found(y, f, time, None, self.rates(J, np.ones(self._n, dtype=bool)))
+        if S0 is None:
+            return found
+        slopes = self._slopes(y, y0, J, args, S0, still)
+        if slopes is not None and (adds := self._adding(args, y0, S0, zero, still)):
+            whole = self._slopes(y, y0, J, args, S0, np.zeros(self._n, dtype=bool)) if found.stable else None
+            slopes[:, adds] = np.nan if whole is None else whole[:, adds]
+        return found._replace(slopes=slopes)
+
+    def _adding(self, args: tuple[Any, ...], y0: Array, S0: Array, zero: Array, still: Array) -> list[int]:
+        """The parameters that add what is absent, so that fewer components stay constant."""
+        found = []
+        for j in np.flatnonzero(S0[zero].any(axis=0)).tolist():
+            _, then = self._staying(args, np.where(S0[:, j] != 0, 1.0, y0))
+            if (still & ~then).any():
+                found.append(j)
+        return found
+
+    def _staying(self, args: tuple[Any, ...], y0: Array) -> tuple[Array, Array]:
+        """The components that stay zero, and those that stay constant because of that, as truths."""
+        zero, still = np.zeros((2, self._n), dtype=bool)
+        if self._exact is not None:
+            moving = {place_of(args, one.index, one.item) for _, one in self._own}
+            p = np.asarray(Parameters.of(args))
+            constants = {i for i in np.flatnonzero(p == 0).tolist() if i not in moving}
+            found = staying_zero(self._exact.outputs, set(np.flatnonzero(y0 == 0).tolist()), constants)
+            for truths, places in zip((zero, still), found, strict=True):
+                truths[[*places]] = True
+        return zero, still
+
+    def rates(self, J: Array, moving: Array) -> Array:
+        """The eigenvalues of the Jacobian of these components."""
+        block = np.ix_(moving, moving)
+        if self._mass is None:
+            return np.linalg.eigvals(J[block])
+        from scipy.linalg import eigvals
+
+        found = eigvals(J[block], self._mass[block])
+        return np.asarray(found[np.isfinite(found)])
+
+    def system(self, J: Array, D: Array, still: Array) -> tuple[Array, Array]:
+        """[J; W M] for changes of the components in units of D, its rows divided by their sizes; and these sizes."""
+        W = self.totals if self._mass is None else self.totals @ self._mass
+        A = np.vstack([J, W]) * D
+        A[:, still] = A[np.flatnonzero(still)] = 0.0  # of the rows of constant components roundoff is left
+        lengths = np.linalg.norm(A, axis=1)
+        lengths[lengths == 0] = 1.0
+        return A / lengths[:, None], lengths
+
+    def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
+        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
+        _, _, fp = self._values(y, args, with_parameters=True)
+        D = sizes(y, y0)
+        A, lengths = self.system(J, D, still)
+        moving = ~still
+        if moving.any() and np.linalg.matrix_rank(A[:, moving], tol=_ZERO) < moving.sum():
+            return None
+        right = np.zeros((len(A), S0.shape[1]))
+        right[: self._n, [j for j, _ in self._own]] = -fp
+        right[: self._n] -= J @ S0  # of S - S0
+        change = np.zeros_like(S0)
+        if moving.any():
+            right /= lengths[:, None]
+            change[moving] = np.linalg.lstsq(A[:, moving], right, rcond=_ZERO)[0]
+            left = (A @ change - right)[~np.append(still, np.zeros(len(A) - self._n, dtype=bool))]
+            if (np.abs(left) > _CONSISTENT * (1 + np.abs(right).max(axis=0))).any():
+                return None
+        return np.asarray(S0 + D[:, None] * change)
+
+
+def is_stable(rates: Array) -> bool:
+    """Whether no eigenvalue has a positive real part, beyond roundoff."""
+    return not len(rates) or bool(rates.real.max() <= _GROWS * np.abs(rates).max())
+
+
+def sizes(y: Array, y0: Array) -> Array:
+    """The sizes of components: those far below the largest, now or at the start, count as of a part of that."""
+    largest = max(np.abs(y).max(initial=0.0), np.abs(y0).max(initial=0.0)) or 1.0
+    return np.maximum(np.abs(y), _FLOOR * largest)
+
+
+class _Approach:
+    """A run towards a steady state, and Newton's method from its steps."""
+
+    def __init__(self, states: SteadyStates, args: tuple[Any, ...], y0: Array, still: Array) -> None:
+        self._states, self._args, self._y0, self._still = states, args, y0, still
+        self._next, self._end, self._t0 = 0.0, np.inf, states._t
+        self.found: tuple[Array, Array, Array, float] | None = None
+        self.y, self.f, self.time, self.reason = y0, np.zeros(len(y0)), 0.0, ""
+
+    def follow(self) -> None:
+        """Run until a steady state is found."""
+        states = self._states
+        self.f, J, _ = states._values(self._y0, self._args, with_parameters=False)
+        D = sizes(self._y0, self._y0)
+        rate = max(np.abs(J * D / D[:, None]).sum(axis=1).max(initial=0.0), np.abs(self.f / D).max(initial=0.0))
+        self._next = 1 / rate if rate > 0 and np.isfinite(rate) else 0.0
+        self._end = _LONGEST * (self._next or np.inf)
+        if not self.f.any():
+            self._try(0.0, self._y0, self.f)
+            if self.found is not None:
+                return
+        atol = _ATOL * (np.abs(self._y0).max(initial=0.0) or 1.0)
+        problem = states._problem.replace(args=self._args, y0=self._y0)
+        options: Any = {"rtol": _RTOL, "atol": atol, "keep": "end", "on_failure": "return", "callback": self._step}
+        sol = problem.solve(states._method, limits=Limits(steps=_MOST_STEPS), **options)
+        if self.found is None:
+            self.y, self.time = sol.y[:, -1], float(sol.t[-1]) - self._t0
+            self.reason = self.reason or sol.message
+            if np.isfinite(self.y).all():
+                self.f = states._values.value(self.y, self._args)
+
+    def _step(self, t: float, y: Array) -> bool:
+        """Whether the run has arrived."""
+        T = t - self._t0
+        if self._next > T:
+            return False
+        if self._end < T:
+            self.reason = f"after t = {t:.6g} the solution still moves"
+            return True
+        f = self._states._values.value(y, self._args)
+        if self._states._mass is None and not (T * np.abs(f) <= _NEAR * sizes(y, self._y0)).all():
+            return False
+        self._try(T, np.array(y), f)
+        self._next = _LATER * T
+        return self.found is not None
+
+    def _try(self, T: float, y: Array, f: Array) -> None:
+        """Newton's method from a state of the run; what it finds is accepted if it is near, and stable, or the state
+        itself."""
+        states, near, D = self._states, y, sizes(y, self._y0)
+        W = states.totals if states._mass is None else states.totals @ states._mass
+        step = np.full(len(y), np.inf)
+        for _ in range(_ITERATIONS):
+            f, J, _ = states._values(y, self._args, with_parameters=False)
+            if not (np.isfinite(f).all() and np.isfinite(J).all()):
+                return
+            E = sizes(y, self._y0)
+            A, lengths = states.system(J, E, self._still)
+            right = np.concatenate([-f, W @ (self._y0 - y)]) / lengths
+            step = E * np.linalg.lstsq(A, right, rcond=_ZERO)[0]
+            y = y + step
+            if not (np.abs(y - near) <= _NEAR * D).all():
+                return
+            if (np.abs(step) <= states._tol * sizes(y, self._y0)).all():
+                break
+        else:
+            return
+        f, J, _ = states._values(y, self._args, with_parameters=False)
+        if not is_stable(states.rates(J, ~self._still)) and (T > 0 or self.f.any()):
+            return  # the solution passes by: a state where it starts is where it stays
+        self.found = y, f, J, T
+
+
+class _Frozen:
+    """f(t0, y, inputs at t0, *args) as a function of (t, y, *args)."""
+
+    def __init__(self, fun: Any, t0: float, inputs: Sequence[Any] = ()) -> None:
+        self.fun, self.t0, self.inputs = fun, t0, [one(t0) for one in inputs]
+        self.__name__ = getattr(fun, "__name__", "f")
+
+    def __call__(self, t: float, y: Any, *args: Any) -> Any:
+        return self.fun(self.t0, y, *self.inputs, *args)
+
+
+class _OfGraph:
+    """f, ∂f/∂y and ∂f/∂p by the graph of f: machine code, if there is LLVM."""
+
+    def __init__(self, fun: Any, exact: Derived, n: int, own: Sequence[tuple[int, ParameterName]]) -> None:
+        self._fun, self._exact, self._n, self._own = fun, exact, n, own
+        self._made: dict[Any, Any] = {}
+
+    def _called(self, key: Any, made: Any, n: int, size: int, p: Parameters) -> Any:
+        """A derivative as a Python function, made once."""
+        if key not in self._made:
+            machine = has_llvm()
+            self._made[key] = (
+                as_python(native(made(), self._fun, n, size, len(p)), size) if machine else made().fun.array
+            )
+        return self._made[key]
+
+    def value(self, y: Array, args: tuple[Any, ...]) -> Array:
+        """f."""
+        p, n = Parameters.of(args), self._n
+        if "f" not in self._made:
+            machine = has_llvm()
+            formula = Formula("f", lambda: self._exact.outputs, (n,))
+            self._made["f"] = as_python(to_native("fun", self._fun, n, n, p), n) if machine else formula.array
+        found: Array = self._made["f"](0.0, y, np.asarray(p))
+        return found
+
+    def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
+        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
+        n, p, fp = self._n, Parameters.of(args), np.zeros((self._n, len(self._own)))
+        flat = np.asarray(p)
+        J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
+        if with_parameters and self._own:
+            places = [place_of(args, one.index, one.item) for _, one in self._own]
+            k = len(places)
+            made = self._called(tuple(places), lambda: self._exact.tangents(places), (1 + k) * n, k * n, p)
+            fp = made(0.0, np.concatenate([y, np.zeros(k * n)]), flat).reshape(k, n).T
+        return self.value(y, args), J, fp
+
+
+class _OfPython:
+    """f, ∂f/∂y and ∂f/∂p of a function without a graph."""
+
+    def __init__(self, fun: Any, problem: Problem, own: Sequence[tuple[int, ParameterName]]) -> None:
+        self._t, self._n = problem.t_span[0], len(problem.y0)
+        names = [one for _, one in own]
+
+        def derivatives(args: tuple[Any, ...]) -> Directional:
+            return Directional(fun, args, names, self._n, at=Point(self._t, problem.y0), m=self._n, called="fun")
+
+        self._of = derivatives
+        self._last: tuple[tuple[Any, ...], Directional] | None = None
+
+    def _at(self, args: tuple[Any, ...]) -> Directional:
+        if self._last is None or self._last[0] is not args:
+            self._last = args, self._of(args)
+        return self._last[1]
+
+    def value(self, y: Array, args: tuple[Any, ...]) -> Array:
+        """f."""
+        return self._at(args).value(self._t, y)
+
+    def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
+        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
+        of, n, k = self._at(args), self._n, self._at(args).k
+        none = np.zeros((k, n))
+        fp = of.columns(self._t, y, np.zeros(k), none, np.eye(k)).T if with_parameters and k else none.T
+        return of.value(self._t, y), of.jacobian(self._t, y), fp
+
+
+def _floats(args: tuple[Any, ...], own: Sequence[tuple[int, ParameterName]]) -> dict[int, dict[int, float]]:
+    """The parameters among the arguments as floats: an integer may be an index, a parameter may not."""
+    names = [one for _, one in own]
+    values = values_of(args, np.zeros(0), names)
+    changes: dict[int, dict[int, float]] = {}
+    for one, value in zip(names, values.tolist(), strict=True):
+        changes.setdefault(one.index, {})[one.item or 0] = value
+    return changes

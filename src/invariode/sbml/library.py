@@ -1,0 +1,39 @@
+"""libSBML, imported when it is used, and what is raised for models that have no equations here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .._base.extras import extra
+
+
+def libsbml() -> Any:
+    """The module libsbml.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        The extra `sbml` is not installed.
+    """
+    try:
+        return extra("libsbml", "invariode.sbml needs", "sbml")
+    except ModuleNotFoundError as error:
+        message = 'invariode.sbml needs python-libsbml: pip install "invariode[sbml]"'
+        raise ModuleNotFoundError(message, name=error.name) from None
+
+
+class UnsupportedError(ValueError):
+    """A model uses something that `invariode.sbml` has no equations for, or that has no solution.
+
+    Attributes
+    ----------
+    feature : str
+        What it is, in a word: 'delay', 'flux balance', 'fast reaction', and so on.
+    """
+
+    def __init__(self, feature: str, message: str) -> None:
+        super().__init__(message)
+        self.feature = feature
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return UnsupportedError, (self.feature, self.args[0])

@@ -1,0 +1,399 @@
+"""Models: SBML as problems, and their simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import Array, number, positive_integer
+from .._base.rational import as_rows
+from .._base.suggestions import meant
+from .._base.types import MethodName
+from .._functions.directional import has_llvm
+from .._functions.graph.arrays import ArrayFunction
+from .._functions.graph.function import GraphFunction
+from .._functions.graph.nodes import Node, in_order
+from .._functions.graph.python import Formula
+from .._problem.invariants import Invariants
+from .._solve.problem import Problem
+from .equations import FAST, Equations, used
+from .events import SAME_TIME, EventCode, Machine, times_of_roots
+from .reading import Contents
+from .table import Table
+
+#: Tolerances of simulations; the absolute one is smaller if all amounts are small.
+_RTOL, _ATOL, _SMALL = 1e-8, 1e-12, 1e-12
+
+
+@dataclass(frozen=True)
+class ModelEvent:
+    """An event of a model, in short.
+
+    Attributes
+    ----------
+    name : str
+        Its id.
+    targets : tuple of str
+        The symbols that it assigns.
+    delayed, prioritised, persistent : bool
+        Whether it has a delay, and a priority; whether it waits for its execution even when its trigger falls.
+    """
+
+    name: str
+    targets: tuple[str, ...]
+    delayed: bool
+    prioritised: bool
+    persistent: bool
+
+
+class Model:
+    """A model in SBML, as returned by `load`.
+
+    Attributes
+    ----------
+    name : str
+        Its id.
+    states : list of str
+        The symbols of the components of y: species as amounts, what rate and algebraic rules define, and what events
+        assign.
+    parameters : dict of str and float
+        Symbols that stay constant, with their numbers in the file: parameters, compartments, boundary species.
+    events : list of ModelEvent
+        The events.
+    moieties : list of dict
+        Totals of amounts that the reactions conserve: whole coefficients by species, from the stoichiometry, exactly.
+    """
+
+    def __init__(self, contents: Contents, fast: bool = False, given: Iterable[str] = ()) -> None:
+        self._contents, self._fast = contents, fast
+        self._equations = Equations(contents, fast, given)
+        self._others: dict[frozenset[str], Model] = {}
+        self.name = contents.name
+        self.states = list(self._equations.states)
+        e = self._equations
+        self.parameters = {name: e.values[i] for i, name in enumerate(e.constants)}
+        self.events = [
+            ModelEvent(one.name, (*one.assignments,), one.delay is not None, one.priority is not None, one.persistent)
+            for one in contents.events
+        ]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Model, (self._contents, self._fast, self._equations._given)
+
+    @cached_property
+    def moieties(self) -> list[dict[str, int]]:
+        return [{self.states[i]: x for i, x in one.items()} for one in self._weights]
+
+    @cached_property
+    def _weights(self) -> list[dict[int, int]]:
+        return self._equations.moieties()
+
+    @property
+    def species(self) -> list[str]:
+        """The ids of all species."""
+        return [*self._contents.species]
+
+    def means_amount(self, name: str) -> bool:
+        """Whether the symbol of a species means an amount in formulas; otherwise it is a concentration."""
+        return name in self._contents.species and self._contents.species[name].is_amount
+
+    def report(self) -> str:
+        """Return what was made of the model, and what was ignored, in lines of text."""
+        c, e = self._contents, self._equations
+        lines = [f"{self.name}: SBML Level {c.level}, {len(c.species)} species, {len(c.reactions)} reactions"]
+        lines.append(f"states: {', '.join(self.states) or 'none'}")
+        computed = [name for name in c.initial if name not in e.place]
+        if computed:
+            lines.append(f"computed from initial assignments: {', '.join(computed)}")
+        if c.rules:
+            lines.append(f"assigned by rules at all times: {', '.join(c.rules)}")
+        if e.matched:
+            lines.append(f"determined by algebraic rules, with a singular mass matrix: {', '.join(e.matched)}")
+        if self._fast and any(one.fast for one in c.reactions.values()):
+            fast = [name for name, one in c.reactions.items() if one.fast]
+            lines.append(f"fast reactions, with {FAST:g} times their rates: {', '.join(fast)}")
+        if self.moieties:
+            totals = [" + ".join(f"{x} {n}" if x != 1 else n for n, x in one.items()) for one in self.moieties]
+            lines.append(f"conserved: {'; '.join(totals).replace('+ -', '- ')}")
+        if self.events:
+            lines.append(f"events: {', '.join(one.name for one in self.events)}")
+        lines += c.done
+        lines += [f"ignored: {one}" for one in c.ignored]
+        if missing := [name for name, one in c.reactions.items() if one.law is None]:
+            lines.append(f"without a rate, so that what they change is NaN: {', '.join(missing)}")
+        return "\n".join(lines)
+
+    # Functions
+
+    @cached_property
+    def _names(self) -> list[str]:
+        """The names of the parameters of f: those that are constant, and, if f needs them, the initial numbers too."""
+        e = self._equations
+        nodes = [*e.slopes, *self._events.nodes]
+        most = max(used(nodes, "p"), default=-1)
+        if most < len(e.constants):
+            return e.constants
+        return [*e.names, *(f"{name} at the start" for name in e.matched)]
+
+    @cached_property
+    def fun(self) -> Any:
+        """f(t, y, p), compiled if llvmlite is installed."""
+        slopes, n = self._equations.slopes, len(self.states)
+        return self._function("f", slopes or [self._equations.graph.node(0.0)], n or 1)
+
+    def _function(self, name: str, outputs: Sequence[Node], size: int) -> Any:
+        formula = Formula(name, lambda: outputs, (size,))
+        return GraphFunction(formula) if has_llvm() else formula
+
+    @cached_property
+    def _events(self) -> EventCode:
+        return EventCode(self._equations)
+
+    def _start(self, values: Mapping[str, float]) -> tuple[Model, Array, Array]:
+        """The model in which these symbols have values of their own, its p, and y0."""
+        e = self._equations
+        changes: dict[str, float] = {}
+        free = {name.strip("[]") if name.startswith("[") else name for name in values}
+        computed = frozenset(n for n in free if n in self._contents.initial and n not in e._given)
+        if computed:
+            other = self._others.get(computed)
+            if other is None:
+                other = self._others[computed] = Model(self._contents, self._fast, {*e._given, *computed})
+            return other._start(values)
+        for name, value in values.items():
+            symbol = name.strip("[]") if name.startswith("[") else name
+            if symbol not in e._index:
+                known = [*e.names, *(f"[{one}]" for one in self._contents.species)]
+                why = "is determined by a rule" if symbol in e.symbols else "is no symbol of the model"
+                raise ValueError(f"{name!r} {why}{meant(name, known)}: give values to {', '.join(e.names)}")
+            changes[symbol] = number(name, value)
+        p = e.parameters({n: v for n, v in changes.items() if n not in self._contents.species})
+        amounts = {}
+        for name, value in values.items():
+            symbol = name.strip("[]") if name.startswith("[") else name
+            if (one := self._contents.species.get(symbol)) is None:
+                continue
+            stored_as_amount = one.is_amount if symbol in e._given else one.initial_is_amount
+            volume = ArrayFunction([e.start(one.compartment)]).at(0.0, np.zeros(0), p)[0]
+            as_amount = not name.startswith("[")
+            scale = 1.0 if as_amount == stored_as_amount else volume if stored_as_amount else 1 / volume
+            amounts[symbol] = float(value) * scale
+        p = e.parameters({**changes, **amounts})
+        return self, p, e.initial_state(p)
+
+    def problem(self, t_span: tuple[float, float], *, moieties: bool = True, **values: float) -> Problem:
+        """Return the model as an `invariode.Problem`: labels, parameters by name, moieties as invariants, events.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            The interval. Initial assignments hold at t0; events that are triggered there have changed y0.
+        moieties : bool, default True
+            Whether the totals of `moieties` are imposed.
+        **values
+            Other numbers than those of the file: parameters and compartments by id; of species ``S1`` is the initial
+            amount, and ``**{"[S1]": 2.0}`` the initial concentration.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        ValueError
+            A name that the model does not have, or a symbol that a rule determines.
+        """
+        model, p, y0 = self._start(values)
+        t0 = float(t_span[0])
+        y0 = model._consistent(t0, y0, p)
+        more: dict[str, Any] = {}
+        if model.events:
+            machine = Machine(model._events, model._equations)
+            y0 = machine.start(t0, y0, p)
+            more["events"] = machine.functions(model._differences, once=False)
+        return model._problem(t_span, p, y0, moieties, **more)
+
+    def _consistent(self, t: float, y: Array, p: Array) -> Array:
+        """A state as it is for output: at least of one component, and as algebraic rules demand."""
+        return self._equations.consistent(t, y, p) if len(y) else np.zeros(1)
+
+    @cached_property
+    def _differences(self) -> Any:
+        """The differences of comparisons; 1 where they are NaN, which triggers nothing."""
+        graph, found = self._equations.graph, []
+        for one in self._events.differences:
+            found.append(graph.select(graph.make("equal", one, one), one, graph.node(1.0)))
+        return self._function("comparisons", found, len(found)) if found else None
+
+    def _problem(self, t_span: tuple[float, float], p: Array, y0: Array, moieties: bool, **more: Any) -> Problem:
+        e = self._equations
+        named = dict(zip(self._names, p.tolist(), strict=False))
+        options: dict[str, Any] = {"name": self.name, **more}
+        if self.states:
+            options["labels"] = self.states
+        if e.mass is not None:
+            options["mass"] = e.mass
+        if moieties and self._weights:
+            options["invariants"] = self._invariants
+        if named:
+            options["parameters"] = named
+        return Problem(self.fun, t_span, y0, **options)
+
+    @cached_property
+    def _invariants(self) -> Invariants:
+        W = as_rows(self._weights, len(self.states))
+        graph = self._equations.graph
+        totals = []
+        for row in W:
+            total = graph.node(0.0)
+            for i in np.flatnonzero(row).tolist():
+                total = total + (graph.y(i) if row[i] == 1 else float(row[i]) * graph.y(i))
+            totals.append(total)
+        names = [f"total {i + 1}" for i in range(len(W))]
+        return Invariants(self._function("totals", totals, len(totals)), names=names)
+
+    def breakpoints(self, t_span: tuple[float, float], **values: float) -> list[float]:
+        """Return the times within the interval at which conditions on t alone change, in rates, rules and triggers."""
+        model, p, _ = self._start(values)
+        return model._times(p, *t_span)
+
+    def _times(self, p: Array, t0: float, tf: float) -> list[float]:
+        comparisons = ("less", "less_equal", "equal", "not_equal")
+        inside = [one for one in in_order(self._equations.slopes) if one.op in comparisons]
+        differences = [one.arguments[0] - one.arguments[1] for one in inside]
+        found = times_of_roots([*differences, *self._events.differences], p)
+        return [t for t in found if min(t0, tf) < t < max(t0, tf)]
+
+    # Simulation
+
+    def simulate(
+        self,
+        start: float = 0.0,
+        end: float = 10.0,
+        points: int = 51,
+        selections: Sequence[str] | None = None,
+        *,
+        method: MethodName = "auto",
+        rtol: float = _RTOL,
+        atol: float | None = None,
+        moieties: bool = True,
+        seed: int = 0,
+        values: Mapping[str, float] | None = None,
+        **options: Any,
+    ) -> Table:
+        """Simulate the model, events included.
+
+        Parameters
+        ----------
+        start, end : float
+            The interval.
+        points : int, default 51
+            The number of output times, equally spaced, `start` and `end` included; or these times.
+        selections : list of str, optional
+            Columns: ``"time"``; ``"S1"``, the amount of a species, and ``"[S1]"``, its concentration; ids of
+            parameters, compartments, reactions (their rates) and of stoichiometries; ``"S1'"``, the rate of change of
+            an amount, and so on. Default: time and the concentrations of all species that change.
+        method : str, default 'auto'
+            As in `solve_ivp`; 'ode15s' takes its place if there are algebraic rules.
+        rtol, atol : float
+            Tolerances, 1e-8 and at most 1e-12: less if all amounts are below 1.
+        moieties : bool, default True
+            Whether the totals of `moieties` are imposed.
+        seed : int, default 0
+            Of the random order of events that are due at one time with the same priority, or without one.
+        values : dict, optional
+            Other numbers than those of the file, as in `problem`.
+        **options
+            Of `solve_ivp`.
+
+        Returns
+        -------
+        Table
+            Arrays by column name. Where events happen at an output time, the values behind them.
+
+        Raises
+        ------
+        RuntimeError
+            The run does not reach the end; the message says why.
+        """
+        if np.ndim(points):
+            times = np.asarray(points, dtype=float)
+        else:
+            times = np.linspace(start, end, positive_integer("points", points))
+        model, p, y0 = self._start(values or {})
+        columns = list(selections) if selections is not None else self._default_columns()
+        read = model._reader(columns)
+        largest = np.abs(y0[np.isfinite(y0)]).max(initial=0.0)
+        options["atol"] = min(_ATOL, _SMALL * largest) if atol is None and largest > 0 else atol or _ATOL
+        options = {"rtol": rtol, **options}
+        return Table(
+            columns, read.over(times, model._course(float(start), times, p, y0, moieties, method, options, seed), p).T
+        )
+
+    def _course(
+        self,
+        start: float,
+        times: Array,
+        p: Array,
+        y: Array,
+        moieties: bool,
+        method: MethodName,
+        options: dict[str, Any],
+        seed: int,
+    ) -> Array:
+        """The states at these times, (n, m), behind events that happen there."""
+        end, y = float(times[-1]), self._consistent(start, y, p)
+        machine, more = Machine(self._events, self._equations, seed), {}
+        if self.events:
+            y = machine.start(start, y, p)
+            more["events"] = machine.functions(self._differences, once=True)
+        if end == start or (not self.states and not self.events):
+            return np.repeat(y[:, None], len(times), axis=1)
+        problem = self._problem((start, end), p, y, moieties, **more)
+        if problem.matrices.mass is not None and method == "auto":
+            method = "ode15s"
+        stops = self._times(p, start, end)
+        sol = problem.solve(method, t_eval=times, breakpoints=stops, on_failure="return", **options)
+        if sol.status < 0:
+            raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}")
+        Y = np.array(sol.y)
+        for t, behind in machine.behind if self.events else []:
+            Y[:, np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]
+        return Y
+
+    def _default_columns(self) -> list[str]:
+        moving = [n for n, one in self._contents.species.items() if not one.constant]
+        return ["time", *(f"[{name}]" for name in moving)]
+
+    def _reader(self, columns: Sequence[str]) -> ArrayFunction:
+        return ArrayFunction([self.selection(name) for name in columns])
+
+    def selection(self, name: str) -> Node:
+        """The values of a column, as a node of the model's graph."""
+        e = self._equations
+        if name == "time" and name not in e.symbols:
+            return e.graph.t
+        if name.endswith("'") and name[:-1] in e.symbols:
+            symbol = name[:-1]
+            return e.slope(symbol) if symbol in e.place and symbol in self._contents.species else e.rate(symbol)
+        inside = name[1:-1] if name.startswith("[") and name.endswith("]") else name
+        if inside not in e.symbols or (inside != name and inside not in self._contents.species):
+            known = ["time", *e.symbols, *(f"[{one}]" for one in self._contents.species)]
+            raise ValueError(f"there is no column {name!r}{meant(name, known)}: there are {', '.join(known)}")
+        if inside not in self._contents.species:
+            return e.value(inside)
+        value, volume = e.value(inside), e.value(e.volume(inside))
+        if (inside == name) == (not e.is_concentration(inside)):
+            return value
+        if inside == name:  # a state is an amount already
+            amount = inside in e.place and e.is_amount_state[inside]
+            return e.graph.y(e.place[inside]) if amount else value * volume
+        return value / volume
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.states)} states, {len(self.parameters)} parameters, {len(self.events)} events"
+        return f"Model({self.name!r}: {counts})"

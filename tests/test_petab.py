@@ -1,0 +1,261 @@
+"""Problems of PEtab: the cases of its test suite, published problems, and a problem that is written here."""
+
+import json
+import math
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sbml_campaign import shared
+from test_sbml import model, parameter, reaction, species
+
+petab = pytest.importorskip("invariode.petab")
+pytest.importorskip("libsbml")
+yaml = pytest.importorskip("yaml")
+
+HAS_CASES = shared("petab") is not None
+beside = pytest.mark.skipif(not HAS_CASES, reason="the problems lie beside the project")
+
+
+@pytest.fixture(scope="session")
+def problems(tmp_path_factory):
+    """The folder of the published problems, unpacked."""
+    folder = tmp_path_factory.mktemp("petab")
+    for name in ("benchmark", "tests-v1"):
+        with tarfile.open(shared(f"petab/{name}.tar.xz")) as archive:
+            archive.extractall(folder, filter="data")
+    return folder
+
+
+def yaml_in(folder, name):
+    return min(
+        (one for one in (folder / name).glob("*.yaml") if "visual" not in one.name), key=lambda one: len(one.name)
+    )
+
+
+def differences(objective, x, h=1e-4):
+    """The gradient by differences of fourth order."""
+
+    def slope(e):
+        near, far = (objective.value(x + s * h * e) - objective.value(x - s * h * e) for s in (1, 2))
+        return (8 * near - far) / (12 * h)
+
+    return np.array([slope(e) for e in np.eye(len(x))])
+
+
+@beside
+@pytest.mark.parametrize("number", range(1, 21))
+def test_cases_of_the_suite(problems, number):
+    """Log-likelihood, χ² and simulations within the suite's tolerances; gradients are differences."""
+    from invariode.petab.tables import rows_of
+
+    folder = problems / "sbml" / f"{number:04d}"
+    expected = yaml.safe_load((folder / f"_{number:04d}_solution.yaml").read_text())
+    problem = petab.load(folder / f"_{number:04d}.yaml")
+    assert abs(problem.log_likelihood() - expected["llh"]) <= expected["tol_llh"]
+    assert abs(problem.chi2() - expected["chi2"]) <= expected["tol_chi2"]
+    rows = [row for name in expected["simulation_files"] for row in rows_of(str(folder / name))]
+    simulated, _ = problem.simulate()
+    np.testing.assert_allclose(
+        simulated, [float(row["simulation"]) for row in rows], rtol=0, atol=expected["tol_simulations"]
+    )
+    objective = problem.objective()
+    gradient = objective(problem.nominal).gradient
+    size = np.abs(gradient).max(initial=1e-300)
+    np.testing.assert_allclose(gradient, differences(objective, problem.nominal), rtol=0, atol=2e-5 * size)
+
+
+CHEAP = (
+    "Boehm_JProteomeRes2014", "Borghans_BiophysChem1997", "Elowitz_Nature2000", "Rahman_MBS2016", "Zheng_PNAS2012",
+    "Fiedler_BMCSystBiol2016", "Perelson_Science1996", "Bertozzi_PNAS2020", "Bruno_JExpBot2016", "Weber_BMC2015",
+)  # fmt: skip
+
+
+@beside
+@pytest.mark.parametrize("name", CHEAP)
+def test_published_likelihoods(problems, name):
+    known = json.loads(Path(shared("petab/likelihoods.json")).read_text())[name]["log_likelihood"]
+    problem = petab.load(yaml_in(problems, name))
+    assert problem.log_likelihood() == pytest.approx(known, rel=2e-6)
+
+
+@beside
+@pytest.mark.parametrize("name", ["Boehm_JProteomeRes2014", "Rahman_MBS2016", "Weber_BMC2015"])
+def test_gradients_of_published_problems(problems, name):
+    """Away from the optimum: within 1e-5 of the largest component, for three of the components."""
+    loose, sharp = (
+        petab.load(yaml_in(problems, name), rtol=r, atol=a).objective() for r, a in ((1e-8, 1e-12), (1e-10, 1e-14))
+    )
+    nominal = petab.load(yaml_in(problems, name)).nominal
+    x = np.clip(nominal + 0.03 * np.random.default_rng(1).standard_normal(len(nominal)), loose.lower, loose.upper)
+    gradient = loose(x).gradient
+    chosen = np.random.default_rng(2).permutation(len(x))[:3]
+
+    def along(j):
+        e, h = np.eye(len(x))[j], 1e-3
+        near, far = (sharp.value(x + s * h * e) - sharp.value(x - s * h * e) for s in (1, 2))
+        return (8 * near - far) / (12 * h)
+
+    np.testing.assert_allclose(gradient[chosen], [along(j) for j in chosen], rtol=0, atol=1e-5 * np.abs(gradient).max())
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# A problem of our own: A ⇌ B, in equilibrium before k1 changes; noise with a parameter, on a logarithmic scale
+
+
+def written(folder, **changes):
+    """The files of a problem; `changes` replaces tables."""
+    text = model(
+        species("A", 1) + species("B", 0),
+        parameter("k1", 0.8) + parameter("k2", 0.6),
+        reactions=reaction("r", {"A": 1}, {"B": 1}, "k1 * A - k2 * B"),
+    )
+    files = {
+        "model.xml": text,
+        "problem.yaml": "format_version: 1\nparameter_file: parameters.tsv\nproblems:\n- sbml_files: [model.xml]\n"
+        "  condition_files: [conditions.tsv]\n  observable_files: [observables.tsv]\n"
+        "  measurement_files: [measurements.tsv]\n",
+        "parameters.tsv": "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\n"
+        "k1\tlog10\t0.01\t100\t0.8\t1\nk2\tlog\t0.01\t100\t0.6\t1\nk_after\tlin\t0\t10\t2\t1\ns\tlog10\t0.01\t10\t0.2\t1\n"
+        "scale\tlin\t0\t10\t3\t0\n",
+        "conditions.tsv": "conditionId\tk1\nbefore\tk1\nafter\tk_after\n",
+        "observables.tsv": "observableId\tobservableFormula\tnoiseFormula\tobservableTransformation\t"
+        "noiseDistribution\n"
+        "b\tobservableParameter1_b * B\tnoiseParameter1_b\tlog\tlaplace\na\tA + 0.1\t0.1 + s * A\tlin\tnormal\n",
+        "measurements.tsv": "observableId\tpreequilibrationConditionId\tsimulationConditionId\tmeasurement\ttime\t"
+        "observableParameters\tnoiseParameters\n"
+        "b\tbefore\tafter\t1.5\t0\tscale\ts\nb\tbefore\tafter\t2.0\t1\tscale\ts\na\tbefore\tafter\t0.4\t1\t\t\n"
+        "a\tbefore\tafter\t0.3\tinf\t\t\na\t\tbefore\t0.8\t0.5\t\t\n",
+        **changes,
+    }
+    for name, one in files.items():
+        (folder / name).write_text(one)
+    return folder / "problem.yaml"
+
+
+def test_a_problem_with_its_solution(tmp_path):
+    """The exact solution of A ⇌ B, with pre-equilibration, a time of infinity, and both kinds of noise."""
+    problem = petab.load(written(tmp_path))
+    assert problem.names == ["k1", "k2", "k_after", "s"]
+    np.testing.assert_allclose(problem.nominal, [math.log10(0.8), math.log(0.6), 2, math.log10(0.2)])
+
+    def b(k, t, start):
+        rest = k / (k + 0.6)
+        return rest + (start - rest) * math.exp(-(k + 0.6) * t)
+
+    rest = 0.8 / 1.4
+    expected = [3 * rest, 3 * b(2, 1, rest), 1.1 - b(2, 1, rest), 1.1 - 2 / 2.6, 1.1 - b(0.8, 0.5, 0)]
+    simulated, sigma = problem.simulate()
+    np.testing.assert_allclose(simulated, expected, rtol=1e-6)
+    np.testing.assert_allclose(sigma, [0.2, 0.2, *(0.1 + 0.2 * (one - 0.1) for one in expected[2:])], rtol=1e-6)
+    data = np.array([1.5, 2.0, 0.4, 0.3, 0.8])
+    laplace = -np.log(2 * sigma[:2]) - np.abs(np.log(data[:2] / simulated[:2])) / sigma[:2] - np.log(data[:2])
+    normal = -0.5 * np.log(2 * np.pi * sigma[2:] ** 2) - 0.5 * ((data[2:] - simulated[2:]) / sigma[2:]) ** 2
+    assert problem.log_likelihood() == pytest.approx(laplace.sum() + normal.sum(), rel=1e-6)
+
+
+def test_gradient_and_information(tmp_path):
+    problem = petab.load(written(tmp_path), rtol=1e-10, atol=1e-13)
+    objective, x = problem.objective(), problem.nominal + 0.05
+    found = objective(x)
+    np.testing.assert_allclose(found.gradient, differences(objective, x), rtol=1e-5)
+    assert found.fisher.shape == (4, 4)
+    assert (np.linalg.eigvalsh(found.fisher) > 0).all()
+    assert objective(x, gradient=False).gradient is None
+
+
+def test_priors_are_apart(tmp_path):
+    rows = (
+        "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\tobjectivePriorType\t"
+        "objectivePriorParameters\n"
+        "k1\tlog10\t0.01\t100\t0.8\t1\tparameterScaleNormal\t0;0.5\nk2\tlog\t0.01\t100\t0.6\t1\tlogNormal\t-1;2\n"
+        "k_after\tlin\t0\t10\t2\t1\tlaplace\t1;2\ns\tlog10\t0.01\t10\t0.2\t1\t\t\nscale\tlin\t0\t10\t3\t0\t\t\n"
+    )
+    plain = petab.load(written(tmp_path)).log_likelihood()
+    problem = petab.load(written(tmp_path, **{"parameters.tsv": rows}))
+    objective = problem.objective()
+    found = objective(problem.nominal)
+    assert found.log_likelihood == pytest.approx(plain)
+    x = math.log10(0.8)
+    normal = -0.5 * math.log(2 * math.pi * 0.25) - x * x / 0.5
+    z = math.log(0.6)
+    lognormal = -0.5 * math.log(2 * math.pi * 4) - (z + 1) ** 2 / 8 - z
+    assert found.log_prior == pytest.approx(normal + lognormal - math.log(4) - 0.5)
+    h = 1e-6
+    steps = [(objective(problem.nominal + h * e).log_prior - objective(problem.nominal - h * e).log_prior) / (2 * h)
+             for e in np.eye(4)]  # fmt: skip
+    np.testing.assert_allclose(found.log_prior_gradient, steps, rtol=1e-6, atol=1e-9)
+
+
+def test_failed_runs_are_minus_infinity(tmp_path):
+    """B' = B², which ends at t = 1."""
+    text = model(
+        "", parameter("x", 1, "false") + parameter("k1", 1) + parameter("k2", 1),
+        '<rateRule variable="x"><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>k1</ci><ci>x</ci>'
+        "<ci>x</ci></apply></math></rateRule>",
+    )  # fmt: skip
+    observables = "observableId\tobservableFormula\tnoiseFormula\nb\tx\t1\n"
+    measurements = "observableId\tsimulationConditionId\tmeasurement\ttime\nb\tbefore\t1\t2\n"
+    changes = {"model.xml": text, "observables.tsv": observables, "measurements.tsv": measurements}
+    problem = petab.load(written(tmp_path, **changes))
+    found = problem.objective()(problem.nominal)
+    assert found.log_likelihood == -np.inf
+    assert np.isnan(found.gradient).all()
+
+
+def test_check_compares_with_simulated_data(tmp_path):
+    path = written(tmp_path)
+    problem = petab.load(path)
+    lines = (tmp_path / "measurements.tsv").read_text().splitlines()
+    simulated, _ = problem.simulate()
+    rows = [lines[0].replace("measurement", "simulation")]
+    for line, value in zip(lines[1:], simulated, strict=True):
+        cells = line.split("\t")
+        rows.append("\t".join([*cells[:3], repr(float(value) * (1 + 1e-5)), *cells[4:]]))
+    (tmp_path / "simulatedData.tsv").write_text("\n".join(rows) + "\n")
+    assert 1e-6 < problem.check()["difference"] < 1.1e-5
+
+
+def test_the_search_finds_the_optimum_from_many_starts(tmp_path):
+    written(tmp_path)
+    table = (tmp_path / "observables.tsv").read_text().replace("laplace", "normal")
+    problem = petab.load(written(tmp_path, **{"observables.tsv": table}))
+    fit = problem.fit(starts=4, seed=1)
+    gradient = problem.objective()(fit.x).gradient
+    inside = (fit.x > problem.lower) & (fit.x < problem.upper)
+    assert fit.log_likelihood >= problem.log_likelihood()
+    assert np.abs(gradient[inside]).max(initial=0) < 1e-2
+    assert fit.parameters.keys() == {"k1", "k2", "k_after", "s"}
+    assert len(fit.all) == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"problem.yaml": "format_version: 2.0.0\nproblems: []\n"}, "version 2"),
+        ({"conditions.tsv": "conditionId\tk1\nbefore\tk1\nafter\tkk\n"}, "no parameter"),
+        ({"observables.tsv": "observableId\tobservableFormula\tnoiseFormula\na\tA\t1\n"}, "no observable"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, changes, message):
+    with pytest.raises(ValueError, match=message):
+        petab.load(written(tmp_path, **changes)).log_likelihood()
+
+
+def test_other_searches_get_what_they_need(tmp_path):
+    """Value and gradient for SciPy's minimize."""
+    from scipy.optimize import minimize
+
+    problem = petab.load(written(tmp_path))
+    objective = problem.objective()
+    bounds = [*zip(objective.lower, objective.upper, strict=True)]
+    bounds[2] = (0.0, 10.0)
+
+    def both(x):
+        found = objective(x)
+        return -found.log_likelihood, -found.gradient
+
+    found = minimize(both, problem.nominal, jac=True, method="L-BFGS-B", bounds=bounds)
+    assert -found.fun > problem.log_likelihood()
