@@ -44,8 +44,8 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
     return (
         f"The solution does not satisfy the equations: {name} is {residuals[i, k]:.3g} at t = {sol.t[k]:.6g}, and "
         f"errors of {change:.0e} in its arguments explain {allowed[i, k]:.3g}. The structure of the equations may "
-        "change along the solution, as where an expression that was constant near the start no longer is: start the analysis "
-        "elsewhere, or rewrite them."
+        "change along the solution, as where an expression that was constant near the start no longer is: start the "
+        "analysis elsewhere, or rewrite them."
     )
 
 
