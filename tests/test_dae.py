@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from daes import (
+from dae_problems import (
     GRAVITY,
     PROBLEMS,
     chain,
@@ -101,7 +101,10 @@ def test_a_derivative_that_vanishes_near_the_start_is_not_absent():
     def feedback(t, y, yp):
         return [yp[0] + (y[0] if y[0] > 0.5 else 2 * y[1]), y[1] - y[0] ** 2]
 
-    for F, end in ((valve, 2.0), (branch, 5.0)):
+    def steps(t, y, yp):
+        return [yp[0] - 10, y[1] - np.floor(y[0] / 3)]
+
+    for F, end in ((valve, 2.0), (branch, 5.0), (steps, 3.0)):
         sol = iv.solve_dae(F, (0, 1), [0, 0], method="dop853", rtol=1e-6, atol=1e-8)
         assert sol.success
         assert sol.y[1, -1] == pytest.approx(end, abs=1e-12)

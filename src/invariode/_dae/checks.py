@@ -11,10 +11,13 @@ from .reduction import Reduction
 from .solution import Unknowns
 from .start import Point, conditions
 
-#: A residual above this part of its terms is no roundoff, even if leading derivatives have lost half of the digits.
-_VIOLATED = 1e-7
-#: A residual below this part of the largest terms along the solution is roundoff: of values that pass through 0.
-_ROUNDOFF = 1e-12
+#: Residuals are compared with changes of F where its arguments change by this part, times random numbers: even if
+#: leading derivatives have lost half of the digits, they are smaller.
+_CHANGE, _SEED, _TIMES = 1e-7, 5, 4
+#: Algebraic equations are solved to the tolerance only, by iterations that leave some of it: in units of rtol.
+_TOLERANCES = 100.0
+#: Arguments below this part of their largest value along the solution change as one of that size.
+_SMALL = 1e-5
 #: A block of J that is this much closer to singular than at the start has become singular.
 _SINGULAR = 1e-5
 
@@ -23,22 +26,44 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
     """Return which of the given equations an output violates, with all derivatives of the reduced problem; or ''."""
     if not len(sol.t):
         return ""
-    found = unknowns.check(sol.t, sol.y, p)
-    residuals, sizes = np.split(found, 2)
-    allowed = _VIOLATED if not reduction.algebraic else max(_VIOLATED, float(np.max(sol._rtol)))
+    change = _CHANGE if not reduction.algebraic else max(_CHANGE, _TOLERANCES * float(np.max(sol._rtol)))
+    arguments = unknowns.arguments(sol.t, sol.y, p)
+    amounts = change * _sizes(arguments, unknowns, reduction)
+    residuals = unknowns.equations(sol.t, arguments, p)
+    allowed = np.zeros_like(residuals)
+    rng = np.random.default_rng(_SEED)
+    for _ in range(_TIMES):
+        moved = arguments + amounts * rng.standard_normal(amounts.shape)
+        allowed = np.fmax(allowed, np.abs(unknowns.equations(sol.t, moved, p) - residuals))
     with np.errstate(invalid="ignore"):
-        largest = np.nanmax(sizes, axis=1, keepdims=True)
-        off = np.abs(residuals) > allowed * sizes + _ROUNDOFF * largest
-    off &= np.isfinite(residuals)
+        off = np.abs(residuals) > allowed + np.finfo(float).tiny
     if not off.any():
         return ""
-    i, k = divmod(int(np.argmax(np.where(off, np.abs(residuals) / np.maximum(sizes, 1e-300), 0))), off.shape[1])
+    i, k = divmod(int(np.argmax(np.where(off, np.abs(residuals) / np.maximum(allowed, 1e-300), 0))), off.shape[1])
     name = reduction.structure.names[i]
     return (
-        f"The solution does not satisfy the equations: {name} is {residuals[i, k]:.3g} at t = {sol.t[k]:.6g}, and its "
-        f"terms {sizes[i, k]:.3g}. The structure of the equations may change along the solution, as where an "
-        "expression that was constant near the start no longer is: start the analysis elsewhere, or rewrite them."
+        f"The solution does not satisfy the equations: {name} is {residuals[i, k]:.3g} at t = {sol.t[k]:.6g}, and "
+        f"errors of {change:.0e} in its arguments explain {allowed[i, k]:.3g}. The structure of the equations may "
+        "change along the solution, as where an expression that was constant near the start no longer is: start the "
+        "analysis elsewhere, or rewrite them."
     )
+
+
+def _sizes(arguments: Array, unknowns: Unknowns, reduction: Reduction) -> Array:
+    """The sizes of the arguments of F. The x_j^(d_j) of a block solve one linear system: errors of each are relative to
+    the largest of them."""
+    sizes = np.abs(arguments)
+    _, d, _ = reduction.arrangement.offsets
+    places: dict[int, list[int]] = {}
+    for k, (order, j) in enumerate(unknowns.variables):
+        if order >= d[j]:
+            places.setdefault(j, []).append(k)
+    for block in reduction.arrangement.blocks:
+        leading = [k for j in block.columns for k in places.get(j, ())]
+        if leading:
+            sizes[leading] = sizes[leading].max(axis=0)
+    found: Array = np.maximum(sizes, _SMALL * np.nanmax(sizes, axis=1, keepdims=True, initial=0))
+    return found
 
 
 def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:

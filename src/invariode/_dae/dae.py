@@ -86,7 +86,6 @@ class Start:
     y: Array
     yp: Array
     moved: dict[str, float]
-    _x: Array = dataclasses.field(repr=False)
 
 
 class UntracedError(TypeError):
@@ -340,35 +339,28 @@ class Dae:
         >>> start.y.round(3)
         array([ 0.6  , -0.8  ,  7.848])
         """
-        return self._start(self._reduced("algebraic"), fixed, y, yp, t)
-
-    def _start(
-        self,
-        reduced: tuple[Reduction, Starts],
-        fixed: Iterable[str | int] = (),
-        y: ArrayLike | None = None,
-        yp: ArrayLike | None = None,
-        t: float | None = None,
-    ) -> Start:
-        n = len(self.y0)
-        values = self.y0 if y is None else _real_state("y", y, n)
-        slopes = self.yp0 if yp is None else _real_state("yp", yp, n)
+        reduction, starts = self._reduced("algebraic")
         at = self.t0 if t is None else number("t", t)
-        reduction, starts = reduced
-        guess, known = self._guess(values, slopes)
-        held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
-        x = starts.nearest(Point(at, guess), known, held)
+        values = self.y0 if y is None else _real_state("y", y, len(self.y0))
+        slopes = self.yp0 if yp is None else _real_state("yp", yp, len(self.y0))
+        x = self._start(starts, at, fixed, values, slopes)
         states, times = np.array([[x[one]] for one in reduction.states]).reshape(-1, 1), np.array([at])
         unknowns = self._functions(reduction).unknowns
-        new = {order: of(times, states, self._p)[:, 0] for order, of in ((0, unknowns.y), (1, unknowns.yp))}
+        new = [of(times, states, self._p)[:, 0] for of in (unknowns.y, unknowns.yp)]
         moved = {}
-        for order, old in ((0, values), (1, slopes)):
+        for order, old in enumerate((values, slopes)):
             if old is None:
                 continue
             for name, after, before in zip(self.names, new[order].tolist(), old.tolist(), strict=True):
                 if abs(after - before) > _MOVED * max(1.0, abs(after)):
                     moved[primed(name, order)] = after - before
-        return Start(at, new[0], new[1], moved, x)
+        return Start(at, new[0], new[1], moved)
+
+    def _start(self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None) -> Array:
+        """The consistent x_j^(l), l <= d_j, nearest to y and yp."""
+        guess, known = self._guess(y, yp)
+        held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
+        return starts.nearest(Point(t, guess), known, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
         """The order and the number of an unknown that is named with primes, or given by its index."""
@@ -427,19 +419,19 @@ class Dae:
         span = interval(t_span)
         choice("nonlinear", nonlinear, ("raise", "algebraic"))
         reduction, starts = self._reduced(nonlinear)
-        start = self._start((reduction, starts), fixed, t=span[0])
-        self._tell_move(start)
-        return self._problem(reduction, start, span)
+        x = self._start(starts, span[0], fixed, self.y0, self.yp0)
+        self._tell_move(x)
+        return self._problem(reduction, x, span)
 
     def _problem(
         self,
         reduction: Reduction,
-        start: Start,
+        x: Array,
         span: tuple[float, float],
         atol: Array | None = None,
         **describing: Any,
     ) -> Problem:
-        y0, structure = np.array([start._x[one] for one in reduction.states]), reduction.structure
+        y0, structure = np.array([x[one] for one in reduction.states]), reduction.structure
         labels = [primed(structure.unknowns[j], order) for order, j in reduction.states]
         if not len(y0):  # all unknowns follow from t: the time itself is the state
             y0, labels = np.array([span[0]]), ["t"]
@@ -456,21 +448,21 @@ class Dae:
             **describing,
         )
 
-    def _tell_move(self, start: Start) -> None:
+    def _tell_move(self, x: Array) -> None:
         """Warns where given initial values were changed that the equations leave to the user."""
         _, d, _ = self._structure.arrangement.offsets
         if not self.freedom:  # all values are determined: those given are guesses
             return
         large = []
-        for u, (j, order, _) in enumerate(self._of):
-            for more, old in ((0, self.y0), (1, self.yp0)):
-                name = primed(self.names[u], more)
-                change = start.moved.get(name)
-                if change is None or old is None or order + more >= d[j] or (more and not old[u]):
+        for more, given in ((0, self.y0), (1, self.yp0)):
+            for name, (j, order, sign), old in zip(
+                self.names, self._of, [] if given is None else given.tolist(), strict=given is not None
+            ):
+                if order + more >= d[j] or (more and not old):
                     continue
-                new = (start.y if more == 0 else start.yp)[u]
-                if abs(change) > _LARGE_MOVE * max(1.0, abs(new)):
-                    large.append(f"{name} from {old[u]:.6g} to {new:.6g}")
+                new = sign * x[order + more, j]
+                if abs(new - old) > _LARGE_MOVE * max(1.0, abs(new)):
+                    large.append(f"{primed(name, more)} from {old:.6g} to {new:.6g}")
         if large:
             rest = f", and {len(large) - 6} more" if len(large) > 6 else ""
             warn(f"initial values were moved onto the constraints: {', '.join(large[:6])}{rest}")
@@ -547,8 +539,8 @@ class Dae:
         reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
         if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
             method = "radau"
-        start = self._start((reduction, starts), fixed, t=span[0])
-        self._tell_move(start)
+        x = self._start(starts, span[0], fixed, self.y0, self.yp0)
+        self._tell_move(x)
         unknowns = self._functions(reduction).unknowns
         through = Through(unknowns, partial(self._after_action, reduction, starts), self._p)
         on_failure = options.pop("on_failure", None)
@@ -561,7 +553,7 @@ class Dae:
         describing: dict[str, Any] = {"sensitivities": sensitivities}
         if events is not None:
             describing["events"] = [through.event(one) for one in listed]
-        problem = self._problem(reduction, start, span, atol, **describing)
+        problem = self._problem(reduction, x, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
 
     def _after_action(

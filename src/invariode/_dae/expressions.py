@@ -136,6 +136,8 @@ class TimeDerivatives:
 
 def row_of(node: Node, variables: Sequence[int]) -> dict[int, Node]:
     """Return the derivatives of a node with respect to y(i) for these i, without those that are 0."""
+    if not variables:
+        return {}
     graph = node.graph
     row = jacobian([node], [graph.y(i) for i in variables])[0]
     places = sorted(row)

@@ -18,7 +18,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._functions.graph.derivatives import tangent
 from .._functions.graph.nodes import Node
-from .expressions import Sums, leaves, primed, row_of, substituted
+from .expressions import leaves, primed, row_of, substituted
 from .linear_systems import solution
 from .offsets import Offsets
 from .structure import Arrangement, Structure
@@ -207,23 +207,6 @@ class Reduction:
             right = [graph.negative(one) for one in substituted(tangent(residuals, flow), {})]
             flow |= {graph.y(k): x for k, x in zip(columns, solution(graph, matrix, right), strict=True)}
         return flow
-
-    def in_states(self, nodes: Sequence[Node]) -> list[Node]:
-        """Return expressions of x_j^(l) in terms of t and the states."""
-        places = sorted(leaves(nodes))
-        found = self.of([divmod(place, self.n) for place in places])
-        return substituted(nodes, {self.graph.y(place): one for place, one in zip(places, found, strict=True)})
-
-    def sizes(self, nodes: Sequence[Node]) -> list[Node]:
-        """Return Σ |terms| of each of these sums in terms of t and the states: what residuals are compared with."""
-        sums, graph, found = Sums(), self.graph, []
-        for one in nodes:
-            total = graph.node(0.0)
-            terms = sums.terms([(1.0, one)])
-            for node, (_, size) in zip(self.in_states([*terms]), terms.values(), strict=True):
-                total = total + graph.make("abs", node) * size
-            found.append(total)
-        return found
 
     def mass(self) -> Array | None:
         """Return the singular mass matrix of the algebraic equations, as its diagonal; None: there are none."""

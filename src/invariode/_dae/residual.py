@@ -321,4 +321,5 @@ def _presented(
     on_failure = on_failure or before
     present = partial(_presented, form, unknowns, on_failure)
     found = in_unknowns(sol, unknowns, np.zeros(0), form.names, form, present)
-    return concluded(found.changed(nfev=form.calls), on_failure)
+    found["nfev"] = form.calls
+    return concluded(found, on_failure)

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers, warn
 from .._functions.compiled import as_python
-from .._functions.graph.derivatives import jacobian
 from .._functions.graph.derived import Derived
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
@@ -25,7 +24,7 @@ from .._problem.options import ExtensionOptions
 from .._results.result import Names
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
-from .expressions import leaves
+from .expressions import leaves, substituted
 from .reduction import Given, Reduction
 
 #: Operations of Python's code, at all points together, beyond which machine code is made instead.
@@ -91,7 +90,9 @@ class Values:
 
 
 class Unknowns:
-    """The unknowns of F as functions of t and the state of the reduced problem.
+    """The unknowns of F as functions of t and the state of the reduced problem; the equations, for checks.
+
+    `equations` are functions of `arguments`, the x_j^(l) in `variables`, which are functions of the state.
 
     Parameters
     ----------
@@ -110,7 +111,12 @@ class Unknowns:
 
         self.y = Values("unknowns", lambda: user(0))
         self.yp = Values("rates", lambda: user(1))
-        self.check = Values("residuals", lambda: _residuals_and_sizes(reduction, equations))
+        places = sorted(leaves(equations))
+        self.variables = [divmod(place, reduction.n) for place in places]
+        self.arguments = Values("arguments", lambda: reduction.of(self.variables))
+        graph = reduction.graph
+        renumbered = {graph.y(place): graph.y(k) for k, place in enumerate(places)}
+        self.equations = Values("residuals", lambda: substituted(equations, renumbered))
         self.sensitive: dict[tuple[int | None, ...], Values] = {}
         self.count = len(reduction.states) or 1
 
@@ -124,32 +130,6 @@ class Unknowns:
         behind = np.swapaxes(S, 0, 1).reshape(-1, len(t))
         found = self.sensitive[places](t, np.concatenate([states, behind]), p)
         return np.swapaxes(found.reshape(k, -1, len(t)), 0, 1)
-
-
-def _residuals_and_sizes(reduction: Reduction, equations: Sequence[Node]) -> list[Node]:
-    """The equations as they were given, then Σ |terms| + Σ |∂f/∂x x| of each, to which roundoff is relative.
-
-    The x_j^(d_j) of a block solve one linear system: their errors are relative to the largest of them.
-    """
-    graph, n = reduction.graph, reduction.n
-    (_, d, _), blocks = reduction.arrangement.offsets, reduction.arrangement.blocks
-    places = sorted(leaves(equations))
-    values = dict(zip(places, reduction.in_states([graph.y(place) for place in places]), strict=True))
-    sizes = {place: graph.make("abs", value) for place, value in values.items()}
-    for block in blocks:
-        leading = [place for j in block.columns for place in places if place % n == j and place // n >= d[j]]
-        largest = graph.node(0.0)
-        for place in leading:
-            largest = graph.make("maximum", largest, sizes[place])
-        sizes.update(dict.fromkeys(leading, largest))
-    rows = jacobian(equations, [graph.y(place) for place in places])
-    slopes = iter(reduction.in_states([row[k] for row in rows for k in sorted(row)]))
-    totals = []
-    for row, total in zip(rows, reduction.sizes(equations), strict=True):
-        for k in sorted(row):
-            total = total + graph.make("abs", next(slopes)) * sizes[places[k]]
-        totals.append(total)
-    return [*reduction.in_states(equations), *totals]
 
 
 class DenseUnknowns:
@@ -265,6 +245,24 @@ class DaeSolution(Solution):
     """
 
     @property
+    def yp(self) -> Array:
+        """y' at the outputs, (n, n_t), computed when it is first needed."""
+        found: Array = self["yp"]
+        return found
+
+    def __missing__(self, key: str) -> Any:
+        rates = self.__dict__.pop("_rates", None) if key == "yp" else None
+        if rates is None:
+            raise KeyError(key)
+        self["yp"] = found = rates()
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        if "_rates" in self.__dict__:
+            self["yp"]  # which a copy cannot compute
+        return super().__getstate__()
+
+    @property
     def reduced(self) -> Solution:
         """The solution of the reduced problem, in its states."""
         if self._origin is None:
@@ -326,12 +324,11 @@ def in_unknowns(
         "_drift": sol._drift,
         "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
         "_sensitivities": _sensitivities(sol, unknowns, p),
+        "_rates": lambda: unknowns.yp(sol.t, states, p),
         "_origin": _Origin(sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p)),
     }
     dense = None if sol.sol is None else DenseUnknowns(sol.sol, unknowns, p)
-    made = DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
-    made["yp"] = unknowns.yp(sol.t, states, p)
-    return made
+    return DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
 
 
 def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | None:

@@ -158,7 +158,7 @@ class Structure:
         self._made_of: list[dict[tuple[int, int], float | None]] = [{(i, 0): 1.0} for i in range(self.n)]
         self.equations = [self._without_cancelled(one) for one in equations]
         self.sigma = np.full((self.n, self.n), ABSENT)
-        self._rows: list[dict[int, Node]] = [{} for _ in range(self.n)]  # ∂f_i/∂x_j^(σ_ij) by j
+        self._slopes: list[dict[int, Node | None]] = [{} for _ in range(self.n)]  # ∂f_i/∂x_j^(σ_ij) by j; None: 0
         for i in range(self.n):
             self._sign(i, {})
         while True:  # the value of the transversal decreases with each repair
@@ -177,26 +177,25 @@ class Structure:
         return combined if leaves([combined]) != leaves([equation]) else equation
 
     def _sign(self, i: int, predicted: dict[int, int]) -> None:
-        """Row i of the signature, without unknowns whose derivative is the number 0, as in 0 y'; and without the
-        x_j^(l) that are `predicted` {j: l} to cancel, if their derivative is roundoff at all generic points."""
+        """Row i of the signature, of the equation after exact identities, such as 0 y' = 0; and without the x_j^(l)
+        that are `predicted` {j: l} to cancel, if their derivative is roundoff at all generic points."""
         n = self.n
+        self.equations[i] = substituted(self.equations[i : i + 1], {})[0]
         while True:
             order: dict[int, int] = {}
             for place in sorted(leaves(self.equations[i : i + 1])):
                 order[place % n] = place // n
-            row = row_of(self.equations[i], [order[j] * n + j for j in order])
-            slopes = {place % n: slope for place, slope in row.items()}
-            gone = [j for j in order if j not in slopes]
-            doubtful = [j for j in slopes if j in predicted and order[j] >= predicted[j]]
-            gone += [j for j in doubtful if self._vanishes(slopes[j])]
+            doubtful = [order[j] * n + j for j in order if j in predicted and order[j] >= predicted[j]]
+            slopes = row_of(self.equations[i], doubtful)
+            gone = [place for place in doubtful if place not in slopes or self._vanishes(slopes[place])]
             if not gone:
                 break
-            zeros = {self.graph.y(order[j] * n + j): self.graph.node(0.0) for j in gone}
+            zeros = {self.graph.y(place): self.graph.node(0.0) for place in gone}
             self.equations[i] = substituted(self.equations[i : i + 1], zeros)[0]
         self.sigma[i] = ABSENT
         for j, highest in order.items():
             self.sigma[i, j] = highest
-        self._rows[i] = slopes
+        self._slopes[i] = {}
 
     def _vanishes(self, node: Node) -> bool:
         levels = 1 + max(leaves([node]), default=0) // self.n
@@ -215,7 +214,13 @@ class Structure:
     def arranged(self, found: Offsets) -> Arrangement:
         """Return J and its blocks for these offsets."""
         c, d, match = found
-        J = {(i, j): x for i, row in enumerate(self._rows) for j, x in row.items() if d[j] - c[i] == self.sigma[i, j]}
+        J: dict[tuple[int, int], Node] = {}
+        for i, known in enumerate(self._slopes):
+            tight = np.flatnonzero(self.sigma[i] == d - c[i]).tolist()
+            missing = [int(self.sigma[i, j]) * self.n + j for j in tight if j not in known]
+            row = row_of(self.equations[i], missing)
+            known.update({place % self.n: row.get(place) for place in missing})
+            J |= {(i, j): slope for j in tight if (slope := known[j]) is not None}
         return Arrangement(found, J, blocks(match, [*J]))
 
     def _is_regular(self, block: Block) -> bool:
@@ -352,7 +357,7 @@ class Structure:
 
     def _structurally_singular(self) -> str:
         """The message for equations that have no transversal."""
-        empty = [i for i in range(self.n) if not self._rows[i]]
+        empty = np.flatnonzero((self.sigma == ABSENT).all(axis=1)).tolist()
         if empty:
             return self._dependent(empty)
         found = surplus(self.sigma > ABSENT)
