@@ -157,9 +157,9 @@ class Variations:
     Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 + k, n): y, then dy/dp_j.
     """
 
-    def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], landings: object | None = None, error_test: bool = True) -> None:
+    def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], landings: object | None = None, error_test: bool = True, quadratures: bool = False) -> None:
         """
-        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. landings: such a function for all landings, or None. error_test=False: S has no part in the error test.
+        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. landings: such a function for all landings, or None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of (t, y) alone, and M the identity for S.
         """
 
     @property
@@ -171,7 +171,7 @@ class Variations:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
         """
         landings: single times in increasing order, and the first times and periods of progressions. conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
         """

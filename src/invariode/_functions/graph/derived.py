@@ -18,7 +18,7 @@ from .python import Formula, Pattern
 #: How these functions were compiled.
 DERIVED = "derived"
 #: ∂/∂y is formed by products with unit vectors if it has more terms than the first number, and more than the second
-#: times the nodes of the function: its code would take long to compile (0.1 ms a term, benchmarks/dae_table.py). Unless
+#: times the nodes of the function: its code would take long to compile. Unless
 #: all products take longer than the third times the operations that they replace.
 _MOST_TERMS, _MANY_TIMES, _LONGER = 10_000, 4, 16
 

@@ -127,7 +127,7 @@ class System(NamedTuple):
 
 
 #: Systems of at least this many unknowns are sparse if at most this part of their entries can differ from zero:
-#: elimination with row pivots costs more than sparse factors from there on (measured in benchmarks/dae_table.py).
+#: elimination with row pivots costs more than sparse factors from there on.
 _SPARSE_SYSTEM, _SPARSE_PART = 24, 0.25
 
 
