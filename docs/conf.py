@@ -34,7 +34,8 @@ extensions = [
     "tables",
 ]
 html_math_renderer = "mathml"
-exclude_patterns = ["**.ipynb", "howto/sbml-conformance.md", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
+exclude_patterns = ["**.ipynb", "howto/sbml-conformance.md", "gallery/*.py", "gallery/*.zip", "gallery/*.json"]
+exclude_patterns += ["_templates"]
 templates_path = ["_templates"]
 default_role = "py:obj"
 nitpicky = True
