@@ -12,8 +12,8 @@ import scipy.integrate
 import invariode as iv
 from cases import FAMILIES, IMPLICIT, METHODS, SERIES, dealt, explicit_and_implicit, families
 from invariode import _core
-from invariode._run.adjoint_jumps import at_bounds
-from invariode._run.plan import make_plan, solver
+from invariode._adjoint.jumps import at_bounds
+from invariode._plan.plan import make_plan, solver
 from invariode._run.run import solve
 from test_sensitivities_complex import condensate, in_reals, inside, precession, turned, untraced_precession
 

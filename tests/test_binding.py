@@ -12,9 +12,9 @@ import pytest
 
 from cases import FAMILIES, METHODS, dealt, families
 from invariode import Event, _core, compile, solve_ivp
+from invariode._plan.plan import make_plan
+from invariode._plan.plan import solver as planned_solver
 from invariode._problem.description import Description
-from invariode._run.plan import make_plan
-from invariode._run.plan import solver as planned_solver
 
 n, m = 2, 1
 NOTHING = np.zeros(0)
@@ -157,7 +157,7 @@ def test_settings_are_what_they_were_set_to() -> None:
 
 
 def test_a_plan_hands_over_every_setting_in_its_place() -> None:
-    from invariode._run.plan import Settings
+    from invariode._plan.plan import Settings
 
     assert Settings._fields == _core.Settings.FIELDS
     with pytest.raises(ValueError, match="not one value for each"):

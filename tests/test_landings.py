@@ -16,7 +16,7 @@ import invariode as iv
 from cases import FAMILIES, SERIES, dealt, families, families_and_series, hidden
 from invariode._functions.graph.plain import may_switch, plain_graph
 from invariode._functions.layout import Parameters, arguments_of
-from invariode._run.landings import schedule_of
+from invariode._sensitivity.landings import schedule_of
 
 SPLINE = CubicSpline([0.0, 2.0, 5.0, 9.0, 12.0], [0.0, 1.0, -1.0, 0.5, 0.0])
 #: Functions of t on (0, 12), and where they, or their derivatives, jump.

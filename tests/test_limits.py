@@ -109,7 +109,7 @@ def test_the_limit_of_points_counts_what_is_kept(method):
 @explicit_and_implicit
 def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
     """The bounds made small: as many points, or as much memory."""
-    from invariode._run import plan
+    from invariode._plan import plan
 
     monkeypatch.setattr(plan, "_MOST_POINTS", 40)
     assert kepler(method).status == -3
@@ -170,7 +170,7 @@ def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, nativ
 
 def test_a_memory_of_a_stiff_run_is_bounded():
     """van der Pol with mu = 1000 and explicit methods: the default bounds what they keep to less than a gigabyte."""
-    from invariode._run import plan
+    from invariode._plan import plan
 
     per_step = 8 * (1 + 2 + 5)  # t, y, the record of the step
     assert plan._MOST_POINTS * per_step < 1e9

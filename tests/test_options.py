@@ -15,10 +15,10 @@ import pytest
 
 import invariode as iv
 import invariode.scipy as plugin
+from invariode._plan import plan
 from invariode._problem import options
 from invariode._problem.methods import METHODS
 from invariode._problem.options import TABLE
-from invariode._run import plan
 
 #: The way in, and what its signature has beside the rows of the table.
 ENTRIES = {

@@ -228,7 +228,7 @@ def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_
 def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
     path = tmp_path / "sim"
     half = problem().solve(checkpoint=path, max_steps=4)
-    monkeypatch.setattr("invariode._run.checkpoint._SESSION", "another one")
+    monkeypatch.setattr("invariode._files.checkpoint._SESSION", "another one")
     iv.load(path, problem()).extend(3, max_steps=None)
     monkeypatch.undo()
     with pytest.raises(ValueError, match=r"another process has continued .*, to t = 3\.0: load it again"):

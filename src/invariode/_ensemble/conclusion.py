@@ -8,10 +8,10 @@ from .. import _core
 from .._base.arguments import Array, warn
 from .._base.failures import FailureWarning, SolveError
 from .._base.types import OnFailure
+from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import accumulating_in, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
-from .._run.plan import Plan
 from .outcomes import Outcomes, counts_by_name
 from .solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .store import EnsembleStore

@@ -13,9 +13,9 @@ import numpy as np
 
 from .._base.arguments import Array, positive_integer, quietly
 from .._base.progress import bar
+from .._files.identity import in_words
+from .._plan.plan import Plan, solver
 from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table_of
-from .._run.identity import in_words
-from .._run.plan import Plan, solver
 from .conclusion import Remarks, solution
 from .executors import on_executor, packed, places_of, shares_memory
 from .outcomes import Outcomes, joined

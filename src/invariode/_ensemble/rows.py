@@ -15,12 +15,12 @@ from .._base.arguments import Array, quietly, state, warn
 from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
+from .._plan.call_errors import error_at_start
+from .._plan.plan import Plan, solver
+from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .._run.call_errors import error_at_start
-from .._run.plan import Plan, solver
-from .._run.second_order import fits_any_args
 from .outcomes import Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of

@@ -9,9 +9,9 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.types import MethodName, OnFailure
+from .._plan.plan import Plan, make_plan
 from .._problem.description import Description
 from .._problem.options import Options
-from .._run.plan import Plan, make_plan
 
 
 @dataclasses.dataclass

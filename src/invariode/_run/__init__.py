@@ -1,1 +1,1 @@
-"""A plan, and how it is carried out: the run itself, its checkpoints, what tells one run from another."""
+"""Runs: a plan that is carried out, once or for all problems of a kind."""

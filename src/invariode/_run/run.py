@@ -12,14 +12,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import _core
+from .._adjoint.adjoint import Forward, gradient
+from .._adjoint.sections import Sectioned, SectionedSolution
 from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
+from .._files.checkpoint import RunFiles
+from .._files.identity import Identity, identity_of_run
 from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, Jump, as_columns
+from .._plan.call_errors import error_at_start, explain
+from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
+from .._plan.plan import Plan, make_plan, ordered_breakpoints, say_established, solver
+from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description, Posed
 from .._problem.invariants import AccuracyWarning
@@ -46,21 +54,13 @@ from .._results.result import (
 )
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
-from .adjoint import Forward, gradient
+from .._sensitivity.landings import schedule_of
 from .agreement import compare
-from .call_errors import error_at_start, explain
-from .checkpoint import RunFiles
-from .events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
-from .landings import schedule_of
-from .plan import Plan, make_plan, ordered_breakpoints, say_established, solver
-from .second_order import require_no_velocities
-from .sections import Sectioned, SectionedSolution
 from .template import Template, plan_or_template
 
 if TYPE_CHECKING:
-    from .variations import Variations
+    from .._sensitivity.variations import Variations
 
 
 #: Where f may jump it is evaluated so many ulp from there.

@@ -17,10 +17,10 @@ from .. import _core
 from .._base.arguments import reals, warnings_given
 from .._base.types import MethodName
 from .._laws.bound import bind
+from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 from .._problem.description import Description, Posed
 from .._problem.options import Options
-from .landings import switches_in_time
-from .plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
+from .._sensitivity.landings import switches_in_time
 
 #: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
 #: step.

@@ -16,6 +16,8 @@ from .._base.files import PathLike, damage_of, unreadable
 from .._base.formats import read, under
 from .._base.public import version
 from .._core import MEMORY_VERSION, Dense
+from .._files.checkpoint import CHECKPOINT, read_checkpoint
+from .._files.identity import Identity, known_identity, options_of, require_same
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.description import Description
 from .._problem.grouped import Checkpoint
@@ -26,8 +28,6 @@ from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Ste
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
-from .._run.checkpoint import CHECKPOINT, read_checkpoint
-from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
 
 
@@ -284,8 +284,8 @@ def _tangents(path: PathLike, solution: Solution, problem: Description | None, b
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
             "load(path, problem)"
         )
-    from .._run.actions import Weights
-    from .._run.variations import make_variations
+    from .._sensitivity.actions import Weights
+    from .._sensitivity.variations import make_variations
 
     rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
     weights = Weights(rtol, threshold)

@@ -16,13 +16,13 @@ from .._base.public import public
 from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native
+from .._plan.call_errors import explain
+from .._plan.plan import Plan, make_plan
+from .._plan.walk import Walk
 from .._problem.description import Description
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
 from .._problem.options import MethodOptions, Options, StepSizeOptions, unknown_option
-from .._run.call_errors import explain
-from .._run.plan import Plan, make_plan
-from .._run.walk import Walk
 
 __all__ = ["complex_ode", "ode"]
 

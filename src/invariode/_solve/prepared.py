@@ -18,13 +18,13 @@ from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
 from .._functions.layout import Arguments, count_of
 from .._functions.second_order import SecondOrder
+from .._plan.plan import Plan, longest_step, make_plan, solver
+from .._plan.second_order import fits_any_args
 from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments, keep_arrays
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
-from .._run.plan import Plan, longest_step, make_plan, solver
 from .._run.run import Finished, Solved, concluded, presented, solve
-from .._run.second_order import fits_any_args
 
 Cover: TypeAlias = tuple[float, float, float]
 """t0, tf and the largest step."""

@@ -11,6 +11,8 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from .._base.arguments import ATOL, RTOL, Array, flag
 from .._base.types import LargestStep, MethodName, Numbers
+from .._plan.plan import make_plan
+from .._plan.walk import Walk
 from .._problem.accepted import stepper_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
@@ -25,8 +27,6 @@ from .._problem.options import (
     unused,
 )
 from .._results.result import DenseSolution
-from .._run.plan import make_plan
-from .._run.walk import Walk
 from .ivp import one_column
 
 _OPTIONS = table_of(StepperOptions)

@@ -14,7 +14,7 @@ from .._base.public import public
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Given, Point
 from .._problem.description import Description
-from .._run.variations import given_derivatives
+from .._sensitivity.variations import given_derivatives
 
 #: Tolerated discrepancies of entries, relative to the largest in their column: from exact derivatives, and from finite
 #: differences.

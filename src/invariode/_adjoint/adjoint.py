@@ -35,6 +35,8 @@ from .._base.types import MethodName
 from .._functions.compiled import is_native
 from .._functions.directional import Directional, Point
 from .._functions.layout import Parameters
+from .._plan.call_errors import takes
+from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
@@ -43,17 +45,15 @@ from .._problem.options import Options
 from .._problem.parameters import ParameterName, values_of
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
-from .actions import Rate, Weights
-from .adjoint_jumps import Jump, Jumps, Occurrence, at_bounds
-from .adjoint_laws import Laws
-from .algebraic import dense_mass
-from .call_errors import takes
-from .landings import Schedule, schedule_of
-from .mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
-from .pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
-from .plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
-from .variation_sizes import Sizes
-from .variations import Switching, followed, given_derivatives, require_possible
+from .._sensitivity.actions import Rate, Weights
+from .._sensitivity.algebraic import dense_mass
+from .._sensitivity.landings import Schedule, schedule_of
+from .._sensitivity.mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
+from .._sensitivity.pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
+from .._sensitivity.variation_sizes import Sizes
+from .._sensitivity.variations import Switching, followed, given_derivatives, require_possible
+from .jumps import Jump, Jumps, Occurrence, at_bounds
+from .laws import Laws
 
 #: The method of λ, where that of y takes some f only.
 _OF_ANY: MethodName = "dop853"

@@ -24,11 +24,11 @@ from .._problem.description import Description
 from .._problem.events import Event
 from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
-from .actions import Rate, is_at_root, restoration
-from .algebraic import Algebraic, dense_mass
-from .landings import LandingJump, Schedule, landing_jump
+from .._sensitivity.actions import Rate, is_at_root, restoration
+from .._sensitivity.algebraic import Algebraic, dense_mass
+from .._sensitivity.landings import LandingJump, Schedule, landing_jump
+from .._sensitivity.variations import Crossing, Switching, given_derivatives
 from .sections import SectionedSolution
-from .variations import Crossing, Switching, given_derivatives
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derivatives = Callable[..., Directional]

@@ -15,8 +15,8 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import LARGEST_COUNT, Array, quietly
+from .._plan.plan import Plan, solver
 from .._results.result import DenseSolution, Result
-from .plan import Plan, solver
 
 #: So many sections are in memory at a time: a step backwards may begin in one and end in the next.
 _IN_MEMORY = 2

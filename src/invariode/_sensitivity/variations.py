@@ -224,11 +224,9 @@ def make_variations(
     assert wanted is not None
     t0, args, n = problem.t_span[0], problem.args, len(y0)
     about = _Derivatives(args, names, n, Point(t0, y0))
-    fun, given = given_derivatives(problem, names)
-    slope = about.of(fun, "fun", m=n, given=given)
+    slope, rate = about.of_fun(problem)
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
         require_analytic(slope, about.at, of_start[0])
-    rate = Rate(problem, lambda: about.of(fun, "fun", m=n, given=given, moves_t=True))
     mass = about.of_mass(problem, rate)
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
     jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
@@ -294,6 +292,12 @@ class _Derivatives:
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
         """Those of a function."""
         return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
+
+    def of_fun(self, problem: Description) -> tuple[Directional, Rate]:
+        """Those of f along directions of y and the parameters, and its rate along the solution."""
+        fun, given = given_derivatives(problem, self._names)
+        slope = self.of(fun, "fun", m=self._n, given=given)
+        return slope, Rate(problem, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
 
     def _note(self, made: Directional) -> Directional:
         self.how[made.called] = made.how

@@ -21,8 +21,8 @@ from .._problem.bounds import Bounds
 from .._problem.description import Description
 from .._problem.events import Event, EventSpec, RootOf
 from .._problem.methods import Method
-from .landings import with_inputs
-from .variations import Variations
+from .._sensitivity.landings import with_inputs
+from .._sensitivity.variations import Variations
 
 if TYPE_CHECKING:
     from .._functions.graph.machine import MachineCode

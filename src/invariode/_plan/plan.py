@@ -60,14 +60,14 @@ from .._results.messages import (
     sticking,
 )
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED, DiscontinuityWarning, Names, StiffnessWarning
-from .landings import Schedule, schedule_of
+from .._sensitivity.landings import Schedule, schedule_of
 from .second_order import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
-    from .expansion import Expansion, System
-    from .variations import Variations
+    from .._sensitivity.variations import Variations
+    from .._taylor.expansion import Expansion, System
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -346,7 +346,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
     renew(_called(problem, [], options["linear_solver"]))
     by_series = chosen.equations == "graph"
     if by_series:
-        from .expansion import on_graph
+        from .._taylor.expansion import on_graph
 
         problem = on_graph(problem, chosen)
     _require_fitting(problem, chosen)
@@ -418,8 +418,8 @@ def _require_fitting(problem: Description, method: Method) -> None:
 
 def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Breakpoint]) -> Plan:
     """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
-    from .actions import Weights
-    from .variations import make_variations
+    from .._sensitivity.actions import Weights
+    from .._sensitivity.variations import make_variations
 
     weights = Weights(plan.tolerances.rtol, plan.tolerances.threshold)
     varied = make_variations(problem, plan.y0, weights, plan.bound.specs, breakpoints, plan.schedule)
@@ -434,7 +434,7 @@ def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Brea
 
 def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
     """The plan with the series of the solution, and of the events along it."""
-    from .expansion import make_expansion, order_of
+    from .._taylor.expansion import make_expansion, order_of
 
     order = partial(order_of, plan.method, plan.tolerances.rtol, plan.settings.max_order or None)
     expansion = make_expansion(problem, system, order, plan.functions.events, plan.varied)
@@ -639,7 +639,7 @@ def _functions(
 
 def _system(problem: Description, parameters: Array, schedule: Schedule | None) -> System:
     """f as a graph, which is imported when it is used."""
-    from .expansion import system_of
+    from .._taylor.expansion import system_of
 
     return system_of(problem, parameters, () if schedule is None else schedule.landings.left_out)
 

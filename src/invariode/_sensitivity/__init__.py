@@ -1,0 +1,1 @@
+"""Sensitivities: what is integrated beside y, and what happens to it where y or f jumps."""

@@ -1,0 +1,1 @@
+"""Taylor series of a solution, and of events and conditions along it."""
