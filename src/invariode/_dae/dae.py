@@ -533,9 +533,7 @@ class Dae:
             See `solve_dae`.
         """
         span = interval(t_span)
-        listed = to_events(events)
-        acts = any(getattr(one, "action", None) is not None for one in listed)  # which singular mass matrices exclude
-        takes_mass = find_method(method)[0].mass == "any" and not acts
+        takes_mass = find_method(method)[0].mass == "any"
         reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
         if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
             method = "radau"
@@ -552,7 +550,7 @@ class Dae:
         atol = self._atol(reduction, options)
         describing: dict[str, Any] = {"sensitivities": sensitivities}
         if events is not None:
-            describing["events"] = [through.event(one) for one in listed]
+            describing["events"] = [through.event(one) for one in to_events(events)]
         problem = self._problem(reduction, x, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
 

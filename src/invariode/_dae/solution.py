@@ -322,6 +322,7 @@ def in_unknowns(
         "_rtol": sol._rtol,
         "_atol": sol._atol if np.ndim(sol._atol) == 0 else float(np.min(sol._atol)),
         "_drift": sol._drift,
+        "_y_end": unknowns.y(np.array([sol.t_end]), sol.y_end[:, None], p)[:, 0],
         "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
         "_sensitivities": _sensitivities(sol, unknowns, p),
         "_rates": lambda: unknowns.yp(sol.t, states, p),
@@ -336,7 +337,7 @@ def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | 
     if known is None:
         return None
     problem = sol._origin.source.problem
-    places = tuple(_place(one, problem.args) for one in problem.parameters())
+    places = tuple(_place(one, problem.args) for one in problem.parameter_names())
     values = unknowns.sensitivities(sol.t, sol.y, known.values, p, places)
     end = unknowns.sensitivities(np.array([sol.t_end]), sol._origin.y[:, None], known.end[:, :, None], p, places)
     return SensitivityData(known.names, values, end[:, :, 0], None)

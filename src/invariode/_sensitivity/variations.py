@@ -222,8 +222,7 @@ def make_variations(
         y0, sizes = y0.view(float), np.repeat(sizes, 2)
     wanted = problem.sensitivities
     assert wanted is not None
-    t0, args, n = problem.t_span[0], problem.args, len(y0)
-    about = _Derivatives(args, names, n, Point(t0, y0))
+    about = _Derivatives(args := problem.args, names, n := len(y0), Point(t0 := problem.t_span[0], y0))
     slope, rate = about.of_fun(problem)
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
         require_analytic(slope, about.at, of_start[0])
@@ -232,14 +231,13 @@ def make_variations(
     jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
     log: list[tuple[float, str]] = []
     switches = followed(slope, about.of, problem, log)
-    parameters = Parameters.of(args)
-    schedule = schedule or schedule_of(problem, parameters, slope.outputs or ())
+    schedule = schedule or schedule_of(problem, Parameters.of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
-    whole = np.vstack([y0, start])
-    tangents = [form(law.for_core(t0, whole), complex_values=False) for law in about.of_laws(problem, specs)]
-    slope_for_core = slope.for_core(t0, whole)
+    at_start = (t0, np.vstack([y0, start]))
+    tangents = [form(law.for_core(*at_start), complex_values=False) for law in about.of_laws(problem, specs)]
+    slope_for_core = slope.for_core(*at_start)
     for_core = _core.Variations(
         k=len(names),
         slope=form(slope_for_core if mass is None else WithMass(slope, mass)),
@@ -261,7 +259,7 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
-        switches=[_condition(one, n, parameters, form) for one in switches],
+        switches=[_condition(one, n, Parameters.of(args), form) for one in switches],
         log=log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
