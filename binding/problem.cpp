@@ -397,18 +397,18 @@ void define_variations(nb::module_& module) {
                                       std::move(invariants),
                                       std::move(jumps),
                                       std::move(breakpoints),
-                                       std::move(landings),
-                                       error_test,
-                                       quadratures};
-           },
-           nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
-           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
-           nb::arg("error_test") = true, nb::arg("quadratures") = false,
-           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
-           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-           "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
-           "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
-           "(t, y) alone, and M the identity for S.")
+                                      std::move(landings),
+                                      error_test,
+                                      quadratures};
+          },
+          nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
+          nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
+          nb::arg("error_test") = true, nb::arg("quadratures") = false,
+          "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
+          "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
+          "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
+          "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
+          "(t, y) alone, and M the identity for S.")
       .def_ro("k", &VariationsSpec::k)
       .def_ro("error_test", &VariationsSpec::error_test);
 }
@@ -421,10 +421,9 @@ void define_description(nb::module_& module) {
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
              std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, LandingsSpec landings,
-             nb::object callback,
-             std::vector<InvariantSpec> invariants, const OptionalVector& value, const OptionalVector& lower,
-             const OptionalVector& upper, std::optional<VariationsSpec> variations, std::optional<SeriesSpec> series,
-             std::optional<SeriesSpec> conditions, std::size_t condition_count) {
+             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value,
+             const OptionalVector& lower, const OptionalVector& upper, std::optional<VariationsSpec> variations,
+             std::optional<SeriesSpec> series, std::optional<SeriesSpec> conditions, std::size_t condition_count) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -447,12 +446,12 @@ void define_description(nb::module_& module) {
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-           nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
-           nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
-           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
-           nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
-           "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
-           "condition_count values along a polynomial, of which one changes its sign where f changes its "
+          nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
+          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
+          nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
+          nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
+          "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
+          "condition_count values along a polynomial, of which one changes its sign where f changes its "
           "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(

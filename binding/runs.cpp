@@ -185,8 +185,8 @@ class Remarks {
     told_.sticking = told_.sticking || jumps.sticks_since();
     try {
       in_python([&] {
-        function_(stiff ? std::optional(stiffness.since) : std::nullopt,
-                  jumped ? jumps.found() : std::vector<double>(), jumped ? jumps.sticks_since() : std::nullopt);
+        function_(stiff ? std::optional(stiffness.since) : std::nullopt, jumped ? jumps.found() : std::vector<double>(),
+                  jumped ? jumps.sticks_since() : std::nullopt);
       });
     } catch (nb::python_error& error) {
       error.restore();

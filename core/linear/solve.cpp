@@ -107,12 +107,14 @@ PatternFactors& factors_of(std::int64_t k, std::int64_t entries, const std::int6
 void solve_sparse_in_place(std::int64_t k, std::int64_t m, std::int64_t entries, const std::int64_t* places,
                            double* numbers) noexcept {
   double* const B = numbers + entries;
-  bool solved = false;
-  try {
-    solved = factors_of(k, entries, places).solve(m, numbers, B);
-  } catch (const std::bad_alloc&) {
-  }
-  if (!solved) std::fill(B, B + k * m, std::numeric_limits<double>::quiet_NaN());
+  const auto solved = [&] {
+    try {
+      return factors_of(k, entries, places).solve(m, numbers, B);
+    } catch (const std::bad_alloc&) {
+      return false;
+    }
+  };
+  if (!solved()) std::fill(B, B + k * m, std::numeric_limits<double>::quiet_NaN());
 }
 
 }  // namespace invariode

@@ -72,13 +72,14 @@ Real reciprocal_of_quotient(const Real& quotient, double rtol) {
 template <class Look>
 Status look_beside_start(double t, double h, double rtol, double& reciprocal, Look look) {
   const double longest = std::abs(h);
-  for (double delta = std::max(nearest_look * longest, nearest_spacings * ulp(t)); delta <= farthest_look * longest;
-       delta *= growth_of_look) {
+  double delta = std::max(nearest_look * longest, nearest_spacings * ulp(t));
+  while (delta <= farthest_look * longest) {
     double quotient = 0;
     if (look((t + std::copysign(delta, h)) - t, quotient) == Status::stop) return Status::stop;
     if (!std::isfinite(quotient)) break;
     reciprocal = std::max(reciprocal, reciprocal_of_quotient(quotient, rtol));
-    if (1 <= growth_of_look * delta * reciprocal) break;
+    delta *= growth_of_look;
+    if (1 <= delta * reciprocal) break;
   }
   return Status::ok;
 }
