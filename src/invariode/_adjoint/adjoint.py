@@ -258,7 +258,7 @@ class _Adjoint:
 
     @cached_property
     def _schedule(self) -> Schedule | None:
-        """Where f changes its branch as a function of t alone."""
+        """Times at which f changes its branch as a function of t alone."""
         with quietly():  # the run has warned
             found = schedule_of(self._run.problem, Parameters.of(self._run.problem.args))
             return found or schedule_of(self._problem, Parameters.of(self._problem.args), self._slope.outputs or ())
@@ -336,7 +336,7 @@ class _Adjoint:
         return np.asarray(np.asarray(self._sol._atol, dtype=float) / self._sol._rtol)
 
     def _weights(self, y: Array) -> Array:
-        """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
+        """Return the weights of the error test at y (n,); for a component that is 0, with atol = 0, the largest."""
         w = np.maximum(np.abs(y), self._threshold)
         return np.where(w == 0, w.max() or 1.0, w)
 
@@ -379,7 +379,7 @@ class _Adjoint:
         ]
 
     def _moving(self, begin: float, end: float) -> Array:
-        """Which components move between these times: 1, or 0 of those that rest at a bound."""
+        """Return a mask (n,) of the components that move between two times: 1, or 0 for those at rest at a bound."""
         found = np.ones(self.n)
         low, high = sorted((begin, end))
         for one in self._rests:
@@ -413,7 +413,7 @@ class _Adjoint:
 
     @cached_property
     def _times_of_values(self) -> set[float]:
-        """When laws got new values."""
+        """Times at which invariants got new values."""
         return {jump.t for jump in self._sol._invariants.jumps}
 
     @cached_property
@@ -616,7 +616,7 @@ def _summed(piece: _Piece, costs: dict[float, Array]) -> dict[float, Array]:
 
 
 def _require_integrand(g: Any, run: Forward) -> None:
-    """It can be called, and returns a real number at both ends of the run."""
+    """Raise an error unless the integrand can be called and returns a real number at both ends of the run."""
     problem = run.problem
     function("integrand", g, "g(t, y, *args)")
     if is_native(g):
@@ -644,7 +644,7 @@ def _functional(
     integrand: Any,
     k: int,
 ) -> CostFunctional:
-    """As it is given, with shapes checked."""
+    """Return the cost functional that the user specified, with shapes checked."""
     sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
         raise ValueError("gradient needs dG_dy, the derivative of a scalar with respect to y, or an integrand g(t, y)")

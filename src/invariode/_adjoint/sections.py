@@ -68,7 +68,7 @@ class _Section(NamedTuple):
     last: int  # accepted steps of the run at its end
 
     def solved(self) -> _core.Dense:
-        """Its continuous solution."""
+        """Return the continuous solution of the section."""
         plan = self.plan._replace(settings=self.plan.settings._replace(max_steps=self.steps))
         with quietly():  # the run has warned
             run = solver(plan).resume(self.memory, False)
@@ -155,7 +155,7 @@ class SectionedSolution:
 
 
 def _sections(run: Sectioned) -> Iterator[_Section]:
-    """From the last to the first."""
+    """Iterate over the sections from the last to the first."""
     last = run.steps
     for begin, t, memory in reversed(run.begins):
         yield _Section(run.plan, t, memory, last - begin, last)

@@ -49,7 +49,7 @@ class Field(NamedTuple):
 
     @property
     def dimensions(self) -> list[str]:
-        """Their names."""
+        """Names of the field's dimensions."""
         return (self.shape or "").split()
 
     def fits(self, value: Any, sizes: dict[str, Any]) -> bool:
@@ -81,7 +81,7 @@ class Field(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What a file of a kind holds."""
+    """Kind of file: its name and the fields that it holds."""
 
     name: str
     fields: dict[str, Field]
@@ -129,7 +129,7 @@ def _hints(table: type) -> dict[str, Any]:
 
 
 def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
-    """Whether a value is of a type, which may be nested."""
+    """Return whether a value is of a type, which may be nested."""
     outer, inner = get_origin(hint), get_args(hint)
     if outer is Annotated:  # a list of the length of a dimension, or a number that is it
         if not _fits(value, inner[0], sizes):
@@ -154,12 +154,12 @@ def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
 
 
 def header(kind: str) -> dict[str, Any]:
-    """What stands first in every file and store."""
+    """Return the header that every file and store begins with."""
     return {"format": _FORMAT + kind, "version": VERSION, "invariode": version()}
 
 
 def _word(value: Any) -> str:
-    """What stands in a header, which may be anything."""
+    """Return a header's value as text for a message; the value may be anything."""
     return value if isinstance(value, str) and len(value) < 40 else shown(value)
 
 
@@ -192,7 +192,7 @@ def write(path: PathLike, kind: Kind, fields: Mapping[str, Any], durable: bool =
 
 
 def packed(kind: Kind, fields: Mapping[str, Any]) -> memoryview:
-    """The same as bytes."""
+    """Return the file of a kind with these fields as bytes."""
     whole = io.BytesIO()
     np.savez(whole, **_members(kind, fields))
     return whole.getbuffer()
@@ -211,7 +211,7 @@ def read(path: PathLike, *kinds: Kind) -> tuple[Kind, dict[str, Any]]:
 
 
 def unpacked(data: bytes, path: PathLike, kind: Kind) -> dict[str, Any]:
-    """The same of bytes in a file."""
+    """Return the fields of a file of a kind, given as bytes; `path` is for messages."""
     return _checked(path, arrays_in(io.BytesIO(data), len(data), path), kind)[1]
 
 

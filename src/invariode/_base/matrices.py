@@ -11,7 +11,7 @@ from .arguments import Array, as_array, shown
 
 
 def is_sparse(given: Any) -> bool:
-    """Whether it is one of SciPy's sparse matrices."""
+    """Return whether an object is one of SciPy's sparse matrices."""
     return hasattr(given, "tocsr")
 
 

@@ -110,7 +110,7 @@ def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, floa
 
 
 def _notebook() -> ModuleType | None:
-    """How this process shows HTML in a notebook's cell, or None outside a notebook."""
+    """Return the module that shows HTML in a notebook's cell, or None outside a notebook."""
     ipython = sys.modules.get("IPython")  # code that runs in a notebook has imported it
     if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
         return None

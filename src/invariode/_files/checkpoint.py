@@ -191,7 +191,7 @@ class RunFiles:
 
 
 def _writer() -> str:
-    """This process, told from others of its number."""
+    """Return a name of this process that distinguishes it from others of its number."""
     return f"{os.getpid()} on {platform.node()} {_SESSION}"
 
 
@@ -203,7 +203,7 @@ def _head_of(token: str) -> bytes:
 
 
 def _carries(path: Path, token: str) -> bool:
-    """Whether a file of that name is ours: it begins with the token, as far as a killed process came."""
+    """Return whether a file is the writer's own: it begins with the token, as far as a killed process got."""
     if path.is_symlink() or not path.is_file():
         return False
     whole = _head_of(token)
@@ -212,7 +212,7 @@ def _carries(path: Path, token: str) -> bool:
 
 
 def _about(path: Path) -> dict[str, Any] | None:
-    """What the state file says, or None without one. A ValueError, if something else is there."""
+    """Return the contents of the state file, or None without one; raise a ValueError if it is a different file."""
     try:
         return read_values(path, CHECKPOINT)
     except FileNotFoundError:
@@ -293,7 +293,8 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
 
 
 def _drop_repeated(whole: dict[str, Any]) -> None:
-    """Of outputs at one requested time keeps the last, which a continued run has put out behind a jump there."""
+    """Drop repeated outputs at one requested time except the last, which a resumed run has written after a jump
+    there."""
     repeated = np.flatnonzero(np.diff(whole["t"]) == 0)
     for name in {"t", "y", "S"} & whole.keys():
         whole[name] = np.delete(whole[name], repeated, axis=OUTPUT[name].dimensions.index("t"))

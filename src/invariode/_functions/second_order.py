@@ -80,5 +80,5 @@ class SecondOrder(CoreFunction):
 
 
 def states_second_order(fun: Any) -> bool:
-    """Whether this f is known not to depend on velocities."""
+    """Return whether f is known not to depend on velocities."""
     return isinstance(fun, SecondOrder) or (isinstance(fun, CompiledFunction) and isinstance(fun.fun, FirstOrderForm))

@@ -69,8 +69,8 @@ class Walk:
         return self._inside
 
     def _watch(self) -> None:
-        """One warning each, if projection does harm, if stability limits the steps, and if f jumps. Nobody says that a
-        run ends before its bound, so this is checked in steps 64, 128, 256, … too."""
+        """Warn once each if projection degrades the accuracy, if stability limits the steps, and if f is discontinuous.
+        A run may end before its bound without notice, so this is checked in steps 64, 128, 256, … too."""
         self._steps += 1
         if self.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
             return

@@ -155,7 +155,7 @@ class _Known:
 
     @cached_property
     def _by_name(self) -> dict[str, ParameterName]:
-        """All numbers in `args`, by both of their names; the first of a name."""
+        """Map of both names of all numbers in `args` to their parameters; the first one of a name counts."""
         found: dict[str, ParameterName] = {}
         for index, argument in enumerate(self._names):
             for one in self.of_argument(index):
@@ -221,7 +221,7 @@ class _Known:
         return found
 
     def _component(self, name: str) -> int:
-        """That of ``y0[label]``."""
+        """Return the index of the component in ``y0[label]``."""
         inside = name[len(Y0) + 1 : -1] if name.startswith(f"{Y0}[") and name.endswith("]") else None
         if inside is not None and self._labels is not None and inside in self._labels:
             return list(self._labels).index(inside)
@@ -251,7 +251,7 @@ def _parameters_of(fun: Any) -> list[str]:
 
 
 def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
-    """As f calls them."""
+    """Return the names of the arguments as f calls them."""
     plain = [f"args[{i}]" for i in range(size)]
     compiled = isinstance(fun, CompiledFunction)
     python = fun.fun if compiled else fun

@@ -25,7 +25,7 @@ class Slope(NamedTuple):
         return fed(self.given, self.inputs)
 
     def for_core(self, y0: Array, parameters: Array) -> Any:
-        """The same as the core calls it, with the parameters that native functions of the problem have."""
+        """Return f as the core calls it, with the parameters that native functions of the problem have."""
         n = reals(y0)
         return to_native("fun", self.fun, n, n, parameters)
 
@@ -49,7 +49,7 @@ class Slope(NamedTuple):
 
 
 def checked_slope(given: Any, y: Array) -> Array:
-    """What f returned at y (n,), as numbers of its shape, which are real if y is.
+    """Return the values of f at y (n,) as numbers of that shape, which are real if y is.
 
     Raises
     ------

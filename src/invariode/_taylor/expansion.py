@@ -47,7 +47,7 @@ def order_of(method: Method, rtol: float, given: int | None, sums: float) -> int
         return given
 
     def cost(p: int) -> float:
-        """Of a length of t."""
+        """Return the estimated cost per unit of t at order p."""
         return (_STEP + _ORDER * p + _PRODUCT * sums * p * p / 2) / math.exp((math.log(rtol) - _MARGIN) / (p - 1))
 
     order = min(max(math.ceil(1 - math.log(rtol) / 2), method.min_order), method.order)
@@ -80,7 +80,7 @@ def on_graph(problem: Description, method: Method) -> Description:
 
 
 def _require_graph(problem: Description, method: Method) -> None:
-    """That f can be traced."""
+    """Raise an error unless f can be traced."""
     n = reals(problem.y0)
     needs = f"method={method.name!r} needs the expression graph of fun"
     if n == 0:
@@ -125,7 +125,8 @@ def _on_graph(event: Event, problem: Description) -> Event:
 
 
 def _graph_of_event(fun: Any, problem: Description) -> list[Node] | None:
-    """Its value, of (t, y) and the parameters of native functions."""
+    """Return the nodes of an event's value, a function of (t, y) and the parameters of native functions; None without a
+    graph."""
     if not isinstance(fun, OnGraph):
         return None
     shape = fun.known(Shape(len(problem.y0), 1, count_of(Parameters.of(problem.args)), event=True))
@@ -167,7 +168,7 @@ def system_of(problem: Description, parameters: Array, unknown: Iterable[Node] =
 
 
 class Expansion(NamedTuple):
-    """What the core expands.
+    """Taylor series that the core expands.
 
     Attributes
     ----------
@@ -199,7 +200,7 @@ class Expansion(NamedTuple):
     of_any_span: bool
 
     def for_core(self) -> dict[str, Any]:
-        """What the core's problem takes, besides its events."""
+        """Return the arguments of the core's problem that concern the series, without events."""
         return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
 
     def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
@@ -248,7 +249,7 @@ class _Maker:
         self._size, self._order, self._own = size, order, own
 
     def form(self, *, along: bool) -> SeriesForm:
-        """What the code takes and gives."""
+        """Return the form of the code: its arguments and its results."""
         from .._functions.graph.series_writer import SeriesForm
 
         return SeriesForm(self._size, self._order, along, own=self._own)

@@ -37,7 +37,7 @@ class OnGraph(CompiledFunction):
         self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
-        """Its values for such arguments; None: it has no graph, and numba compiles it."""
+        """Return the nodes of its values for arguments of this shape; None if it has no graph and numba compiles it."""
         raise NotImplementedError
 
     def known(self, shape: Shape) -> Shape:
@@ -83,7 +83,7 @@ class GraphFunction(OnGraph):
 
     @property
     def size(self) -> int:
-        """How many values it has."""
+        """Number of values of the function."""
         return len(self.fun.outputs)
 
     def made_again(self) -> tuple[Any, ...]:
@@ -135,7 +135,7 @@ class TracedFunction(OnGraph):
         return TracedFunction, (self.fun, self.inplace, self.elementary, self.by, self.is_complex)
 
     def of_complex(self) -> TracedFunction:
-        """The same function, of complex y, which is traced as pairs of real numbers."""
+        """Return the function of complex y, which is traced as pairs of real numbers."""
         if self.is_complex:
             return self
         if self._of_complex is None:
@@ -155,7 +155,7 @@ class TracedFunction(OnGraph):
         return super().at(t, *vectors, parameters=np.array(parameters))
 
     def _binds(self, given: Sequence[Any]) -> bool:
-        """Whether it can be called with these."""
+        """Return whether the function can be called with these arguments."""
         try:
             inspect.signature(self.fun).bind(*given)
         except (TypeError, ValueError):
@@ -300,7 +300,8 @@ class TracedFunction(OnGraph):
                 )
 
     def disagreement(self, t: float, y: Array, values: Array, parameters: Array) -> str | None:
-        """How values of its code differ from those of the Python function, if by more than roundoff."""
+        """Describe how the values of the code differ from those of the Python function; None if they agree to
+        roundoff."""
         try:
             with np.errstate(all="ignore"):
                 expected = self._called(t, y, parameters, len(values))
@@ -336,7 +337,7 @@ def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[
 
 
 def _in_one(count: int) -> Arguments:
-    """So many numbers in one array."""
+    """Return arguments that consist of one array of `count` numbers, or of nothing if it is 0."""
     return Arguments([Numbers(np.ones(count), varying=True)] if count else [])
 
 

@@ -50,7 +50,7 @@ _HALVINGS = 1100
 
 
 class Crossing(NamedTuple):
-    """What changes where a branch does.
+    """Condition of t at which a branch changes.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Source(NamedTuple):
         return len(self.times) + (len(self.first) * length / self.period if self.period else 0.0)
 
     def between(self, low: float, high: float) -> Array:
-        """Its changes from low to high."""
+        """Return the times from low to high at which this source changes."""
         single = self.times[(low <= self.times) & (self.times <= high)]
         if not len(self.first):
             return single
@@ -120,11 +120,12 @@ class Landings:
         return single.tolist(), [first for first, _ in progressions], [period for _, period in progressions]
 
     def between(self, low: float, high: float) -> Array:
-        """All of them from low to high."""
+        """Return the times from low to high at which any source changes."""
         return np.unique(np.concatenate([np.zeros(0), *(one.between(low, high) for one in self.sources)]))
 
     def apart(self, low: float, high: float, known: Array) -> Array:
-        """Those from low to high that a step leads to from the one before, and from the times that are known."""
+        """Return the times of change from low to high, without those that only roundoff separates from the one before
+        or from the `known` times."""
         found, last = [], -math.inf
         for t in self.between(low, high).tolist():
             near = _SAME * np.spacing(abs(t))
@@ -297,7 +298,7 @@ _LINEAR |= {"sign", "piece", "pick", "select", "less", "less_equal", "and", "or"
 
 
 class _Forms:
-    """Which functions of t are lines, or periodic."""
+    """Classifier of the functions of t that are lines, or periodic."""
 
     def __init__(self, values: _OverTime) -> None:
         self._values = values
@@ -312,7 +313,7 @@ class _Forms:
         return self._known[node]
 
     def is_straight(self, node: Node) -> bool:
-        """Whether it is a straight line between the changes of branches."""
+        """Return whether a function of t is a straight line between the changes of branches."""
         for one in in_order([node]):
             if one not in self._straight:
                 straight = one.op in _LINEAR or self._is_constant(one) or self._is_multiple(one)
@@ -394,11 +395,11 @@ def _common(periods: Iterable[float]) -> float | None:
 
 
 class _UnknownError(Exception):
-    """Why the changes of a condition are not known."""
+    """Reason why the changes of a condition are not known."""
 
 
 def landings(crossings: Sequence[Crossing], p: Array, t0: float, tf: float) -> Landings:
-    """When conditions of t change, for these values of the parameters, from t0 to tf.
+    """Find the times from t0 to tf at which conditions of t change, for these values of the parameters.
 
     Parameters
     ----------
@@ -443,7 +444,7 @@ class _Search:
     high: float
 
     def of(self, crossing: Crossing, inner: Sequence[Source]) -> Source:
-        """Those of one.
+        """Return the source of the changes of one crossing: single times, or progressions with a period.
 
         Raises
         ------
@@ -475,7 +476,7 @@ class _Search:
         return 0.0 if again is None else again.period
 
     def _of_line(self, crossing: Crossing, slope: float) -> Array:
-        """Where a straight line passes levels."""
+        """Return the times at which a straight line passes the levels."""
         start = self.low if math.isfinite(self.low) else self.high
         levels = np.unique(np.asarray(crossing.levels))
         value = float(self._values(crossing.moving, np.array([start]))[0])
@@ -555,7 +556,7 @@ class _Search:
         level = np.where(crossing.node.op == "ceil", upper - 1, level)
 
         def changed(t: Array) -> Array:
-            """Whether the state is that behind the change."""
+            """Return whether the state at t is the one after the change."""
             return np.equal(self._state(crossing, t) >= upper, rising)
 
         a, b = low.copy(), high.copy()

@@ -44,7 +44,7 @@ class MachineCode(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What the code takes and gives.
+    """Form of machine code: its arguments and its results.
 
     Attributes
     ----------
@@ -67,12 +67,12 @@ def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
 
 
 def is_kept(key: Any) -> bool:
-    """Whether `once` has made something with an equal key."""
+    """Return whether `once` has made code with an equal key."""
     return hashlib.sha256(repr(key).encode()).digest() in _kept
 
 
 def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
-    """What has been made with an equal key in this process, or is made now."""
+    """Return the machine code made with an equal key in this process, or make it now."""
     digest = hashlib.sha256(repr(key).encode()).digest()
     with _keeping:
         if digest in _kept:
@@ -87,7 +87,7 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
 
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
-    """What a writer writes into a module, compiled at a level of optimisation; 0: as it was written."""
+    """Compile the module that a writer writes, at a level of optimisation; 0: as it was written."""
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)
@@ -156,7 +156,7 @@ class Writer:
         raise NotImplementedError
 
     def _optimise(self, size: int) -> None:
-        """Not where that takes too long."""
+        """Switch optimisation off where it would take too long."""
         if size > _OPTIMISED:
             self._function.attributes.add("noinline")
             self._function.attributes.add("optnone")
@@ -222,7 +222,7 @@ class _Writer(Writer):
         return self._write_rolled(outputs) or self._write_straight(outputs)
 
     def _write_rolled(self, outputs: Sequence[Node]) -> bool:
-        """With loops, if it is large and has parts that repeat."""
+        """Write the code with loops if the graph is large and has parts that repeat; return whether that was done."""
         nodes = [*in_order(outputs)]
         large = len(nodes) + len(outputs) >= _ROLLED and not self._form.returns
         groups = rolled(outputs) if large else None

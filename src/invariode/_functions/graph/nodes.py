@@ -21,7 +21,7 @@ _MOST_FACTORS = 16
 
 
 class TraceError(TypeError):
-    """Why a function has no graph: it cannot be traced."""
+    """Error of a function that cannot be traced and so has no graph; the message gives the reason."""
 
 
 class Node:
@@ -55,11 +55,11 @@ class Node:
 
     @property
     def is_truth(self) -> bool:
-        """Whether its values are true and false."""
+        """True if the node's values are true and false."""
         return self.op in _TRUTHS
 
     def is_number(self, value: float) -> bool:
-        """Whether it is that number, with the same sign if it is 0."""
+        """Return whether the node is the number `value`, with the same sign if it is 0."""
         return self.op == "number" and self.value == value and math.copysign(1, self.value) == math.copysign(1, value)
 
     def __add__(self, other: Node | float) -> Node:
@@ -110,7 +110,7 @@ class System(NamedTuple):
 
     @property
     def entries(self) -> int:
-        """How many entries of A are arguments."""
+        """Number of entries of A among the arguments."""
         return len(self.places) or self.k * self.k
 
     def matrix(self, arguments: Sequence[Node]) -> list[dict[int, Node]]:
@@ -288,7 +288,7 @@ def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], 
 
 
 def in_order(nodes: Iterable[Node]) -> Iterator[Node]:
-    """What these nodes are computed of, and the nodes themselves: each once, after its arguments."""
+    """Iterate over these nodes and all nodes they are computed from: each once, after its arguments."""
     done: set[int] = set()
     waiting: list[tuple[Node, bool]] = [(node, False) for node in nodes][::-1]
     while waiting:

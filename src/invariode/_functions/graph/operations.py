@@ -56,7 +56,7 @@ class Operations:
         self._tables: dict[tuple[int, ...], Any] = {} if beside is None else beside._tables
 
     def of_width(self, lanes: int) -> Operations:
-        """The same on vectors of another length."""
+        """Return the operations on vectors of `lanes` numbers, in the same code."""
         return Operations(self.build, self._is_own, lanes, self)
 
     def finish(self) -> None:
@@ -79,7 +79,7 @@ class Operations:
         return self.build.load(self.build.gep(table, [INDEX(0), k], inbounds=True))
 
     def everywhere(self, number: Any) -> Any:
-        """In all lanes."""
+        """Return a vector with `number` in all lanes."""
         if self.lanes == 1:
             return number
         place = ir.IntType(32)
@@ -170,7 +170,7 @@ class Operations:
         return result
 
     def _looked_up(self, node: Node, x: Any) -> Any:
-        """In a table of numbers: how many are not above x, by bisection, or the one with the number x."""
+        """Look x up in a table of numbers: return how many are not above x, by bisection, or the number at index x."""
         build, numbers = self.build, [float(one) for one in node.value]
         if node.op == "pick":
             return self.entry_of(self.table(numbers), build.fptosi(x, INDEX))

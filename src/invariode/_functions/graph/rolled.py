@@ -47,7 +47,7 @@ class Group(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many operations its code has."""
+        """Number of operations in the group's code."""
         return len(self.nodes) * (1 if self.is_loop else len(self.places))
 
 

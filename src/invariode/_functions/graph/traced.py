@@ -278,7 +278,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
 
 
 def _scalar(node: Any) -> Any:
-    """One node as an array of shape ()."""
+    """Return one node as an array of shape ()."""
     cells = np.empty((), dtype=object)
     cells[()] = node
     return cells
@@ -304,7 +304,7 @@ def _plain_index(key: Any) -> Any:
 
 
 def is_complex(value: Any) -> bool:
-    """Whether there are complex numbers in it."""
+    """Return whether a value contains complex numbers."""
     if isinstance(value, (list, tuple)):
         return any(map(is_complex, value))
     if isinstance(value, (TracedArray, Node)):
@@ -313,7 +313,7 @@ def is_complex(value: Any) -> bool:
 
 
 def has_traced(value: Any) -> bool:
-    """Whether there are nodes in it."""
+    """Return whether a value contains nodes."""
     if isinstance(value, (TracedArray, Node, TracedArray.paired)):
         return True
     if isinstance(value, (list, tuple)):
