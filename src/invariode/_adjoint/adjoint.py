@@ -71,7 +71,7 @@ class CostFunctional(NamedTuple):
     Attributes
     ----------
     times : ndarray, (m,)
-        Where G takes the solution.
+        Times at which G depends on the solution.
     costs : ndarray, (n, m)
         Its derivatives with respect to the solution there.
     direct : ndarray, (k,)
@@ -92,11 +92,11 @@ class Forward(NamedTuple):
     Attributes
     ----------
     problem, method, options
-        What was solved.
+        The problem that was solved, and how.
     solve : callable
         (problem, method, options) -> solution.
     t : float
-        Where it ended.
+        Time at which the run ended.
     solution : Result
         With its continuous solution.
     """

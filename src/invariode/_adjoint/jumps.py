@@ -41,17 +41,17 @@ class Jump:
     Attributes
     ----------
     t : float
-        When.
+        Time of the jump.
     before, after : ndarray, (n,)
-        The state.
+        State before and after the jump.
     A, B : ndarray, (n, n) and (n, k)
         S⁺ = A S⁻ + B.
     time_of_state, time_of_parameters : ndarray, (n,) and (k,)
         ∂τ = time_of_state · S⁻ + time_of_parameters.
     reholds : bool
-        Whether invariants without a value are held at their values behind it.
+        Invariants without a prescribed value are fixed at their values after the jump.
     moves : bool
-        Whether y jumps.
+        y jumps.
     """
 
     t: float
@@ -98,7 +98,7 @@ class Occurrence(NamedTuple):
     Attributes
     ----------
     t : float
-        When.
+        Time of the jump.
     found : callable
         () -> the jump.
     """
@@ -113,13 +113,13 @@ class Action(NamedTuple):
     Attributes
     ----------
     t : float
-        When.
+        Time of the action.
     before : callable
         () -> the state, before all of that time.
     action : Directional
         The derivatives of the action.
     event : Directional or None
-        Those of the event, whose time moves; None: a breakpoint.
+        Derivatives of the event, whose time moves; None: a breakpoint.
     reholds : bool
         As in `Jump`.
     """
@@ -168,7 +168,7 @@ class Jumps:
     derivatives : callable
         Makes derivatives of its functions.
     conditions : list of Switching
-        Those of f that are followed; they are the last events of the solution.
+        Conditions of f that are followed; they are the last events of the solution.
     threshold : float or ndarray, (n,)
         atol / rtol of the run.
     """

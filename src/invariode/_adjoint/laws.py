@@ -32,7 +32,7 @@ class _Law:
     Attributes
     ----------
     about : Invariants
-        As it is given.
+        The invariant as the user defined it.
     law : Directional
         The derivatives of r.
     carried : ndarray, (m,)
@@ -66,7 +66,7 @@ class Laws:
     problem : Description
         The problem.
     k : int
-        How many parameters there are.
+        Number of parameters.
     derivatives : callable
         Makes derivatives of its functions.
     weights : callable

@@ -28,9 +28,9 @@ class Sectioned(NamedTuple):
     Attributes
     ----------
     plan : Plan
-        How its steps were made.
+        Plan by which the steps were made.
     begins : list of (int, float, bytes)
-        Of each section the accepted steps before it, its first t, and what the run remembered there.
+        For each section the accepted steps before it, its first t, and the internal state of the run there.
     steps : int
         The accepted steps of the whole run.
     """
@@ -93,11 +93,11 @@ class SectionedSolution:
     runs : sequence of Sectioned
         The run, and its extensions.
     sol : Result
-        What they came to.
+        Result of the run and its extensions.
     y : ndarray, (n,)
         The state at the end.
     imposed : bool
-        Whether the solution is projected onto its invariants.
+        The solution is projected onto its invariants.
     """
 
     def __init__(self, runs: Sequence[Sectioned], sol: Result, y: Array, *, imposed: bool) -> None:

@@ -29,15 +29,15 @@ def as_matrix(
     Parameters
     ----------
     name : str
-        What messages call it.
+        Name of the matrix in messages.
     given : array_like or sparse matrix
         The matrix. A single row or column may be given as a 1-d array, a single number as such.
     shape : tuple of int, optional
         The shape that it must have.
     is_complex : bool, default False
-        Whether its numbers may be complex.
+        The matrix may be complex.
     banded : bool, default False
-        Whether it is a matrix packed by its bands, for the message.
+        The matrix is packed by its bands, for the message.
     at : float, optional
         The time at which a function returned it, for the message.
 

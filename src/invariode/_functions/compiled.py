@@ -52,7 +52,7 @@ class Watch(Protocol):
     Attributes
     ----------
     objection : str or None
-        What speaks against the solution, in words.
+        Objection to the solution, in words; None: there is none.
     """
 
     objection: str | None
@@ -141,11 +141,11 @@ class CompiledFunction:
     fun : callable
         The Python function.
     inplace : bool
-        Whether it fills an output.
+        The function fills an output array.
     elementary : {"own", "libm"}
         Whose elementary functions it calls: numba the mathematical library's.
     how : str
-        How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
+        Way of compilation: "trace" or "numba", and why not the other; "numba" until it is compiled.
     """
 
     #: Whether its further arguments may be anything, not only numbers.

@@ -80,7 +80,7 @@ class Derivatives:
     Attributes
     ----------
     kind : {'traced', 'complex step', 'differences'}
-        How derivatives are formed.
+        Way in which derivatives are formed.
     """
 
     def __init__(
@@ -311,7 +311,7 @@ class OfNumbers:
     Parameters
     ----------
     called : str
-        What messages call it.
+        Name of the function in messages.
     function : callable
         The user's, of one or more numbers.
     """

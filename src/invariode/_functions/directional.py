@@ -97,16 +97,16 @@ class Directional:
     m : int, optional
         The number of its values, which a native function does not say.
     called : str
-        What messages call it.
+        Name of the function in messages.
     moves_t : bool, default False
-        Whether derivatives with respect to t are wanted too.
+        Derivatives with respect to t are needed too.
     event : bool, default False
-        Whether machine code has the signature of events.
+        Machine code has the signature of events.
 
     Attributes
     ----------
     how : {"traced", "given", "complex step", "differences"}
-        How derivatives are formed; "given and traced" and so on if only some were given.
+        Way in which derivatives are formed; "given and traced" and so on if only some were given.
     m, k : int
         The number of values and of parameters.
     args, names

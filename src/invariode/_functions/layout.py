@@ -30,11 +30,11 @@ class Numbers:
     shape : tuple of int
         Its shape.
     value : number or array
-        What it was.
+        The original value.
     rank : int
         From which of `TRUTHS`, `INTEGERS`, `ARRAYS`, `ALL` on it may be a constant.
     fixed : bool
-        Whether it is one. Otherwise functions of all values are the same.
+        The value is a constant of the code. Otherwise functions of all values are the same.
     """
 
     __slots__ = ("_key", "fixed", "rank", "shape", "value")

@@ -34,7 +34,7 @@ def krylov(
     Raises
     ------
     TypeError, ValueError
-        What cannot be used without a matrix; a mass matrix without a preconditioner.
+        An argument cannot be used without a matrix; there is a mass matrix without a preconditioner.
     """
     for name, value in (("jac_sparsity", given.jac_sparsity), ("the width of bands", given.bands)):
         if value is not None:

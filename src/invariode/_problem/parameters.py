@@ -42,7 +42,7 @@ class ParameterName:
     name : str
         Its name.
     kind : {"args", "y0"}
-        Whether it is in an argument or an initial value.
+        Place of the parameter: in an argument or in an initial value.
     index : int
         The argument or the component.
     item : int or None

@@ -172,7 +172,7 @@ class _Moment(NamedTuple):
     Attributes
     ----------
     t : float
-        When.
+        Time of the actions.
     start, f : ndarray, (1 + k, n) and (n,)
         Y and y' before all of them.
     times : ndarray, (k,)
@@ -182,7 +182,7 @@ class _Moment(NamedTuple):
     behind : ndarray, (1 + k, n)
         Y as the core has it then.
     fixed : bool
-        Whether the time is that of a breakpoint.
+        The time is that of a breakpoint.
     """
 
     t: float

@@ -40,7 +40,7 @@ class Schedule(NamedTuple):
     Attributes
     ----------
     landings : Landings
-        When they are.
+        Times of the landings, as functions of the numbers of the arguments.
     p : ndarray
         The numbers of the arguments, of which its graph is a function.
     """
@@ -63,9 +63,9 @@ def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] |
     problem : Description
         The problem.
     parameters : ndarray
-        Those that its native functions have.
+        Parameters of the problem's native functions.
     graph : sequence of Node, optional
-        That of its f, if it has been traced for its derivatives.
+        Graph of f, if f has been traced for its derivatives.
     """
     from .._functions.graph.landings import landings, timed
 

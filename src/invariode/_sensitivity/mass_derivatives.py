@@ -51,7 +51,7 @@ class MassDerivatives:
     Attributes
     ----------
     derivatives : Directional
-        Those of the mass matrix.
+        Derivatives of the mass matrix.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ class OfPairs:
     fun : callable
         The function.
     complex_values : bool
-        Whether its values are complex, and pairs of real numbers take their place.
+        The values are complex, and pairs of real numbers take their place.
     """
 
     def __init__(self, fun: Callable[..., Any], complex_values: bool) -> None:

@@ -24,9 +24,9 @@ class Sizes(NamedTuple):
     names : sequence of ParameterName
         The parameters.
     weights : Weights
-        Those of y.
+        Weights of y in the error test.
     places : list of int
-        Where the values of the parameters are: among the numbers of the arguments, or the initial values.
+        Positions of the parameters' values among the numbers of the arguments, or among the initial values.
     """
 
     wanted: Sensitivities

@@ -45,37 +45,37 @@ class Variations:
     Attributes
     ----------
     names : list of str
-        Those of the parameters.
+        Names of the parameters.
     start : ndarray, (k, n)
         S at the start.
     sizes : Sizes
-        What the tolerances of S follow from.
+        Sizes from which the tolerances of S follow.
     for_core : _core.Variations
-        What the core takes.
+        The sensitivities as the core takes them.
     slope : callable or machine code
         (t, Y) -> f_y S_j + f_pj, as the core calls it.
     tangents : list
         (t, Y) -> G S_j + g_pj of each invariant.
     how : dict
-        How the derivatives of each function are formed.
+        For each function, the way in which its derivatives are formed.
     times : list of EventTime
-        For each event.
+        Derivatives of the time of each event.
     actions : list
-        What happens to S at the action of each event, with its log.
+        Jump of S at the action of each event, with its log.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
     log : list of tuple
-        When conditions of f have changed, and which.
+        Times at which conditions of f have changed, and which conditions.
     near : float
-        Within which distance a discontinuity is that of a condition.
+        Largest distance in t between a discontinuity and the change of a condition that explains it.
     follows_jumps : bool
-        Whether the conditions of f are known.
+        The conditions of f are known.
     derivatives_of : list of Directional
-        Of all functions.
+        Derivatives of all functions.
     schedule : Schedule or None
-        Where f changes its branch as a function of t alone.
+        Times at which f changes its branch as a function of t alone.
     is_complex : bool
-        Whether the state is; `start` has pairs then.
+        The state is complex; `start` has pairs then.
     """
 
     names: list[str]
@@ -384,7 +384,7 @@ class Switching:
     Attributes
     ----------
     name : str
-        What messages call it.
+        Name of the condition in messages.
     function : callable
         e, for events.
     difference : Directional

@@ -70,7 +70,7 @@ def on_graph(problem: Description, method: Method) -> Description:
     ValueError
         There are no components.
     ModuleNotFoundError
-        What compiles graphs is not installed.
+        The compiler of graphs is not installed.
     """
     extra("llvmlite", f"method={method.name!r} needs", "compiled")
     events = [_on_graph(event, problem) for event in problem.events] if problem.records_events else None
@@ -141,9 +141,9 @@ class System(NamedTuple):
     outputs : list of Node
         Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
     conditions : list of Node
-        What changes its sign where it changes its branch, if that depends on y; none if there are too many.
+        Functions whose sign changes where f changes its branch, if that depends on y; none if there are too many.
     own : bool
-        Whether our elementary functions are called.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     outputs: list[Node]
@@ -173,21 +173,21 @@ class Expansion(NamedTuple):
     Attributes
     ----------
     series : _core.Series
-        Of the solution, and of its sensitivities.
+        Series of the solution, and of its sensitivities.
     conditions : _core.Series or None
-        Along the solution, of what changes its sign where f changes its branch: a step ends there.
+        Series along the solution of the functions whose sign changes where f changes its branch: a step ends there.
     condition_count : int
-        How many these are.
+        Number of the conditions.
     events : list of EventSpec
-        Those of the problem with their series.
+        Events of the problem with their series.
     problem : Description
         The problem, with f and its events on their graphs.
     outputs : list of Node
         y' of the solution, and of its sensitivities.
     form : SeriesForm
-        Of its series.
+        Form of the code of the series.
     of_any_span : bool
-        Whether it is the same on every interval: there are no bounds, which depend on the direction.
+        The expansion is the same on every interval: there are no bounds, which depend on the direction.
     """
 
     series: _core.Series

@@ -29,11 +29,11 @@ class Derived:
     Parameters
     ----------
     name : str
-        What the function is called.
+        Name of the function.
     outputs : sequence of Node
-        Its values.
+        Values of the function.
     n : int
-        The components of y.
+        Number of components of y.
     elementary : {"own", "libm"}
         As in `compile`.
 

@@ -111,7 +111,7 @@ class TracedFunction(OnGraph):
     fun, inplace, elementary
         As in `compile`.
     by : {"trace", "auto"}
-        Whether numba may compile what cannot be traced.
+        With "auto" numba may compile a function that cannot be traced.
     """
 
     _takes_any = True

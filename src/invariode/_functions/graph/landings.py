@@ -61,7 +61,7 @@ class Crossing(NamedTuple):
     state : Node
         Truth or number of the branch, which is constant between the changes.
     levels : tuple of float or None
-        What `moving` passes where the state rises from k to k + 1: 0 for a truth; the breaks of a table; None: k + 1.
+        Levels of `moving` at which the state rises from k to k + 1: 0 for a truth; breaks of a table; None: k + 1.
     inner : frozenset of Node
         The operations inside `moving` that have branches.
     """

@@ -49,11 +49,11 @@ class Form(NamedTuple):
     Attributes
     ----------
     returns : bool
-        Whether it returns its one value, as events do; otherwise it stores its values.
+        The code returns its one value, as events do; otherwise it stores its values.
     lanes : int
         So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     returns: bool = False
@@ -126,15 +126,15 @@ class Writer:
     Parameters
     ----------
     module : llvmlite.ir.Module
-        Where.
+        Module that the function is written to.
     own : bool
-        Whether our elementary functions are called.
+        invariode's elementary functions are called, not the mathematical library's.
     lanes : int
         Numbers in each value.
     arguments : mapping
         The names and types of its arguments.
     returned : type
-        What it returns.
+        Type of the returned value.
     """
 
     def __init__(self, module: Any, own: bool, lanes: int, arguments: Mapping[str, Any], returned: Any) -> None:

@@ -30,13 +30,13 @@ class Node:
     Attributes
     ----------
     graph : Graph
-        Where equal nodes are one.
+        Graph of the node, in which equal nodes are one object.
     op : str
         "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2",
         "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor", "ceil", "and", "or", "not", "select"; "solve",
         a linear system, and "entry", a number of its solution.
     arguments : tuple of Node
-        What it is computed of.
+        Nodes that it is computed from.
     value : float, int, tuple or None
         The number, the index in y or p or in the solution, the sizes of a linear system; see `System`.
     """

@@ -33,13 +33,13 @@ class Operations:
     Parameters
     ----------
     build : llvmlite.ir.IRBuilder
-        Where.
+        Builder, at the position where operations are written.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     lanes : int, default 1
         Numbers in each value.
     beside : Operations, optional
-        Those of the same module, with which our functions and tables are shared.
+        Operations of the same module, which share elementary functions and tables with these.
 
     Attributes
     ----------

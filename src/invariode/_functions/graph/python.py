@@ -66,7 +66,7 @@ class Formula:
     Parameters
     ----------
     name : str
-        What it is called.
+        Name of the function.
     outputs : function
         Makes its values, one after the other, when they are first needed.
     layout : tuple of int or Pattern

@@ -29,7 +29,7 @@ class Sum(NamedTuple):
     Attributes
     ----------
     weight : (float, float)
-        Those of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1.
+        Factors (a, b) of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1.
     """
 
     left: Node
@@ -70,15 +70,15 @@ class Rule(NamedTuple):
     Attributes
     ----------
     sums : list of Sum
-        What it needs of earlier coefficients.
+        Sums over earlier coefficients that the rule needs.
     numerator : function
-        Of what is known and the sums.
+        Numerator as a function of the known coefficients and the sums.
     divisor : Node, optional
         None: 1.
     multiple : float
         0: there is no factor k.
     now : sequence of Node
-        What is needed up to order k, beside the sums.
+        Nodes whose coefficient k is needed, besides the sums.
     """
 
     sums: list[Sum]
@@ -206,9 +206,9 @@ class Program(NamedTuple):
     nodes : list of Node
         Each after what it needs at order k.
     degrees : dict
-        Of which degree in s each is: 0 is constant, inf a series that does not end.
+        Degree of each node in s: 0 is constant, inf a series that does not end.
     rules : dict
-        Those of nodes that are not linear.
+        Rules of the nodes that are not linear.
     moving : set
         The nodes whose coefficients k ≥ 1 are needed.
     """

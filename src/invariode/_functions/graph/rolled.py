@@ -29,7 +29,7 @@ class Group(NamedTuple):
     Attributes
     ----------
     nodes : list of Node
-        Those of the first tree, in order.
+        Nodes of the first tree, in order.
     leaves : dict
         Its nodes that have a place.
     target : str

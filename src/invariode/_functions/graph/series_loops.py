@@ -38,7 +38,7 @@ class Row(NamedTuple):
     name : str
         The array.
     start, stride : int
-        Where coefficients 0 begin, and the distance to those of the next order.
+        Position of coefficients 0, and the distance to those of the next order.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Members(NamedTuple):
     rules : list of Rule
         Theirs, if they are not linear.
     moving : bool
-        Whether coefficients of order k are needed.
+        Coefficients of order k are needed.
     """
 
     nodes: list[Node]

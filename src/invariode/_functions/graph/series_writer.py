@@ -20,13 +20,13 @@ class SeriesForm(NamedTuple):
     n : int
         Components of y.
     order : int
-        Of the last coefficients.
+        Order of the last coefficients.
     along : bool
-        Whether y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
+        y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
     lanes : int
         So many numbers side by side.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     n: int

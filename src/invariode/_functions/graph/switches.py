@@ -33,7 +33,7 @@ class Switch(NamedTuple):
     Attributes
     ----------
     difference : Node
-        What changes its sign.
+        Function that changes its sign at the switch.
     below, above : list of Node
         The values of the graph where the difference is negative, and where it is positive.
     """

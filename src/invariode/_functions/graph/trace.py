@@ -51,9 +51,9 @@ class Traced(NamedTuple):
     outputs : list of Node
         Its values, one after the other.
     shape : tuple of int
-        Of what it returned.
+        Shape of the returned value.
     paths : int
-        How many paths through its branches there are.
+        Number of paths through the branches of the function.
     """
 
     outputs: list[Node]
@@ -85,11 +85,11 @@ def trace(
     second : int, default 0
         The function takes two vectors, of n - second and second components, which follow each other in y.
     inplace : int, default 0
-        How many values the function writes to an argument after these; 0: it returns them.
+        Number of values that the function writes to an argument after these; 0: it returns them.
     is_complex : bool, default False
         The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
     conditions : bool, default False
-        Whether truth values count as 1 or -1, as those of events do, not as 1 or 0.
+        Truth values count as 1 or -1, as those of events do, not as 1 or 0.
     limits : TraceLimits, optional
         Beyond them it is refused.
 

@@ -32,7 +32,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     cells : ndarray of object
         The nodes.
     decide : function
-        What a condition is taken for where Python asks.
+        Returns the truth value of a condition where Python asks for one.
     """
 
     __slots__ = ("cells", "decide")
