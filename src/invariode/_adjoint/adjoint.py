@@ -388,7 +388,7 @@ class _Adjoint:
         return found
 
     def _across(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
-        """μ at the beginning of a piece, from that behind its end. A cost at a jump is that of the state behind it."""
+        """Return μ at the beginning of a piece from μ after its end. A cost at a jump is that of the state after it."""
         if piece.end == self._run.t and piece.end in costs:
             mu = mu + self._cost(piece.end, costs.pop(piece.end))
         takes = piece.end in self._times_of_values
@@ -421,7 +421,7 @@ class _Adjoint:
         return {one.t for one in self._breakpoints}
 
     def _behind(self, t: float) -> float:
-        """The time at which laws are evaluated: where they may jump, behind that."""
+        """Return the time at which invariants are evaluated for t: just after t where they may jump."""
         forward = 1.0 if self._run.t >= self._problem.t_span[0] else -1.0
         return float(np.nextafter(t, forward * np.inf)) if t in self._times_of_breaks else t
 
@@ -433,7 +433,7 @@ class _Adjoint:
         return self._differential(t, y, mu)
 
     def _through(self, jump: Jump, mu: Array) -> Array:
-        """μ before a jump from that behind it."""
+        """Return μ before a jump from μ after it."""
         if jump.moves:
             mu, beside = self._laws.on_tangent(self._behind(jump.t), jump.after, mu, taking=jump.reholds)
             self._total = self._total + beside
@@ -534,7 +534,7 @@ class _Adjoint:
         return self._carried_out(make_plan(adjoint, method, options), rates)
 
     def _carried_out(self, plan: Plan, rates: _Rates) -> Array:
-        """μ at the end of its run. The quadratures of the gradient, which start from 0, are behind it."""
+        """Return μ at the end of its run. The quadratures of the gradient, which start from 0, follow it."""
         points = len(plan.functions.breakpoints)
         quadratures = _core.Variations(
             k=rates.blocks,

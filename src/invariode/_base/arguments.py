@@ -109,7 +109,7 @@ def _expression(fun: object) -> str | None:
 
 
 def distinct(names: list[str]) -> list[str]:
-    """The names, numbered where they repeat: tables and columns tell things apart by them."""
+    """Return the names, numbered where they repeat, so that tables and columns are distinct."""
     if len(set(names)) == len(names):
         return names
     numbered = [f"{one}_{names[:i].count(one)}" if names.count(one) > 1 else one for i, one in enumerate(names)]

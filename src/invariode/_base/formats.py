@@ -53,7 +53,7 @@ class Field(NamedTuple):
         return (self.shape or "").split()
 
     def fits(self, value: Any, sizes: dict[str, Any]) -> bool:
-        """`sizes`: those known so far, to which this adds."""
+        """Return whether a value fits the field. `sizes`: sizes of dimensions known so far, to which this adds."""
         if self.shape in (None, GROUP):
             return _fits(value, self.type, sizes) and (value is None or self._within(value, sizes))
         if not hasattr(value, "dtype"):
@@ -87,7 +87,7 @@ class Kind(NamedTuple):
     fields: dict[str, Field]
 
     def taken(self, source: Any, **more: Any) -> dict[str, Any]:
-        """The fields, `more` and those of what is saved."""
+        """Return the fields of this kind, from `more` or else from the object to be saved."""
         found = dict(more)
         for name, field in self.fields.items():
             if name in found:  # given, or of a group
@@ -103,7 +103,7 @@ class Kind(NamedTuple):
         return found
 
     def require(self, found: Mapping[str, Any]) -> None:
-        """An error that names what is not as it should be."""
+        """Raise an error that names the first field that is unknown, missing, or of a wrong type or size."""
         groups = tuple(f"{name}." for name, field in self.fields.items() if field.shape == GROUP)
         for name in found:
             if name not in self.fields and not (isinstance(found[name], np.ndarray) and name.startswith(groups)):
@@ -206,7 +206,7 @@ def _members(kind: Kind, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read(path: PathLike, *kinds: Kind) -> tuple[Kind, dict[str, Any]]:
-    """The fields of a file of one of these kinds, once all of them are right."""
+    """Return the kind of a file, one of these kinds, and its fields, all of them checked."""
     return _checked(path, read_arrays(path), *kinds)
 
 
@@ -216,7 +216,7 @@ def unpacked(data: bytes, path: PathLike, kind: Kind) -> dict[str, Any]:
 
 
 def read_values(path: PathLike, kind: Kind) -> dict[str, Any]:
-    """The values in a file, without its arrays."""
+    """Return the values in a file, without its arrays."""
     values = {name: field for name, field in kind.fields.items() if field.shape is None}
     return _checked(path, read_arrays(path, only=ABOUT), Kind(kind.name, values))[1]
 

@@ -64,7 +64,7 @@ class Lock:
             warn(f"{what}: the file system of {path} has no locks: make sure that no other process uses the same name")
 
     def release(self) -> None:
-        """Lets others take it. A second time it does nothing."""
+        """Release the lock, so that others can take it. Calling this again has no effect."""
         if not self._holds:
             return
         self._holds = False

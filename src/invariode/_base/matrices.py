@@ -70,7 +70,7 @@ def as_matrix(
 
 
 def _sound(name: str, given: Any) -> Any:
-    """A sparse matrix, once its indices are seen to fit its shape.
+    """Return a sparse matrix whose indices have been checked to fit its shape.
 
     SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.

@@ -65,7 +65,7 @@ def html_of_ensemble(ensemble: Any) -> str:
 
 
 def html_of_check(report: Any) -> str:
-    """The table that the report prints, and its findings."""
+    """Return an HTML table of the report of a check, and its findings."""
     head = ("invariant", "value", "residual", "rate", "of its terms", "conserved")
     findings = "".join(f"<li>{html.escape(finding)}</li>" for finding in report.findings)
     listed = f"<ul>{findings}</ul>" if findings else ""

@@ -47,7 +47,7 @@ _WHOLE = Kind("checkpoint", RUN | END | OUTPUT | {name: SOLUTION.fields[name] fo
 
 
 class Stored(NamedTuple):
-    """A run as its files have it."""
+    """Stored run, as read from its files."""
 
     fields: dict[str, Any]  # as those of a solution, without its continuous output,
     parts: list[dict[str, Any]]  # which is in the parts
@@ -78,7 +78,8 @@ class RunFiles:
         return self._path.with_name(self._path.name + _OUTPUT + self._token)
 
     def go_on(self, mechanics: dict[str, Any] | None) -> None:
-        """The run is extended: the files must still be its own, and as it left them. Takes the lock."""
+        """Take the lock again to extend the run; raise an error unless the files are still its own, and as it left
+        them."""
         with self._taking() as left:
             if left is None or left["token"] != self._token:
                 raise ValueError(
@@ -129,7 +130,7 @@ class RunFiles:
             self._lock.release()
 
     def keep(self, part: Result, running: bool) -> None:
-        """Adds the output of a part of the run, and what it takes to go on behind it."""
+        """Add the output of a part of the run, and the state from which the run can continue after it."""
         self._require_untouched()
         if self._begin is None:
             data = self._packed(_PART, part)
@@ -147,7 +148,7 @@ class RunFiles:
             self._remove_remains()
 
     def _require_untouched(self) -> None:
-        """Nobody has written the state file since: where there are no locks, somebody may have."""
+        """Raise an error if another process has written the state file, as may happen where there are no locks."""
         now = _about(self._path)
         if now is None:  # somebody has deleted it
             self._left = None
@@ -275,7 +276,7 @@ def _parts(place: Path, contents: bytes) -> Iterator[dict[str, Any]]:
 
 
 def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any]:
-    """The fields of the whole run as one solution has them, but for its continuous output."""
+    """Return the fields of the whole run as one solution has them, except its continuous output."""
     whole = {name: one for name, one in parts[0].items() if not name.startswith("dense.")}
     for name in whole.keys() & OUTPUT.keys() - {"dense", "events"}:
         along = OUTPUT[name].dimensions

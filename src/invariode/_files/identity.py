@@ -137,8 +137,8 @@ def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
 
 
 def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
-    """The options of the run of a file. `given`: those with functions, which are not in the file, and others, which
-    must agree with those in it."""
+    """Return the options of the run of a file. `given`: those with functions, which are not in the file, and others,
+    which must agree with the file's."""
     about, arrays = stored
     options: dict[str, Any] = {**_plain_options(about), **{name: arrays[name] for name in about["arrays"]}}
     if about["bdf"]:

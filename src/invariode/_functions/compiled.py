@@ -521,7 +521,8 @@ class _Native(_core.Native):
 
 
 class Compiled(NamedTuple):
-    """A function as `compile` made it for the core: of n components and so many parameters, with `size` values."""
+    """Compiled function as `compile` made it for the core: for n components and `parameters` parameters, with `size`
+    values."""
 
     function: CompiledFunction
     n: int

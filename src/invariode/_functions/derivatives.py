@@ -117,7 +117,7 @@ class Derivatives:
             self._core = self._bound(self.forms)
 
     def _of_numbers(self, function: Any, is_complex: bool) -> Any:
-        """The function as the core calls it; None: it has no complex form."""
+        """Return the function as the core calls it; None if it has no complex form."""
         n, second, count = sum(self._parts), sum(self._parts[1:]), count_of(self._parameters)
         if not is_complex:
             return to_native(self._name, function, n, self.m, self._parameters, second=second)

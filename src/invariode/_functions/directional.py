@@ -179,7 +179,7 @@ class Directional:
                 ) from error
 
     def _shaped(self, what: str, given: Any, columns: int) -> Callable[[float, Array], Any]:
-        """A given matrix as a function of (t, y), with its shape checked."""
+        """Return a given matrix as a function of (t, y) that checks its shape."""
         args, shape = self._evaluate.args, (self.m, columns)
 
         def matrix(t: float, y: Array) -> Any:
@@ -297,7 +297,7 @@ class Directional:
 
     @property
     def outputs(self) -> list[Node] | None:
-        """The values of its graph; None: it has none."""
+        """Nodes of F's values in its graph; None without a graph."""
         return None if self._graph is None else list(self._graph.outputs)
 
     def switches(self, at: Point) -> list[Switch]:
@@ -320,7 +320,7 @@ class Directional:
         return self._graph is not None and self._graph.of_inputs(node)
 
     def on_graph(self, outputs: Sequence[Node], name: str) -> Any:
-        """Other values of its graph as a function of the same arguments."""
+        """Return a function with F's arguments and these other nodes of its graph as values."""
         assert self._graph is not None
         return self._graph.with_values(outputs, name)
 
@@ -360,7 +360,7 @@ def _as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[i
 
 
 def with_graph(fun: Any) -> Any:
-    """F as something that may have a graph. None: it is machine code, or belongs to the core."""
+    """Return F in a form that may have a graph; None if it is machine code, or belongs to the core."""
     inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
     if isinstance(inside, OnGraph):
         return fun

@@ -230,7 +230,8 @@ def multiple_and_rest(x: Value) -> tuple[Value, Value]:
 
 
 def power_of_two_times_exponential(m: Value, r: Value, exponent: Value) -> Value:
-    """2^(m mod 128 / 128) exp(r), times a power of two that its bits give; the table has 64 bits of the former."""
+    """Return 2^(m mod 128 / 128) exp(r) times the power of two whose exponent bits are `exponent`; the table has 64
+    bits of the first factor."""
     entry = looked_up(roots_of_two(), m & (PARTS_OF_TWO - 1), 1)[0]
     high = (((entry >> 12) | bits_of(1.0)) + exponent).number
     base = exponent + bits_of(2.0**-12)  # of such numbers a unit in the last place is 2^-64
@@ -325,7 +326,7 @@ def half_power(x: Value, n: int) -> Value:
 
 
 def inverted(x: Twofold, inverse: Value) -> Value:
-    """1/x, from that of its head."""
+    """Return 1/x of a twofold number, from `inverse`, the reciprocal of its head."""
     unity = product(inverse, x.head)
     return inverse + inverse * (((1.0 - unity.head) - unity.tail) - inverse * x.tail)
 
@@ -337,7 +338,8 @@ def has_half_powers(x: Value) -> Value:
 
 
 class Formula(NamedTuple):
-    """A function: for usual arguments, which are those, and for others, perhaps only one at a time."""
+    """Formulas of a function: `usual` where `is_usual` is true, `unusual` elsewhere, which may take one number at a
+    time."""
 
     usual: Callable[[Value], Value]
     is_usual: Callable[[Value], Value]

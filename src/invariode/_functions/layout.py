@@ -159,7 +159,7 @@ class Arguments(int):
         return {one.rank for one in _numbers(self.entries)} - {_VARYING}
 
     def values(self) -> Array:
-        """The numbers that they were, one after the other."""
+        """Return the original values of all numbers, one after the other."""
         return _flat(self.entries)
 
     def known(self) -> Array:
@@ -183,7 +183,7 @@ class Arguments(int):
         return [of(entry) for entry in self.entries]
 
     def given(self, parameters: Array) -> list[Any]:
-        """The arguments with these numbers."""
+        """Return the arguments with these numbers in place of their own."""
 
         def of_numbers(entry: Numbers, place: int) -> Any:
             numbers = np.reshape(parameters[place : place + math.prod(entry.shape)], entry.shape)
@@ -279,7 +279,7 @@ def undefined_arguments(args: Iterable[Any]) -> str:
 
 
 def numbers_at_places(args: Sequence[Any], places: Iterable[tuple[int, int | None]]) -> list[Any]:
-    """The numbers in these arguments at these places among the argument's numbers, as they were given."""
+    """Return the original numbers at these places (argument, place among its numbers)."""
     inside: dict[int, list[Any]] = {}
     found = []
     for index, item in places:

@@ -81,7 +81,7 @@ class Value:
         return self._intrinsic("sqrt")
 
     def floor(self) -> Value:
-        """The largest integer that is not above it."""
+        """Return the largest integer that is not above this number."""
         return self._intrinsic("floor")
 
     def times_plus(self, factor: Value, term: Value) -> Value:

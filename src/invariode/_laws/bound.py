@@ -169,7 +169,8 @@ class BoundInvariants:
             yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value
 
     def _within_pieces(self, t: Array, pieces: Array) -> Array:
-        """The times, those of jumps as in the run: on the side of the piece, since the functions may jump too."""
+        """Return the times t, where those of jumps are moved to the side of their piece, since the functions may jump
+        too."""
         t = t.copy()
         for i, jump in enumerate(self.jumps):
             here = np.flatnonzero(t == jump.t)
@@ -359,7 +360,7 @@ def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
 
 
 def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, int]:
-    """The metric of an invariant as the core takes it, and the number of its values."""
+    """Return the metric of an invariant as the core takes it, and the number of its values."""
     metric = one.metric
     if metric is None:
         return None, 0

@@ -92,7 +92,7 @@ def _operator(name: str, given: Any, n: int) -> Any:
 
 
 class _Evaluated:
-    """Products with a Jacobian that a function gives: it is called where t or y is new."""
+    """Products with the Jacobian that a function returns; the function is called where t or y is new."""
 
     def __init__(self, jac: Callable[..., Any], n: int) -> None:
         self._jac, self._n = jac, n

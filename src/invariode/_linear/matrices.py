@@ -114,7 +114,7 @@ class Start:
 
     @property
     def product(self) -> Any:
-        """∂f/∂y times v, of (t, (y, v)). None: it is not known."""
+        """Return the function ∂f/∂y v of (t, (y, v)); None if it is not known."""
         exact = self.exact
         return exact and self.derivative(exact.product(), len(self.y), vectors=2)
 
@@ -285,7 +285,8 @@ def _dense_bytes(y0: Array) -> int:
 def _native_jacobian(
     given: Matrices, bands: tuple[int, int] | None, y0: Array, p: Array
 ) -> tuple[_Storage, str, tuple[Any, Any]]:
-    """Machine code fills the values of its storage: dense, the bands, or those of the pattern."""
+    """Return the storage, the kind and the source of a Jacobian that machine code computes: its values are dense,
+    bands, or those of the pattern."""
     n, is_complex = len(y0), np.iscomplexobj(y0)
     reals = y0.view(float).size
     if bands is not None:
@@ -368,7 +369,7 @@ def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
 
 
 def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
-    """Units for the rows of zeros, if these make up the left null space."""
+    """Return unit vectors for the rows of zeros, if these make up the left null space, else None."""
     n = rows.shape[0]
     empty_rows, empty_columns = (np.flatnonzero(abs(rows).max(axis=axis).toarray().ravel() == 0) for axis in (1, 0))
     if len(empty_rows) != len(empty_columns):

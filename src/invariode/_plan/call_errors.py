@@ -91,7 +91,7 @@ def _is_of_the_call(error: TypeError) -> bool:
 
 
 def _not_taking(problem: Description) -> list[str]:
-    """The functions that do not take what they are called with."""
+    """Return the names of the functions that do not accept the arguments they are called with."""
     return [
         name
         for name, fun in _functions(problem)

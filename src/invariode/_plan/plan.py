@@ -522,7 +522,8 @@ def longest_step(given: LargestStep, span: float) -> float:
 
 
 def _calibrated(weights: Tolerances, order: int) -> Tolerances:
-    """Tolerances of the steps for errors of the size of these ('NDF'). atol / rtol stays as it is."""
+    """Return tolerances of the steps with which errors have the size of these tolerances ('NDF'). atol / rtol stays as
+    it is."""
     factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / order)
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
@@ -563,8 +564,8 @@ def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
 
 
 def _with_graph(problem: Description, method: Method) -> Any:
-    """f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities have to
-    satisfy algebraic equations, whose derivatives by differences would be off by up to 1e-6."""
+    """Return f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities
+    have to satisfy algebraic equations, whose derivatives by finite differences would be off by up to 1e-6."""
     fun, jac = problem.fun, problem.matrices.jac
     if "jac" not in method.options or isinstance(fun, OnGraph):
         return fun
@@ -639,7 +640,7 @@ def _functions(
 
 
 def _system(problem: Description, parameters: Array, schedule: Schedule | None) -> System:
-    """f as a graph, which is imported when it is used."""
+    """Return the graph of f as a system for Taylor series; its module is imported only when it is used."""
     from .._taylor.expansion import system_of
 
     return system_of(problem, parameters, () if schedule is None else schedule.landings.left_out)

@@ -32,7 +32,7 @@ class Walk:
         self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
 
     def step(self) -> None:
-        """Goes on by one step, if it can: see `state`."""
+        """Advance the run by one step, if it can: see `state`."""
         self._inside = None
         self.core.step()
         self._watch()

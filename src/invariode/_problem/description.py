@@ -308,7 +308,7 @@ def state_first(names: Sequence[str]) -> str:
 
 
 def _as_called(fun: Any, y0: Array) -> Any:
-    """f as the solvers call it."""
+    """Return f as the solvers call it."""
     kind = type(fun)
     if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
         if kind is FunctionType and fun.__code__.co_varnames[:2] in STATE_FIRST:

@@ -826,7 +826,7 @@ def unused(method: MethodName, describing: DescribingOptions) -> None:
 
 
 def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
-    """Options in two: those of the class, and the others."""
+    """Split options in two: those that the class has, and the others."""
     own = kind.__annotations__
     mine: Any = {}
     others: Any = {}

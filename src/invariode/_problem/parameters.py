@@ -120,7 +120,7 @@ def values_of(args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName]) 
 def with_values(
     args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName], values: Iterable[float]
 ) -> tuple[tuple[Any, ...], Array]:
-    """args and y0 with these values of the parameters; what was given stays as it is."""
+    """Return args and y0 with these values of the parameters; the arguments passed stay as they are."""
     start = np.array(y0)
     changes: dict[int, dict[int, float]] = {}
     for one, value in zip(names, values, strict=True):
@@ -235,7 +235,7 @@ class _Known:
         )
 
     def _listed(self) -> str:
-        """The names there are, for messages."""
+        """Return the known names of parameters as text for messages."""
         names = [one.name for i in range(len(self._args)) for one in self.of_argument(i)]
         more = ["..."] if len(names) > _MOST_LISTED else []
         label = self.of_y0(0).name if self._n else Y0

@@ -13,7 +13,7 @@ from .inputs import Input, fed
 
 
 class Slope(NamedTuple):
-    """f(t, y) of a problem: given the values of its inputs, and its arguments, by machine code where it is such."""
+    """Slope f(t, y) of a problem, with the values of its inputs and its arguments; f may be machine code."""
 
     given: Any  # as users write it
     inputs: Sequence[Input]
@@ -21,7 +21,7 @@ class Slope(NamedTuple):
 
     @property
     def fun(self) -> Any:
-        """f of (t, y, *args), which gives it the inputs; native if f is."""
+        """Function f of (t, y, *args), with the values of the inputs filled in; native if f is."""
         return fed(self.given, self.inputs)
 
     def for_core(self, y0: Array, parameters: Array) -> Any:

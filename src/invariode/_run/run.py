@@ -252,7 +252,7 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
 
 
 def _solved(plan: Plan, source: Solved) -> Solution:
-    """The solution by a solver of its own."""
+    """Return the solution of a plan by a solver of its own."""
     problem = source.problem
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
@@ -302,7 +302,7 @@ def _new_checkpoint(plan: Plan, at_start: list[int]) -> RunFiles | None:
 def _carried_out(
     plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: RunFiles | None = None
 ) -> Solution:
-    """The solution of a plan, or of what is left of it."""
+    """Return the solution of a plan, or of the rest of it from `resumed`."""
     core = solver(plan)
     keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
     with ExitStack() as around:
@@ -345,7 +345,7 @@ class Finished:
 
     @cached_property
     def bound(self) -> BoundInvariants:
-        """The invariants, with the values that actions gave them."""
+        """Invariants of the run, with the values that actions gave them."""
         bound, functions = self.plan.bound, self.plan.functions
         if (functions.events or functions.breakpoints) and (jumps := self.run.jumps):
             return bound.jumped(jumps)
@@ -380,7 +380,7 @@ class Finished:
 
 
 def presented(finished: Finished) -> Solution:
-    """The solution that a run came to, or the exception, with its warnings."""
+    """Return the solution of a finished run and warn of its problems, or raise its exception."""
     if finished.run.ordinary and not finished.general.names:
         return _solution(finished)
     _require_start(finished)
@@ -608,8 +608,9 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
 
 
 def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension. Where
-    a callback has ended the run, the solution may have yet to jump: an output there is put out again."""
+    """Return the remaining output times, or those of `t_eval`, and the same with those beyond tf, for a further
+    extension. Where a callback has ended the run, the solution may have yet to jump: an output there is put out
+    again."""
     if origin.source.options.get("t_eval") is None:
         raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)

@@ -51,8 +51,8 @@ class Template:
         self._idle = deque([core])
 
     def run(self, problem: Posed | Description, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course]:
-        """A run of a problem of this kind, and its course. `options`: those that the template was found for.
-        `remember`: the run can be extended."""
+        """Run a problem of the template's kind; return the run and its course. `options`: those that the template was
+        found for. `remember`: the run can be extended."""
         course = course_of(self._choice, problem, options.get("t_eval"))
         breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
         if breaks is not None:

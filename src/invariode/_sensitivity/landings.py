@@ -114,7 +114,7 @@ def _conditions(problem: Description, parameters: Array) -> list[Crossing]:
 
 
 def _of_python(problem: Description) -> PlainGraph | None:
-    """The graph of a Python f, if it has one that may switch."""
+    """Return the graph of a Python f, if it has one that may switch, else None."""
     fun, n = problem.fun, reals(problem.y0)
     if isinstance(fun, SecondOrder):
         if fun.native:

@@ -432,7 +432,7 @@ class Switching:
         return y
 
     def jump(self, t: float, Y: Array, after: Array) -> Array:
-        """S behind it."""
+        """Return S after the switch, for Y = (y, S) before it."""
         y, S = Y[0], Y[1:]
         found = self.crossing(t, y)
         if found is None:
@@ -520,7 +520,7 @@ def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> t
 
 
 def _with_inputs(problem: Description) -> Any:
-    """f, with its inputs."""
+    """Return f with its inputs."""
     fun, inputs = problem.fun, problem.inputs
     fun = fun.first_order if isinstance(fun, SecondOrder) else fun
     return with_tables(fun, inputs) if inputs else fun

@@ -113,7 +113,7 @@ def _traceable(fun: Any, method: Method) -> Any:
 
 
 def _on_graph(event: Event, problem: Description) -> Event:
-    """The event; with a function that is traced, if it can be."""
+    """Return the event with a traced function if that is possible, else the event."""
     if is_native(event.fun) or isinstance(event, RootOf) or problem.y0.dtype.kind == "c":
         return event
     traced = compile(event.fun, by="trace")

@@ -142,7 +142,7 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
     ravel = flatten
 
     def interleaved(self) -> TracedArray:
-        """The real numbers that stand for it in memory."""
+        """Return the real numbers that stand for the complex array in memory, real and imaginary parts in turn."""
         found: Any = np.stack([self.real.ravel(), self.imag.ravel()], axis=-1).ravel()
         return cast("TracedArray", found)
 

@@ -72,7 +72,8 @@ def _singular_above(nodes: Sequence[Node], depends: set[Node]) -> dict[Node, Nod
 
 
 def _backwards(slope: Callable[[Node], Node], factor: Node, singular: Node | None) -> Node:
-    """The factor of an argument, of that of its operation, which may be infinite where the condition holds."""
+    """Return the factor of an argument from the factor of its operation, which may be infinite where `singular` is
+    true."""
     if singular is None:
         return slope(factor)
     own = slope(factor.graph.node(1.0))
@@ -126,7 +127,7 @@ def _dependent(nodes: Iterable[Node], variables: Mapping[Node, int]) -> set[Node
 
 
 def _combined(node: Node, rows: Mapping[Node, Row]) -> Row:
-    """The row of a node, of the rows of its arguments."""
+    """Return the row of a node, its derivatives by variable, from the rows of its arguments."""
     given = [rows[one] for one in node.arguments]
     if node.op in _CONSTANT or not any(given):
         return {}
@@ -265,7 +266,7 @@ def _atan2(v: Node, y: Node, x: Node) -> list[Slope]:
 
 
 def _hypot(v: Node, a: Node, b: Node) -> list[Slope]:
-    """0 at a = b = 0, where the length has its minimum."""
+    """Return the slopes of v = hypot(a, b), which are 0 at a = b = 0, where v has its minimum."""
     graph = v.graph
     there, zero = graph.make("equal", v, graph.node(0.0)), graph.node(0.0)
     return [_times(graph.select(there, zero, one / v)) for one in (a, b)]

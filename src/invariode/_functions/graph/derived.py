@@ -217,7 +217,7 @@ class Derived:
         return self._function(key, values)
 
     def _function(self, key: Any, outputs: Any) -> GraphFunction:
-        """Made once, so that its machine code is."""
+        """Return the function with this key, made once, so that its machine code is made once too."""
         if key not in self._made:
             values = outputs()
             name = key if isinstance(key, str) else key[0]

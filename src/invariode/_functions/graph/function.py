@@ -41,7 +41,7 @@ class OnGraph(CompiledFunction):
         raise NotImplementedError
 
     def known(self, shape: Shape) -> Shape:
-        """The shape with its arguments as they are handed over; functions that are traced alike have one."""
+        """Return the shape with its arguments as they are handed over; functions that are traced alike have one."""
         return shape
 
     def _make(self, shape: Shape) -> Any:
@@ -169,13 +169,13 @@ class TracedFunction(OnGraph):
         return self._graphs[self.known(shape)._replace(is_complex=False, real_time=False)]
 
     def constants(self, parameters: int) -> int:
-        """Up to which rank the numbers of these arguments are constants of its code."""
+        """Return the rank up to which the numbers of these arguments are constants of the code."""
         arguments = _arguments(parameters).fixed(TRUTHS)
         ways = [way for shape, way in self._ways.items() if shape.parameters == arguments]
         return max((way for way in ways if way is not None), default=TRUTHS)
 
     def known(self, shape: Shape) -> Shape:
-        """The shape with its arguments as they are handed over; functions that are traced alike have one."""
+        """Return the shape with its arguments as they are handed over; functions that are traced alike have one."""
         real = shape._replace(is_complex=False, real_time=False)
         if real in self._graphs:
             return shape
@@ -322,7 +322,7 @@ class TracedFunction(OnGraph):
 
 
 def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[Array, Array]) -> str | None:
-    """Values of a graph and those expected, if they differ by more than roundoff."""
+    """Describe the values of a graph and the expected ones if they differ by more than roundoff; else return None."""
     values, expected = found
     if expected.shape != values.shape:
         return f"it has {expected.size} values, its graph {values.size}"

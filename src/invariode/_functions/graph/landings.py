@@ -82,7 +82,7 @@ class Source(NamedTuple):
     period: float
 
     def about(self, length: float) -> float:
-        """About how many there are in an interval of this length."""
+        """Return approximately how many changes there are in an interval of this length."""
         return len(self.times) + (len(self.first) * length / self.period if self.period else 0.0)
 
     def between(self, low: float, high: float) -> Array:
@@ -254,7 +254,7 @@ class _OverTime:
         self._p = p
 
     def __call__(self, node: Node, t: Array) -> Array:
-        """The values of a node, numbers also where it is a truth.
+        """Return the values of a node at times t, as numbers also where the node is a truth value.
 
         Raises
         ------
@@ -365,7 +365,8 @@ class _Forms:
         return _Form(slope, of.period) if math.isfinite(slope) else None
 
     def _repeated(self, node: Node, forms: list[_Form]) -> _Form | None:
-        """A function that comes back where its argument has grown by `unit`, or grows by as much."""
+        """Return the form of a function that repeats, or grows by as much, when its argument has grown by `unit`; None:
+        unknown."""
         unit = 1.0 if node.op in ("floor", "ceil") else 2 * math.pi
         if node.op == "modulo":
             if forms[1] != _Form(0.0, 0.0):

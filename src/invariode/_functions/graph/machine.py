@@ -62,7 +62,8 @@ class Form(NamedTuple):
 
 
 def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
-    """The code of a function with these values: that of an equal graph, if that has been compiled in this process."""
+    """Return the machine code of a function with these values; code of an equal graph compiled in this process is
+    reused."""
     return once((form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs))
 
 
@@ -147,7 +148,7 @@ class Writer:
         self._in_block = 0
 
     def write(self, outputs: Sequence[Node]) -> bool:
-        """The function with these values; whether it has loops."""
+        """Write the function with these values; return whether it has loops."""
         loops = self._write(outputs)
         self._ops.finish()
         return loops
@@ -202,7 +203,7 @@ class Writer:
         self._build.store(value, self._place(name, index), align=8)
 
     def _value(self, node: Node, a: list[Any]) -> Any:
-        """The node, of its arguments."""
+        """Return the value of a node from those of its arguments."""
         if node.op == "t":
             return self._given["t"] if self._ops.lanes == 1 else self._load("t", 0)
         return self._load(node.op, node.value) if node.op in ("y", "p") else self._ops.value(node, a)
@@ -263,7 +264,7 @@ class _Writer(Writer):
         self._build.ret_void()
 
     def _write_member(self, group: Group, at: Callable[[list[Any]], Any]) -> None:
-        """The value of one tree: `at` tells its index or number in a place."""
+        """Write the value of one tree of a group; `at` returns its index or number in a place."""
         values: dict[Node, Any] = {}
         for node in group.nodes:
             leaf = group.leaves.get(node)

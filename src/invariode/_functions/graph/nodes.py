@@ -253,7 +253,7 @@ class Graph:
         return self.solved(System(k, len(right[0]), tuple(entries)), [*entries.values()], right)
 
     def solved(self, system: System, matrix: Sequence[Node], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
-        """The solution of a system with these entries of A, by rows."""
+        """Return the entries, by rows, of the solution X of A X = B with these entries of A and of B."""
         node = self.make("solve", *matrix, *(one for row in right for one in row), value=system)
         k, m = system.k, system.m
         return [[self.make("entry", node, value=i * m + j) for j in range(m)] for i in range(k)]
@@ -278,7 +278,8 @@ def in_words(node: Node, parameters: Mapping[int, str]) -> str:
 
 
 def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], list[int]]:
-    """A graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the outputs."""
+    """Return a graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the
+    outputs."""
     places: dict[Node, int] = {}
     rows = []
     for node in in_order(outputs):

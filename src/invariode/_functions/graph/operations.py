@@ -64,7 +64,7 @@ class Operations:
         self._own.finish()
 
     def listed(self, values: list[Any], k: Any) -> Any:
-        """The k-th of these: a constant, a progression, or looked up."""
+        """Return the k-th of the values: a constant, a progression, or looked up in a table."""
         first = values[0]
         if isinstance(first, float):
             if len({bits_of(one) for one in values}) == 1:

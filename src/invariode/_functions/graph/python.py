@@ -87,12 +87,12 @@ class Formula:
 
     @cached_property
     def outputs(self) -> list[Node]:
-        """The values of its outputs."""
+        """Nodes of the formula's values."""
         return list(self._outputs())
 
     @cached_property
     def text(self) -> str:
-        """The source of its function (t, y, p)."""
+        """Source of the formula as a Python function (t, y, p)."""
         return as_text(self.__name__, self.outputs)
 
     @cached_property

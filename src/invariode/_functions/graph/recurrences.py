@@ -352,7 +352,7 @@ def plus(a: Any, b: Any) -> Any:
 
 
 def minus(a: Any, b: Any) -> Any:
-    """Differences of them."""
+    """Return the difference of two coefficients, some of which are known to be zero."""
     if isinstance(b, float):
         return a
     return -b if isinstance(a, float) else a - b

@@ -73,7 +73,7 @@ def _operation(node: Node) -> Callable[..., float]:
 
 
 def _compared(op: str, a: _Value, b: _Value) -> _Value:
-    """1 or 0; with an infinite error if roundoff may change it."""
+    """Return the value of a comparison, 1 or 0, with an infinite error if roundoff may change it."""
     truths = {"less": a.value < b.value, "less_equal": a.value <= b.value, "equal": a.value == b.value}
     value = truths.get(op, a.value != b.value)
     near = a.error + b.error > 0 and abs(a.value - b.value) <= a.error + b.error

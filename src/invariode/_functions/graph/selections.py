@@ -62,7 +62,7 @@ def selecting(function: types.FunctionType) -> types.CodeType | None:
 
 
 def _module(made: Any, code: types.CodeType) -> ast.Module:
-    """The function in another one that binds its free variables, at its line."""
+    """Return a module with the function inside another one that binds its free variables, at its original line."""
     outer: Any = ast.parse(f"def {_OURS}outer({', '.join(code.co_freevars)}): pass")
     outer.body[0].body = [made if isinstance(made, ast.FunctionDef) else ast.Expr(made)]
     ast.fix_missing_locations(outer)
@@ -146,7 +146,8 @@ class _Writer(ast.NodeTransformer):
         return ast.copy_location(ast.Call(_name(which), parts, []), test)
 
     def _block(self, body: Sequence[ast.stmt], returns: bool) -> list[ast.stmt]:
-        """Statements in succession. `returns`: they end the function, so that a return in them can be selected."""
+        """Return the statements with selections in place of branches. `returns`: they end the function, so that a
+        return in them can be selected."""
         done: list[ast.stmt] = []
         for i, one in enumerate(body):
             rest = list(body[i + 1 :])
@@ -184,7 +185,7 @@ class _Writer(ast.NodeTransformer):
         return list(found)
 
     def _returning(self, node: ast.If, rest: list[ast.stmt]) -> list[ast.stmt]:
-        """A branch that returns, and what follows where it does not."""
+        """Return the statements for a branch that returns and for the rest that follows where it does not."""
         self.count += 1
         place = f"{_OURS}{next(self._numbers)}"
         text, bodies = [], []
@@ -425,7 +426,7 @@ def _tried(branch: Callable[[], Any]) -> _Tried:
 
 
 def _merge_arrays(condition: Node, yes: _Written, no: _Written) -> list[tuple[Any, Any]]:
-    """Arrays as one or the other branch leaves them; they with their cells before."""
+    """Return the arrays as one or the other branch leaves them, each with its cells before."""
     graph = condition.graph
 
     def either(a: Node, b: Node) -> Node:

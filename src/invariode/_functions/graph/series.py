@@ -55,7 +55,8 @@ def is_small(found: Program, order: int) -> bool:
 
 
 def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
-    """The code for y' = these values, or for these values along a polynomial."""
+    """Return the machine code of the Taylor coefficients for y' = these values, or for these values along a
+    polynomial."""
 
     def make() -> MachineCode:
         found = program(outputs)

@@ -140,7 +140,7 @@ class Looped(SeriesWriter):
     # Where everything is
 
     def _arrange(self) -> None:
-        """Groups, in an order in which all that one needs is there."""
+        """Arrange the nodes in groups, each after the groups it needs."""
         levels: dict[Node, int] = {}
         kinds: dict[tuple[Any, ...], list[Node]] = {}
         for node in self._program.nodes:
@@ -442,7 +442,7 @@ class Looped(SeriesWriter):
         self._each_chunk(self._form.n, advance)
 
     def _output(self, value: Value, k: Any, n: int, chunk: Chunk) -> None:
-        """Stores members that are there, in row k of n."""
+        """Store members of a chunk in row k of n of the output."""
         at = self._at(Row("out", 0, n), k, chunk.start)
         if chunk.valid == chunk.width:
             self._keep(value, "out", at, chunk.width)

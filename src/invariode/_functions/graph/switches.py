@@ -126,7 +126,7 @@ def _answer(node: Node, *, below: bool) -> Node | bool:
 
 
 def _decided(outputs: Sequence[Node], answers: Mapping[Node, Node | bool]) -> list[Node]:
-    """The values with these answers to conditions."""
+    """Return the values with these answers in place of conditions."""
     graph = outputs[0].graph
     made: dict[Node, Node | bool] = {}
     for node in in_order(outputs):

@@ -32,7 +32,7 @@ def looked_up(x: Node, breaks: Any, values: Any) -> Node:
 
 
 def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
-    """`numpy.interp`, by its formula."""
+    """Interpolate linearly in a table, by the formula of `numpy.interp`."""
     graph, last = x.graph, x.graph.node(float(xs[-1]))
     if len(xs) == 1:
         raise TraceError("numpy.interp in a table of one point")

@@ -185,7 +185,7 @@ class _Run:
         return Traced(self._merged([(d, o or undefined) for d, o in known], 0), shape, len(known))
 
     def _followed(self, known: Sequence[Any]) -> Any:
-        """The values on one path; None: f raises there, as it does for values where it is not defined."""
+        """Return the values on one path; None if f raises there, as it does for values where it is not defined."""
         graph = self._graph
         given: list[Any] = [wrapped(graph.t, self.decide)]
         first = 0
@@ -218,7 +218,7 @@ class _Run:
         return self._array([self._graph.t], ())
 
     def _parameter(self, numbers: Numbers, place: int) -> Any:
-        """An argument: the values themselves where they are constants."""
+        """Return an argument of the traced function: its value if it is a constant, else an array of parameters."""
         if numbers.fixed:
             return self._copies.of(numbers.value)
         cells = self._array([self._graph.p(place + i) for i in range(math.prod(numbers.shape))], numbers.shape)

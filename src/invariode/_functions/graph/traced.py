@@ -322,7 +322,7 @@ def has_traced(value: Any) -> bool:
 
 
 def cells_of(value: Any, graph: Graph) -> Any:
-    """Numbers, arrays of them, lists that hold traced ones, as an array of nodes."""
+    """Return numbers, arrays of numbers, or lists with traced ones as an array of nodes."""
     if isinstance(value, TracedArray):
         return value.cells
     if isinstance(value, Node):
@@ -398,7 +398,7 @@ def condition(node: Node) -> Node:
 
 
 def truth(node: Node) -> Node:
-    """A number as whether it is not 0."""
+    """Return whether a number is not 0, as a node."""
     return node if node.is_truth else node.graph.make("not_equal", node, node.graph.node(0.0))
 
 
