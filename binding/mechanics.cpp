@@ -335,7 +335,7 @@ void define_mechanics(nb::module_& module) {
       .def("value", &BoundDifferentiable::value, nb::arg("t"), nb::arg("x"),
            "Return the values at (t, x), of shape (m,).")
       .def("complex_value", &BoundDifferentiable::complex_value, nb::arg("z"),
-           "Its complex form at (t, x); complex numbers are pairs of reals.")
+           "Return the complex form at (t, x); complex numbers are pairs of reals.")
       .def("slope", &BoundDifferentiable::slope, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),
            "d/ds at (t + s dt, x + s dx), s = 0.")
       .def("curvature", &BoundDifferentiable::curvature, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),

@@ -218,7 +218,7 @@ void define_methods(nb::module_& module) {
       .def_ro("scipy_bdf", &Method::scipy_bdf, "True if the SciPy name implies the option bdf.")
       .def_prop_ro(
           "mass", [](const Method& m) { return name_of(m.mass); },
-          "Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.")
+          "Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.")
       .def_prop_ro(
           "equations", [](const Method& m) { return name_of(m.equations); },
           "Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a "

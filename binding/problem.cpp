@@ -376,7 +376,8 @@ void define_linear(nb::module_& module) {
           "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); },
           "Kind of Jacobian, as it was given.")
       .def_prop_ro(
-          "structure", [](const LinearSpec& l) { return name_in(structure_names, l.structure.kind); }, "Likewise.")
+          "structure", [](const LinearSpec& l) { return name_in(structure_names, l.structure.kind); },
+          "Structure of the Jacobian, as it was given.")
       .def_ro("found_pattern", &LinearSpec::found_pattern, "Evaluations of f that found the pattern; 0: it was given.")
       .def_prop_ro(
           "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },

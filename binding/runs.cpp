@@ -659,7 +659,7 @@ void define_solver(nb::module_& module) {
             const char* obstacle = obstacle_to_lanes(self.solver);
             return obstacle ? std::optional<std::string>(obstacle) : std::nullopt;
           },
-          "Why its trajectories cannot be integrated side by side, or None.")
+          "Reason why trajectories cannot be integrated in SIMD lanes, or None.")
       .def(
           "lanes",
           [](const BoundSolver& self, const std::string& instructions) -> std::size_t {

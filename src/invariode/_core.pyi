@@ -140,7 +140,7 @@ class Linear:
 
     @property
     def structure(self) -> str:
-        """Likewise."""
+        """Structure of the Jacobian, as it was given."""
 
     @property
     def found_pattern(self) -> int:
@@ -638,7 +638,7 @@ class Solver:
 
     @property
     def obstacle_to_lanes(self) -> str | None:
-        """Why its trajectories cannot be integrated side by side, or None."""
+        """Reason why trajectories cannot be integrated in SIMD lanes, or None."""
 
     def lanes(self, instructions: str) -> int:
         """
@@ -782,7 +782,7 @@ class Differentiable:
         """Return the values at (t, x), of shape (m,)."""
 
     def complex_value(self, z: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """Its complex form at (t, x); complex numbers are pairs of reals."""
+        """Return the complex form at (t, x); complex numbers are pairs of reals."""
 
     def slope(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """d/ds at (t + s dt, x + s dx), s = 0."""
@@ -920,7 +920,7 @@ class Method:
     @property
     def mass(self) -> str:
         """
-        Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.
+        Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.
         """
 
     @property
