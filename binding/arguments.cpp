@@ -183,7 +183,7 @@ void define_arguments(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   module.def(
       "all_finite", [](nb::handle values) { return all_numbers_finite(values); }, nb::arg("values"),
-      "Whether all numbers of a contiguous array of float64 or complex128 are finite.");
+      "Return whether all numbers of a contiguous array of float64 or complex128 are finite.");
   module.def(
       "plainly_posed", &plainly_posed, nb::arg("t_span").none(), nb::arg("y0").none(), nb::arg("args").none(),
       nb::sig("def plainly_posed(t_span: object, y0: object, args: object) -> tuple[tuple[float, float], "

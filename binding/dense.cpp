@@ -149,8 +149,8 @@ void define_dense(nb::module_& module) {
                   nb::arg("offset"), nb::arg("data"), nb::arg("m"), nb::arg("interpolation"), nb::arg("extension"),
                   nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("complex"),
                   nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("parameters") = 0,
-                  "What `parts` gave, put together again.")
-      .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
+                  "Rebuild the continuous solution from the result of `parts`.")
+      .def("parts", &Dense::parts, "Return the contents as arrays, numbers and names.")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::arg("problem").none(),
            "y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`. With "
            "sensitivities Y, (len(t), (1 + k) n).")
@@ -158,7 +158,7 @@ void define_dense(nb::module_& module) {
       .def_prop_ro(
           "n", [](const Dense& d) { return d.output.extent().n; }, "Reals in a state.")
       .def_prop_ro(
-          "parameters", [](const Dense& d) { return d.output.extent().k; }, "How many have sensitivities.")
+          "parameters", [](const Dense& d) { return d.output.extent().k; }, "Number of parameters with sensitivities.")
       .def_ro("complex", &Dense::complex)
       .def("knots", [](const Dense& d) { return copied(d.output.knots().copy()); });
 }

@@ -178,24 +178,24 @@ void define_summary_of_run(RunClass& run) {
             r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
         return usual && !remarkable && std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
       },
-      "Whether its state says how it ended, and nothing besides is to be said.");
+      "True if the state of the run describes its end, and nothing else is to be reported.");
   run.def_prop_ro(
       "told",
       [](const FinishedRun& self) {
         return std::make_tuple(self.told.stiffness, self.told.discontinuities, self.told.sticking);
       },
-      "Whether it was said while it went on that it is stiff, that f is discontinuous, and that the solution sticks.");
+      "True for each remark made during the run: it is stiff, f is discontinuous, the solution sticks.");
   property(run, "sticks_since", [](const RunResult& r) { return r.sticks_since; });
   run.def_prop_ro(
       "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },
-      "Of an event whose actions come closer and closer until it is passed: its number, the last t, the interval "
-      "before it, and how many there were.");
+      "Event whose actions come closer and closer until it is passed: its number, the last t, the interval before it, "
+      "and the number of actions.");
   property(run, "discontinuities", [](const RunResult& r) { return r.discontinuities; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
   run.def_prop_ro(
       "memory", [](const FinishedRun& self) { return nb::bytes(self.memory.data(), self.memory.size()); },
-      "What the run remembers, for `Solver.resume`; empty if it cannot go on.");
+      "Internal state of the run, for `Solver.resume`; empty if it cannot be resumed.");
 }
 
 }  // namespace

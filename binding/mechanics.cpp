@@ -332,9 +332,10 @@ void define_mechanics(nb::module_& module) {
                     std::vector<double>>(),
            nb::arg("forms"), nb::arg("name"), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m"), nb::arg("args"),
            nb::arg("parameters"))
-      .def("value", &BoundDifferentiable::value, nb::arg("t"), nb::arg("x"), "Of shape (m,).")
+      .def("value", &BoundDifferentiable::value, nb::arg("t"), nb::arg("x"),
+           "Return the values at (t, x), of shape (m,).")
       .def("complex_value", &BoundDifferentiable::complex_value, nb::arg("z"),
-           "Its complex form at (t, x); complex numbers are pairs of reals.")
+           "Return the complex form at (t, x); complex numbers are pairs of reals.")
       .def("slope", &BoundDifferentiable::slope, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),
            "d/ds at (t + s dt, x + s dx), s = 0.")
       .def("curvature", &BoundDifferentiable::curvature, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),
@@ -352,7 +353,7 @@ void define_mechanics(nb::module_& module) {
       .def("accelerations", &BoundMotion::accelerations, nb::arg("t"), nb::arg("y"),
            "v', λ, and whether they are unique.")
       .def_prop_ro(
-          "sparse", [](const BoundMotion& m) { return m.motion().sparse(); }, "Whether sparse factors are tried first.")
+          "sparse", [](const BoundMotion& m) { return m.motion().sparse(); }, "True if sparse factors are tried first.")
       .def_prop_ro(
           "work", [](const BoundMotion& m) { return to_dict(m.motion().work()); },
           "Calls of functions and factorisations so far.");

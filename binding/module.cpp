@@ -154,7 +154,8 @@ void column(nb::class_<PointExamination>& examination, const char* name, Member 
 
 void define_examination(nb::module_& module) {
   using One = Guard::Examination;
-  nb::class_<PointExamination> examination(module, "Examination", "How invariants stand at a point: arrays (m,).");
+  nb::class_<PointExamination> examination(module, "Examination",
+                                           "Examination of the invariants at a point: arrays (m,).");
   column(examination, "residual", &One::residual, "g - value.");
   column(examination, "distance", &One::distance, "From the level set, in units of rtol.");
   column(examination, "gradient", &One::gradient, "Weighted norm of the gradient; 0: stationary.");
@@ -181,7 +182,7 @@ void define_points(nb::module_& module) {
   module.def("impose", &impose_points, nb::arg("t"), nb::arg("y"), nb::arg("problem"), nb::arg("tolerances"),
              "Projects each row of y to roundoff: (y, converged, residual, iterations).");
   module.def("examine", &examine_point, nb::arg("t"), nb::arg("y"), nb::arg("problem"), nb::arg("tolerances"),
-             "How each invariant stands at one point; None where g, its Jacobian or f is not finite there.");
+             "Examine each invariant at one point; None where g, its Jacobian or f is not finite there.");
   module.def("consistent_start", &find_consistent_start, nb::arg("t0"), nb::arg("y0"), nb::arg("problem"),
              nb::arg("tolerances"),
              "y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.");
@@ -199,7 +200,7 @@ std::optional<int> unless_zero(int count) { return count > 0 ? std::optional(cou
 void define_methods(nb::module_& module) {
   nb::class_<Method>(module, "Method", "A row of the registry.")
       .def_ro("name", &Method::name)
-      .def_ro("summary", &Method::summary, "What it is and what it is for, in a few words.")
+      .def_ro("summary", &Method::summary, "Summary: the method and its use in a few words.")
       .def_ro("family", &Method::family)
       .def_ro("min_order", &Method::min_order)
       .def_ro("order", &Method::order)
@@ -213,15 +214,15 @@ void define_methods(nb::module_& module) {
       .def_ro("source", &Method::source)
       .def_prop_ro(
           "scipy_name", [](const Method& m) { return m.scipy_name ? std::optional(m.scipy_name) : std::nullopt; },
-          "Of the corresponding method of `scipy.integrate.solve_ivp`, or None.")
-      .def_ro("scipy_bdf", &Method::scipy_bdf, "That name implies the option bdf.")
+          "Name of the corresponding method of `scipy.integrate.solve_ivp`, or None.")
+      .def_ro("scipy_bdf", &Method::scipy_bdf, "True if the SciPy name implies the option bdf.")
       .def_prop_ro(
           "mass", [](const Method& m) { return name_of(m.mass); },
-          "Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.")
+          "Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.")
       .def_prop_ro(
           "equations", [](const Method& m) { return name_of(m.equations); },
-          "What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' "
-          "system.")
+          "Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a "
+          "'second-order' system.")
       .def_prop_ro("options", [](const Method& m) {
         std::vector<const char*> names;
         for (const char* one : m.options)

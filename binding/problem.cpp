@@ -349,7 +349,7 @@ void define_functions(nb::module_& module) {
 
 void define_linear(nb::module_& module) {
   nb::class_<LinearSpec>(module, "Linear", nb::type_slots(slots<LinearSpec>),
-                         "What is known of the Jacobian of f and of the mass matrix.")
+                         "Known properties of the Jacobian of f and of the mass matrix.")
       .def(
           "__init__",
           [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
@@ -373,9 +373,11 @@ void define_linear(nb::module_& module) {
           nb::arg("found_pattern") = 0, nb::arg("product").none() = nb::none(),
           nb::arg("preconditioner").none() = nb::none(), nb::arg("dimension") = 0, nb::arg("rate").none() = nb::none())
       .def_prop_ro(
-          "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); }, "As it was given.")
+          "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); },
+          "Kind of Jacobian, as it was given.")
       .def_prop_ro(
-          "structure", [](const LinearSpec& l) { return name_in(structure_names, l.structure.kind); }, "Likewise.")
+          "structure", [](const LinearSpec& l) { return name_in(structure_names, l.structure.kind); },
+          "Structure of the Jacobian, as it was given.")
       .def_ro("found_pattern", &LinearSpec::found_pattern, "Evaluations of f that found the pattern; 0: it was given.")
       .def_prop_ro(
           "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
@@ -415,7 +417,7 @@ void define_variations(nb::module_& module) {
 
 void define_description(nb::module_& module) {
   nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
-                          "What is to be solved, but for the initial value. n: reals in a state.")
+                          "Problem to be solved, except its initial value. n: reals in a state.")
       .def(
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,

@@ -597,9 +597,8 @@ void define_ensemble(nb::module_& module) {
       .def("failures", &failures, "(trajectory, Run that tells why it ended) of those that failed.")
       .def_prop_ro(
           "alone", [](const Result& self) { return std::vector<std::size_t>(self.alone.begin(), self.alone.end()); },
-          "How many trajectories the lanes left to the code for one at a time: because something was not finite or a "
-          "step too short, because of stability, the invariant, an event or output inside a step, max_steps, and "
-          "because too many were left.");
+          "Numbers of trajectories that the lanes left to scalar code, by cause: a value that is not finite or a step "
+          "too short, stability, the invariant, an event or output inside a step, max_steps, and too many left.");
   module.def(
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(), nb::arg("tolerances") = nb::none(),
@@ -644,7 +643,7 @@ void define_solver(nb::module_& module) {
            nb::arg("problem"), nb::arg("tolerances"), nb::arg("settings"))
       .def_prop_ro(
           "native", [](const BoundSolver& self) { return self.bound.native(); },
-          "Whether no function needs the interpreter.")
+          "True if no function needs the interpreter.")
       .def_prop_ro(
           "members",
           [](const BoundSolver& self) {
@@ -660,7 +659,7 @@ void define_solver(nb::module_& module) {
             const char* obstacle = obstacle_to_lanes(self.solver);
             return obstacle ? std::optional<std::string>(obstacle) : std::nullopt;
           },
-          "Why its trajectories cannot be integrated side by side, or None.")
+          "Reason why trajectories cannot be integrated in SIMD lanes, or None.")
       .def(
           "lanes",
           [](const BoundSolver& self, const std::string& instructions) -> std::size_t {
@@ -670,14 +669,14 @@ void define_solver(nb::module_& module) {
                 return kernel->lanes;
             return 1;
           },
-          nb::arg("instructions"), "How many of its trajectories are integrated side by side.")
+          nb::arg("instructions"), "Return the number of trajectories that are integrated at once in SIMD lanes.")
       .def_prop_ro(
           "motion_work",
           [](const BoundSolver& self) -> nb::object {
             const auto motions = self.bound.motions();
             return motions.empty() ? nb::none() : nb::object(to_dict(motions[0]->motion().work()));
           },
-          "What a mechanical system has cost so far: calls of its functions and factorisations.")
+          "Work of a mechanical system so far: calls of its functions and factorisations.")
       .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
            nb::arg("keep") = nb::none(), nb::arg("every") = 0.0, nb::arg("remarks") = nb::none(),
            "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
@@ -702,7 +701,8 @@ void define_stepper(nb::module_& module) {
           nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
       .def("step", &Stepper::step, nb::lock_self(), "Goes on by one accepted step, if it can: see `state`.")
       .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
-      .def("result", &Stepper::result, nb::lock_self(), "What the run has done so far, and why it ended, if it has.")
+      .def("result", &Stepper::result, nb::lock_self(),
+           "Return the result of the run so far, and why it ended, if it has.")
       .def_prop_ro(
           "state", [](Stepper& s) { return name_of(s.integration().state()); }, nb::lock_self())
       .def_prop_ro(
@@ -728,7 +728,7 @@ void define_stepper(nb::module_& module) {
           nb::lock_self(), "From which t on stability limits the steps; None: it does not.")
       .def_prop_ro(
           "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); }, nb::lock_self(),
-          "Where f jumps, as far as it was seen.")
+          "Times of the discontinuities of f found so far.")
       .def_prop_ro(
           "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); }, nb::lock_self(),
           "From which t on the solution sticks where f jumps.")

@@ -143,6 +143,28 @@ def test_the_package_imports_numpy_alone():
     assert needed.intersection(loaded) == {"numpy"}
 
 
+#: Words that begin a fragment: a docstring that starts with one cannot be understood without the text above it.
+HEADLESS = "The same|What|Those|That|These|Whether|Of|How|Where|When|Why|Which|Who|As|Its?|They|Their|Likewise"
+
+
+def docstrings(path):
+    """The documented modules, classes and functions of a file, with the first line of each."""
+    for node in ast.walk(tree(path)):
+        documented = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+        if documented and (text := ast.get_docstring(node)):
+            yield getattr(node, "name", "module"), text.partition("\n")[0]
+
+
+def test_every_docstring_stands_alone():
+    """It begins with what the function returns or does, or with the name of a thing: never with a headless clause."""
+    fragment = re.compile(rf"({HEADLESS})\b")
+    seen = [(f"{path.relative_to(PACKAGE)}:{name}", first) for _, path in SOURCES for name, first in docstrings(path)]
+    assert [f"{place}: {first}" for place, first in seen if fragment.match(first)] == []
+    assert len(seen) > 1000
+    assert fragment.match("The same, of a run.")
+    assert not fragment.match("Offsets of the columns.")
+
+
 LONGEST = 60  # lines of a function, without its docstring
 
 

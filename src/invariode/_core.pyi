@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 def all_finite(values: object) -> bool:
     """
-    Whether all numbers of a contiguous array of float64 or complex128 are finite.
+    Return whether all numbers of a contiguous array of float64 or complex128 are finite.
     """
 
 def plainly_posed(t_span: object, y0: object, args: object) -> tuple[tuple[float, float], numpy.ndarray, tuple[object, ...]] | None:
@@ -130,17 +130,17 @@ class RootVector:
     def __init__(self, fun: object, first: int, count: int, name: str, action: object) -> None: ...
 
 class Linear:
-    """What is known of the Jacobian of f and of the mass matrix."""
+    """Known properties of the Jacobian of f and of the mass matrix."""
 
     def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0, rate: object | None = None) -> None: ...
 
     @property
     def kind(self) -> str:
-        """As it was given."""
+        """Kind of Jacobian, as it was given."""
 
     @property
     def structure(self) -> str:
-        """Likewise."""
+        """Structure of the Jacobian, as it was given."""
 
     @property
     def found_pattern(self) -> int:
@@ -169,7 +169,7 @@ class Variations:
     def error_test(self) -> bool: ...
 
 class Problem:
-    """What is to be solved, but for the initial value. n: reals in a state."""
+    """Problem to be solved, except its initial value. n: reals in a state."""
 
     def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
         """
@@ -336,10 +336,10 @@ class Dense:
 
     @staticmethod
     def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, parameters: int = 0) -> Dense:
-        """What `parts` gave, put together again."""
+        """Rebuild the continuous solution from the result of `parts`."""
 
     def parts(self) -> dict:
-        """What it consists of: arrays, numbers and names."""
+        """Return the contents as arrays, numbers and names."""
 
     def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem | None) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """
@@ -355,7 +355,7 @@ class Dense:
 
     @property
     def parameters(self) -> int:
-        """How many have sensitivities."""
+        """Number of parameters with sensitivities."""
 
     @property
     def complex(self) -> bool: ...
@@ -527,13 +527,13 @@ class Run:
     @property
     def ordinary(self) -> bool:
         """
-        Whether its state says how it ended, and nothing besides is to be said.
+        True if the state of the run describes its end, and nothing else is to be reported.
         """
 
     @property
     def told(self) -> tuple[bool, bool, bool]:
         """
-        Whether it was said while it went on that it is stiff, that f is discontinuous, and that the solution sticks.
+        True for each remark made during the run: it is stiff, f is discontinuous, the solution sticks.
         """
 
     @property
@@ -542,7 +542,7 @@ class Run:
     @property
     def accumulation(self) -> tuple[int, float, float, int] | None:
         """
-        Of an event whose actions come closer and closer until it is passed: its number, the last t, the interval before it, and how many there were.
+        Event whose actions come closer and closer until it is passed: its number, the last t, the interval before it, and the number of actions.
         """
 
     @property
@@ -556,7 +556,9 @@ class Run:
 
     @property
     def memory(self) -> bytes:
-        """What the run remembers, for `Solver.resume`; empty if it cannot go on."""
+        """
+        Internal state of the run, for `Solver.resume`; empty if it cannot be resumed.
+        """
 
 class EnsembleRun:
     """
@@ -590,7 +592,7 @@ class EnsembleRun:
     @property
     def alone(self) -> list[int]:
         """
-        How many trajectories the lanes left to the code for one at a time: because something was not finite or a step too short, because of stability, the invariant, an event or output inside a step, max_steps, and because too many were left.
+        Numbers of trajectories that the lanes left to scalar code, by cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a step, max_steps, and too many left.
         """
 
 def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None, tolerances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None) -> EnsembleRun:
@@ -626,7 +628,7 @@ class Solver:
 
     @property
     def native(self) -> bool:
-        """Whether no function needs the interpreter."""
+        """True if no function needs the interpreter."""
 
     @property
     def members(self) -> tuple:
@@ -636,15 +638,17 @@ class Solver:
 
     @property
     def obstacle_to_lanes(self) -> str | None:
-        """Why its trajectories cannot be integrated side by side, or None."""
+        """Reason why trajectories cannot be integrated in SIMD lanes, or None."""
 
     def lanes(self, instructions: str) -> int:
-        """How many of its trajectories are integrated side by side."""
+        """
+        Return the number of trajectories that are integrated at once in SIMD lanes.
+        """
 
     @property
     def motion_work(self) -> object:
         """
-        What a mechanical system has cost so far: calls of its functions and factorisations.
+        Work of a mechanical system so far: calls of its functions and factorisations.
         """
 
     def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0, remarks: object | None = None) -> Run:
@@ -670,7 +674,7 @@ class Stepper:
         """The continuous solution over the last step."""
 
     def result(self) -> Run:
-        """What the run has done so far, and why it ended, if it has."""
+        """Return the result of the run so far, and why it ended, if it has."""
 
     @property
     def state(self) -> str: ...
@@ -700,7 +704,7 @@ class Stepper:
 
     @property
     def discontinuities(self) -> list[float]:
-        """Where f jumps, as far as it was seen."""
+        """Times of the discontinuities of f found so far."""
 
     @property
     def sticks_since(self) -> float | None:
@@ -739,7 +743,7 @@ def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', d
 
 def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> Examination | None:
     """
-    How each invariant stands at one point; None where g, its Jacobian or f is not finite there.
+    Examine each invariant at one point; None where g, its Jacobian or f is not finite there.
     """
 
 def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
@@ -775,10 +779,10 @@ class Differentiable:
     def __init__(self, forms: object, name: str, n_q: int, n_v: int, m: int, args: tuple, parameters: Sequence[float]) -> None: ...
 
     def value(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """Of shape (m,)."""
+        """Return the values at (t, x), of shape (m,)."""
 
     def complex_value(self, z: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """Its complex form at (t, x); complex numbers are pairs of reals."""
+        """Return the complex form at (t, x); complex numbers are pairs of reals."""
 
     def slope(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """d/ds at (t + s dt, x + s dx), s = 0."""
@@ -808,7 +812,7 @@ class Motion:
 
     @property
     def sparse(self) -> bool:
-        """Whether sparse factors are tried first."""
+        """True if sparse factors are tried first."""
 
     @property
     def work(self) -> dict:
@@ -827,7 +831,7 @@ class Quadratic:
     def __init__(self, n: int, terms: int, first: Sequence[int], second: Sequence[int], gradient: bool) -> None: ...
 
 class Examination:
-    """How invariants stand at a point: arrays (m,)."""
+    """Examination of the invariants at a point: arrays (m,)."""
 
     @property
     def residual(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
@@ -873,7 +877,7 @@ class Method:
 
     @property
     def summary(self) -> str:
-        """What it is and what it is for, in a few words."""
+        """Summary: the method and its use in a few words."""
 
     @property
     def family(self) -> str: ...
@@ -905,22 +909,24 @@ class Method:
 
     @property
     def scipy_name(self) -> str | None:
-        """Of the corresponding method of `scipy.integrate.solve_ivp`, or None."""
+        """
+        Name of the corresponding method of `scipy.integrate.solve_ivp`, or None.
+        """
 
     @property
     def scipy_bdf(self) -> bool:
-        """That name implies the option bdf."""
+        """True if the SciPy name implies the option bdf."""
 
     @property
     def mass(self) -> str:
         """
-        Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.
+        Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.
         """
 
     @property
     def equations(self) -> str:
         """
-        What it takes for f: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.
+        Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.
         """
 
     @property

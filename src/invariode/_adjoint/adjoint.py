@@ -71,7 +71,7 @@ class CostFunctional(NamedTuple):
     Attributes
     ----------
     times : ndarray, (m,)
-        Where G takes the solution.
+        Times at which G depends on the solution.
     costs : ndarray, (n, m)
         Its derivatives with respect to the solution there.
     direct : ndarray, (k,)
@@ -92,11 +92,11 @@ class Forward(NamedTuple):
     Attributes
     ----------
     problem, method, options
-        What was solved.
+        The problem that was solved, and how.
     solve : callable
         (problem, method, options) -> solution.
     t : float
-        Where it ended.
+        Time at which the run ended.
     solution : Result
         With its continuous solution.
     """
@@ -258,7 +258,7 @@ class _Adjoint:
 
     @cached_property
     def _schedule(self) -> Schedule | None:
-        """Where f changes its branch as a function of t alone."""
+        """Times at which f changes its branch as a function of t alone."""
         with quietly():  # the run has warned
             found = schedule_of(self._run.problem, Parameters.of(self._run.problem.args))
             return found or schedule_of(self._problem, Parameters.of(self._problem.args), self._slope.outputs or ())
@@ -336,7 +336,7 @@ class _Adjoint:
         return np.asarray(np.asarray(self._sol._atol, dtype=float) / self._sol._rtol)
 
     def _weights(self, y: Array) -> Array:
-        """Of the error test. (Of a component that is 0, with atol = 0, the largest.)"""
+        """Return the weights of the error test at y (n,); for a component that is 0, with atol = 0, the largest."""
         w = np.maximum(np.abs(y), self._threshold)
         return np.where(w == 0, w.max() or 1.0, w)
 
@@ -379,7 +379,7 @@ class _Adjoint:
         ]
 
     def _moving(self, begin: float, end: float) -> Array:
-        """Which components move between these times: 1, or 0 of those that rest at a bound."""
+        """Return a mask (n,) of the components that move between two times: 1, or 0 for those at rest at a bound."""
         found = np.ones(self.n)
         low, high = sorted((begin, end))
         for one in self._rests:
@@ -388,7 +388,7 @@ class _Adjoint:
         return found
 
     def _across(self, piece: _Piece, mu: Array, costs: dict[float, Array]) -> Array:
-        """μ at the beginning of a piece, from that behind its end. A cost at a jump is that of the state behind it."""
+        """Return μ at the beginning of a piece from μ after its end. A cost at a jump is that of the state after it."""
         if piece.end == self._run.t and piece.end in costs:
             mu = mu + self._cost(piece.end, costs.pop(piece.end))
         takes = piece.end in self._times_of_values
@@ -413,7 +413,7 @@ class _Adjoint:
 
     @cached_property
     def _times_of_values(self) -> set[float]:
-        """When laws got new values."""
+        """Times at which invariants got new values."""
         return {jump.t for jump in self._sol._invariants.jumps}
 
     @cached_property
@@ -421,7 +421,7 @@ class _Adjoint:
         return {one.t for one in self._breakpoints}
 
     def _behind(self, t: float) -> float:
-        """The time at which laws are evaluated: where they may jump, behind that."""
+        """Return the time at which invariants are evaluated for t: just after t where they may jump."""
         forward = 1.0 if self._run.t >= self._problem.t_span[0] else -1.0
         return float(np.nextafter(t, forward * np.inf)) if t in self._times_of_breaks else t
 
@@ -433,7 +433,7 @@ class _Adjoint:
         return self._differential(t, y, mu)
 
     def _through(self, jump: Jump, mu: Array) -> Array:
-        """μ before a jump from that behind it."""
+        """Return μ before a jump from μ after it."""
         if jump.moves:
             mu, beside = self._laws.on_tangent(self._behind(jump.t), jump.after, mu, taking=jump.reholds)
             self._total = self._total + beside
@@ -534,7 +534,7 @@ class _Adjoint:
         return self._carried_out(make_plan(adjoint, method, options), rates)
 
     def _carried_out(self, plan: Plan, rates: _Rates) -> Array:
-        """μ at the end of its run. The quadratures of the gradient, which start from 0, are behind it."""
+        """Return μ at the end of its run. The quadratures of the gradient, which start from 0, follow it."""
         points = len(plan.functions.breakpoints)
         quadratures = _core.Variations(
             k=rates.blocks,
@@ -616,7 +616,7 @@ def _summed(piece: _Piece, costs: dict[float, Array]) -> dict[float, Array]:
 
 
 def _require_integrand(g: Any, run: Forward) -> None:
-    """It can be called, and returns a real number at both ends of the run."""
+    """Raise an error unless the integrand can be called and returns a real number at both ends of the run."""
     problem = run.problem
     function("integrand", g, "g(t, y, *args)")
     if is_native(g):
@@ -644,7 +644,7 @@ def _functional(
     integrand: Any,
     k: int,
 ) -> CostFunctional:
-    """As it is given, with shapes checked."""
+    """Return the cost functional that the user specified, with shapes checked."""
     sol, n = run.solution, len(run.problem.y0)
     if dG_dy is None and integrand is None and dG_dp is None:
         raise ValueError("gradient needs dG_dy, the derivative of a scalar with respect to y, or an integrand g(t, y)")

@@ -1,4 +1,4 @@
-"""Where a solution jumps, or its slope does, as what that does to its sensitivities: S⁺ = A S⁻ + B.
+"""Jumps of a solution, or of its slope, as their effect on its sensitivities: S⁺ = A S⁻ + B.
 
 For an event e(t, y, p) = 0 at τ with the action y⁺ = h(τ, y⁻, p) (of a condition at which f jumps, h is y), from
 
@@ -36,22 +36,22 @@ Derivatives = Callable[..., Directional]
 
 @dataclass
 class Jump:
-    """What happens to S at a time.
+    """Effect of a jump at one time on S.
 
     Attributes
     ----------
     t : float
-        When.
+        Time of the jump.
     before, after : ndarray, (n,)
-        The state.
+        State before and after the jump.
     A, B : ndarray, (n, n) and (n, k)
         S⁺ = A S⁻ + B.
     time_of_state, time_of_parameters : ndarray, (n,) and (k,)
         ∂τ = time_of_state · S⁻ + time_of_parameters.
     reholds : bool
-        Whether invariants without a value are held at their values behind it.
+        Invariants without a prescribed value are fixed at their values after the jump.
     moves : bool
-        Whether y jumps.
+        y jumps.
     """
 
     t: float
@@ -79,7 +79,7 @@ class Partials(NamedTuple):
 
     @classmethod
     def at(cls, function: Directional, t: float, y: Array) -> Partials:
-        """Those of a function at a point."""
+        """Return the partial derivatives of a function at a point."""
         k, n = function.k, function.n
         return cls(
             function.jacobian(t, y),
@@ -88,7 +88,7 @@ class Partials(NamedTuple):
         )
 
     def into(self, then: Partials) -> Partials:
-        """Those of a second function of (t, y, p) at y = the first one."""
+        """Return the partial derivatives of a second function of (t, y, p) evaluated at y = this function."""
         return Partials(then.of_y @ self.of_y, then.of_y @ self.of_p + then.of_p, then.of_y @ self.of_t + then.of_t)
 
 
@@ -98,7 +98,7 @@ class Occurrence(NamedTuple):
     Attributes
     ----------
     t : float
-        When.
+        Time of the jump.
     found : callable
         () -> the jump.
     """
@@ -108,18 +108,18 @@ class Occurrence(NamedTuple):
 
 
 class Action(NamedTuple):
-    """What moves y at a time: an action of an event or at a breakpoint.
+    """Action that changes y at a time, of an event or at a breakpoint.
 
     Attributes
     ----------
     t : float
-        When.
+        Time of the action.
     before : callable
         () -> the state, before all of that time.
     action : Directional
         The derivatives of the action.
     event : Directional or None
-        Those of the event, whose time moves; None: a breakpoint.
+        Derivatives of the event, whose time moves; None: a breakpoint.
     reholds : bool
         As in `Jump`.
     """
@@ -152,7 +152,7 @@ def _distance(a: Array, b: Array) -> float:
 
 
 def _at_one_time(actions: list[Action]) -> list[list[Action]]:
-    """Those of each time, in their order."""
+    """Group the actions by their times, in order."""
     return [[*those] for _, those in groupby(sorted(actions, key=lambda one: one.t), key=lambda one: one.t)]
 
 
@@ -168,7 +168,7 @@ class Jumps:
     derivatives : callable
         Makes derivatives of its functions.
     conditions : list of Switching
-        Those of f that are followed; they are the last events of the solution.
+        Conditions of f that are followed; they are the last events of the solution.
     threshold : float or ndarray, (n,)
         atol / rtol of the run.
     """
@@ -198,14 +198,14 @@ class Jumps:
         self._behind: Callable[[float], Array] = lambda t: self._y0
 
     def follow_landings(self, schedule: Schedule | None) -> None:
-        """From now on there are those where f changes its branch at times that depend on parameters."""
+        """Include from now on the landings, where f changes its branch at times that depend on parameters."""
         self._landing = landing_jump(schedule, self._problem, self._names, self._rate)
 
     def of(
         self, sol: Result, y: Callable[[float], Array], points: Sequence[Breakpoint], rests: Sequence[Rest]
     ) -> list[Occurrence]:
-        """Those of a solution, y as a function of t, in the order of its times; at one time in that in which the run
-        takes them.
+        """Return the jumps of a solution, y as a function of t, in the order of its times; at one time in the order in
+        which the run takes them.
 
         Raises
         ------
@@ -267,8 +267,8 @@ class Jumps:
 
     @staticmethod
     def last_was_taken(found: list[Occurrence], t_end: float, end: Array) -> bool:
-        """Whether a run that failed at t_end in the state `end` has gone on from the last jump, if it was there: its
-        actions may be what failed."""
+        """Return whether a run that failed at t_end in the state `end` continued from the last jump, if it was there:
+        its actions may be the cause of the failure."""
         if not found or found[-1].t != t_end:
             return True
         jump = found[-1].found()
@@ -304,7 +304,8 @@ class Jumps:
         return Action(point.t, before, action, None, reholds=True)
 
     def _jump(self, together: list[Action], start: Callable[[], Array]) -> Jump:
-        """What actions at one time do, all of events or all at breakpoints; they begin in this state."""
+        """Return the joint jump of actions at one time, all of events or all at breakpoints; they begin in the state of
+        `start`."""
         before = start()
         n, k, y, t = self._n, self._k, before, together[0].t
         reholds = all(one.reholds for one in together)
@@ -350,7 +351,7 @@ class Jumps:
         return found
 
     def _of_landings(self, landing: LandingJump, y: Callable[[float], Array], times: list[float]) -> list[Occurrence]:
-        """Those of f alone; they come before actions at the same time."""
+        """Return the jumps at landings, where f alone changes; they come before actions at the same time."""
         found = []
         for t in times:
             rates = landing.rates_of_time(t)
@@ -372,7 +373,7 @@ class Jumps:
         return Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False)
 
     def _of_rest(self, solution: Callable[[float], Array], rest: Rest) -> Jump:
-        """Where it begins: S_i is 0."""
+        """Return the jump at the time where a rest begins: S_i is 0."""
         y = solution(rest.begin)
         A, n, k = np.eye(self._n), self._n, self._k
         A[rest.component, rest.component] = 0
@@ -391,8 +392,8 @@ class Rest(NamedTuple):
 def at_bounds(
     problem: Description, sol: Result, y: DenseSolution | SectionedSolution, threshold: float | Array
 ) -> list[Rest]:
-    """When components are held at their bounds: between steps that end there, but for roundoff in units of the
-    threshold atol / rtol, where y' leads out of the bounds, or is 0 since they have come there.
+    """Return the rests of components at their bounds: between steps that end there, except for roundoff in units of the
+    threshold atol / rtol, where y' leads out of the bounds, or is 0 since they have reached them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the projection onto invariants does to sensitivities, transposed.
+"""Effect of the projection onto invariants on sensitivities, transposed.
 
 Where a solution is held on r(t, y, p) = c(p), its sensitivities are moved onto the tangent,
 
@@ -32,7 +32,7 @@ class _Law:
     Attributes
     ----------
     about : Invariants
-        As it is given.
+        The invariant as the user defined it.
     law : Directional
         The derivatives of r.
     carried : ndarray, (m,)
@@ -48,7 +48,8 @@ class _Law:
 
     @property
     def demanded(self) -> bool:
-        """Whether c is a given number; otherwise it is the value that r had at the start, or behind the last action."""
+        """True if c is a prescribed number; otherwise it is the value that r had at the start, or after the last
+        action."""
         return self.about.value is not None
 
     def of_parameters(self, t: float, y: Array) -> Array:
@@ -65,7 +66,7 @@ class Laws:
     problem : Description
         The problem.
     k : int
-        How many parameters there are.
+        Number of parameters.
     derivatives : callable
         Makes derivatives of its functions.
     weights : callable
@@ -101,7 +102,8 @@ class Laws:
         return self._taken(t, y, cost, beside) if taking else (cost, beside)
 
     def _taken(self, t: float, y: Array, cost: Array, beside: Array) -> tuple[Array, Array]:
-        """With what laws carry that take their values here."""
+        """Return the costs with the contributions carried by the invariants that take their values at (t, y), and reset
+        these."""
         for one in self._laws:
             if not one.demanded:
                 cost = cost + one.law.jacobian(t, y).T @ one.carried

@@ -28,9 +28,9 @@ class Sectioned(NamedTuple):
     Attributes
     ----------
     plan : Plan
-        How its steps were made.
+        Plan by which the steps were made.
     begins : list of (int, float, bytes)
-        Of each section the accepted steps before it, its first t, and what the run remembered there.
+        For each section the accepted steps before it, its first t, and the internal state of the run there.
     steps : int
         The accepted steps of the whole run.
     """
@@ -68,7 +68,7 @@ class _Section(NamedTuple):
     last: int  # accepted steps of the run at its end
 
     def solved(self) -> _core.Dense:
-        """Its continuous solution."""
+        """Return the continuous solution of the section."""
         plan = self.plan._replace(settings=self.plan.settings._replace(max_steps=self.steps))
         with quietly():  # the run has warned
             run = solver(plan).resume(self.memory, False)
@@ -93,11 +93,11 @@ class SectionedSolution:
     runs : sequence of Sectioned
         The run, and its extensions.
     sol : Result
-        What they came to.
+        Result of the run and its extensions.
     y : ndarray, (n,)
         The state at the end.
     imposed : bool
-        Whether the solution is projected onto its invariants.
+        The solution is projected onto its invariants.
     """
 
     def __init__(self, runs: Sequence[Sectioned], sol: Result, y: Array, *, imposed: bool) -> None:
@@ -155,7 +155,7 @@ class SectionedSolution:
 
 
 def _sections(run: Sectioned) -> Iterator[_Section]:
-    """From the last to the first."""
+    """Iterate over the sections from the last to the first."""
     last = run.steps
     for begin, t, memory in reversed(run.begins):
         yield _Section(run.plan, t, memory, last - begin, last)

@@ -1,1 +1,1 @@
-"""What every room uses: checks of arguments, their types, failures, files and locks, progress, notebooks, colours."""
+"""Helpers for every room: checks of arguments, their types, failures, files and locks, progress, notebooks, colours."""

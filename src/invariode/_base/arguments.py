@@ -69,13 +69,13 @@ def raised_in(error: BaseException) -> str:
 
 
 def warnings_given() -> int:
-    """How many warnings this thread has given, or would have given, so far."""
+    """Return the number of warnings that this thread has issued, or would have issued, so far."""
     return _warned.get()
 
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Without this package's warnings, which have been given already."""
+    """Suppress this package's warnings inside a `with` block: the user has had them already."""
     token = _quiet.set(True)
     try:
         yield
@@ -109,7 +109,7 @@ def _expression(fun: object) -> str | None:
 
 
 def distinct(names: list[str]) -> list[str]:
-    """The names, numbered where they repeat: tables and columns tell things apart by them."""
+    """Return the names, numbered where they repeat, so that tables and columns are distinct."""
     if len(set(names)) == len(names):
         return names
     numbered = [f"{one}_{names[:i].count(one)}" if names.count(one) > 1 else one for i, one in enumerate(names)]
@@ -117,7 +117,7 @@ def distinct(names: list[str]) -> list[str]:
 
 
 class _Shown(reprlib.Repr):
-    """What users gave, for messages: short, and without the errors that a repr can raise."""
+    """Short representations of users' values for messages, safe against errors that a repr can raise."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -265,7 +265,7 @@ def _too_large(name: str, value: object) -> ValueError:
 
 
 def as_array(name: str, value: object) -> Array:
-    """What was given as an array of any type and shape."""
+    """Return `value` as an array of any type and shape."""
     if type(value) is np.ndarray:  # the common case
         return value
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
@@ -333,7 +333,7 @@ def tolerance(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def reals(y: Array) -> int:
-    """How many reals make up y, of shape (n,)."""
+    """Return the number of reals that make up y, of shape (n,): 2n if y is complex, else n."""
     return 2 * len(y) if y.dtype.kind == "c" else len(y)
 
 

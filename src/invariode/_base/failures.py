@@ -1,4 +1,4 @@
-"""How a failed run says so, where `on_failure` asks for more than its status."""
+"""Reports of failed runs: the exception or warning that `on_failure` asks for besides the status."""
 
 from __future__ import annotations
 

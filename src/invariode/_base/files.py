@@ -120,7 +120,7 @@ def take_mode(file: int, other: os.stat_result) -> None:
 
 
 def read_arrays(path: PathLike, only: str | None = None) -> dict[str, Array]:
-    """All arrays of a file, or one; no arrays of a file that is not an archive."""
+    """Read all arrays of a file, or only the array `only`; return {} if the file is not an archive."""
     mode = os.stat(arguments.path("path", path)).st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading from a pipe would wait; of a folder `open` says it
         raise unreadable(path, "is not a regular file: save to one first")
@@ -129,8 +129,8 @@ def read_arrays(path: PathLike, only: str | None = None) -> dict[str, Array]:
 
 
 def arrays_in(file: IO[bytes], size: int, path: PathLike, only: str | None = None) -> dict[str, Array]:
-    """All arrays of an archive of that size, which is in the file `path`, or the one of a name, if it is there; no
-    arrays of something else."""
+    """Read all arrays of an archive of `size` bytes, or only the array `only` if it exists; return {} if the file is
+    not an archive. `path`: its name, for messages."""
     import zipfile
 
     if not zipfile.is_zipfile(file):

@@ -49,11 +49,11 @@ class Field(NamedTuple):
 
     @property
     def dimensions(self) -> list[str]:
-        """Their names."""
+        """Names of the field's dimensions."""
         return (self.shape or "").split()
 
     def fits(self, value: Any, sizes: dict[str, Any]) -> bool:
-        """`sizes`: those known so far, to which this adds."""
+        """Return whether a value fits the field. `sizes`: sizes of dimensions known so far, to which this adds."""
         if self.shape in (None, GROUP):
             return _fits(value, self.type, sizes) and (value is None or self._within(value, sizes))
         if not hasattr(value, "dtype"):
@@ -81,13 +81,13 @@ class Field(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What a file of a kind holds."""
+    """Kind of file: its name and the fields that it holds."""
 
     name: str
     fields: dict[str, Field]
 
     def taken(self, source: Any, **more: Any) -> dict[str, Any]:
-        """The fields, `more` and those of what is saved."""
+        """Return the fields of this kind, from `more` or else from the object to be saved."""
         found = dict(more)
         for name, field in self.fields.items():
             if name in found:  # given, or of a group
@@ -103,7 +103,7 @@ class Kind(NamedTuple):
         return found
 
     def require(self, found: Mapping[str, Any]) -> None:
-        """An error that names what is not as it should be."""
+        """Raise an error that names the first field that is unknown, missing, or of a wrong type or size."""
         groups = tuple(f"{name}." for name, field in self.fields.items() if field.shape == GROUP)
         for name in found:
             if name not in self.fields and not (isinstance(found[name], np.ndarray) and name.startswith(groups)):
@@ -129,7 +129,7 @@ def _hints(table: type) -> dict[str, Any]:
 
 
 def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
-    """Whether a value is of a type, which may be nested."""
+    """Return whether a value is of a type, which may be nested."""
     outer, inner = get_origin(hint), get_args(hint)
     if outer is Annotated:  # a list of the length of a dimension, or a number that is it
         if not _fits(value, inner[0], sizes):
@@ -154,12 +154,12 @@ def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
 
 
 def header(kind: str) -> dict[str, Any]:
-    """What stands first in every file and store."""
+    """Return the header that every file and store begins with."""
     return {"format": _FORMAT + kind, "version": VERSION, "invariode": version()}
 
 
 def _word(value: Any) -> str:
-    """What stands in a header, which may be anything."""
+    """Return a header's value as text for a message; the value may be anything."""
     return value if isinstance(value, str) and len(value) < 40 else shown(value)
 
 
@@ -192,7 +192,7 @@ def write(path: PathLike, kind: Kind, fields: Mapping[str, Any], durable: bool =
 
 
 def packed(kind: Kind, fields: Mapping[str, Any]) -> memoryview:
-    """The same as bytes."""
+    """Return the file of a kind with these fields as bytes."""
     whole = io.BytesIO()
     np.savez(whole, **_members(kind, fields))
     return whole.getbuffer()
@@ -206,17 +206,17 @@ def _members(kind: Kind, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read(path: PathLike, *kinds: Kind) -> tuple[Kind, dict[str, Any]]:
-    """The fields of a file of one of these kinds, once all of them are right."""
+    """Return the kind of a file, one of these kinds, and its fields, all of them checked."""
     return _checked(path, read_arrays(path), *kinds)
 
 
 def unpacked(data: bytes, path: PathLike, kind: Kind) -> dict[str, Any]:
-    """The same of bytes in a file."""
+    """Return the fields of a file of a kind, given as bytes; `path` is for messages."""
     return _checked(path, arrays_in(io.BytesIO(data), len(data), path), kind)[1]
 
 
 def read_values(path: PathLike, kind: Kind) -> dict[str, Any]:
-    """The values in a file, without its arrays."""
+    """Return the values in a file, without its arrays."""
     values = {name: field for name, field in kind.fields.items() if field.shape is None}
     return _checked(path, read_arrays(path, only=ABOUT), Kind(kind.name, values))[1]
 

@@ -64,7 +64,7 @@ class Lock:
             warn(f"{what}: the file system of {path} has no locks: make sure that no other process uses the same name")
 
     def release(self) -> None:
-        """Lets others take it. A second time it does nothing."""
+        """Release the lock, so that others can take it. Calling this again has no effect."""
         if not self._holds:
             return
         self._holds = False
@@ -113,7 +113,7 @@ def _opened(place: Path, what: str) -> int:
 
 
 def _introduce(file: int, place: Path, what: str) -> None:
-    """Who holds the lock, for those who come."""
+    """Write into the lock file which process holds the lock, for others that want it."""
     before = os.read(file, _TEXT)
     if before and not before.startswith(json.dumps({"format": _LOCK})[:-1].encode()):
         raise _not_a_lock(place, what)
@@ -147,7 +147,7 @@ def _locked(file: int) -> bool:
 
 
 def _is_at(file: int, path: Path) -> bool:
-    """Whether the file is still the one of that name."""
+    """Return whether `path` still names the open file."""
     try:
         return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
     except FileNotFoundError:
@@ -155,7 +155,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 def _holder(file: int) -> str:
-    """Who has the lock. Its text is written just after it is taken."""
+    """Return a description of the process that holds the lock. Its text is written just after the lock is taken."""
     for _ in range(_LOOKS):
         with suppress(OSError, ValueError, KeyError, TypeError):
             os.lseek(file, 0, os.SEEK_SET)

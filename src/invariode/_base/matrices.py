@@ -11,7 +11,7 @@ from .arguments import Array, as_array, shown
 
 
 def is_sparse(given: Any) -> bool:
-    """Whether it is one of SciPy's sparse matrices."""
+    """Return whether an object is one of SciPy's sparse matrices."""
     return hasattr(given, "tocsr")
 
 
@@ -29,15 +29,15 @@ def as_matrix(
     Parameters
     ----------
     name : str
-        What messages call it.
+        Name of the matrix in messages.
     given : array_like or sparse matrix
         The matrix. A single row or column may be given as a 1-d array, a single number as such.
     shape : tuple of int, optional
         The shape that it must have.
     is_complex : bool, default False
-        Whether its numbers may be complex.
+        The matrix may be complex.
     banded : bool, default False
-        Whether it is a matrix packed by its bands, for the message.
+        The matrix is packed by its bands, for the message.
     at : float, optional
         The time at which a function returned it, for the message.
 
@@ -70,7 +70,7 @@ def as_matrix(
 
 
 def _sound(name: str, given: Any) -> Any:
-    """A sparse matrix, once its indices are seen to fit its shape.
+    """Return a sparse matrix whose indices have been checked to fit its shape.
 
     SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.

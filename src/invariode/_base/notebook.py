@@ -30,7 +30,7 @@ def html_of_problem(problem: Any) -> str:
 
 
 def html_of_solution(sol: Any, picture: str) -> str:
-    """How the run went and what it kept, beside a small picture."""
+    """Return an HTML summary of a run, its outcome and output, beside a small picture."""
     stats = sol.stats
     rows = [
         ("status", f"{'✓' if sol.success else '✗'} {sol.message}"),
@@ -53,7 +53,7 @@ def html_of_solution(sol: Any, picture: str) -> str:
 
 
 def html_of_ensemble(ensemble: Any) -> str:
-    """How the trajectories ended, and why the first failed one failed."""
+    """Return an HTML summary of an ensemble: how its trajectories ended, and the messages of the first that failed."""
     counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
     rows = [(what, str(k)) for status, what in counted if (k := int((ensemble.status == status).sum()))]
     rows += [(f"trajectory {i} failed", text) for i, text in list(ensemble.messages.items())[:_MOST]]
@@ -65,7 +65,7 @@ def html_of_ensemble(ensemble: Any) -> str:
 
 
 def html_of_check(report: Any) -> str:
-    """The table that the report prints, and its findings."""
+    """Return an HTML table of the report of a check, and its findings."""
     head = ("invariant", "value", "residual", "rate", "of its terms", "conserved")
     findings = "".join(f"<li>{html.escape(finding)}</li>" for finding in report.findings)
     listed = f"<ul>{findings}</ul>" if findings else ""

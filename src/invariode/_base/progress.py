@@ -26,7 +26,7 @@ _in_passing = ContextVar("_in_passing", default=False)
 
 @contextmanager
 def in_passing() -> Iterator[None]:
-    """Bars appear only when it takes longer, and leave nothing behind."""
+    """Let progress bars in this block appear only when the work takes longer, and leave no output behind."""
     token = _in_passing.set(True)
     try:
         yield
@@ -36,7 +36,8 @@ def in_passing() -> Iterator[None]:
 
 @contextmanager
 def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
-    """Shows a bar while the block runs; call what it yields with how much is done, and with the total if that changes.
+    """Show a bar while the block runs; call the function that it yields with the amount done, and with the total if
+    that changes.
 
     It yields None if no bar was asked for.
 
@@ -58,7 +59,7 @@ def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., N
 
 @contextmanager
 def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None]]:
-    """A bar over t, for one run: what it yields is called with t and h. On an infinite interval it pulses."""
+    """Show a bar over t for one run; it yields a function of t and h. On an infinite interval the bar pulses."""
     total = abs(tf - t0) if math.isfinite(tf) else None
     with _drawn(what, total, "t = {task.fields[t]:.6g}  h = {task.fields[h]:.2e}", t=t0, h=0.0) as update:
         yield lambda t, h: update(completed=abs(t - t0), t=t, h=h)
@@ -66,7 +67,7 @@ def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float]
 
 @contextmanager
 def _drawn(what: str, total: float | None, text: str = "", **fields: float) -> Iterator[Callable[..., None]]:
-    """A bar with this text about the fields; call what it yields with their new values."""
+    """Show a bar with this text about the fields; it yields a function that takes their new values."""
     if (display := _notebook()) is not None:
         cell = _Cell(display, what, total, text, fields)
         try:
@@ -110,7 +111,7 @@ def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, floa
 
 
 def _notebook() -> ModuleType | None:
-    """How this process shows HTML in a notebook's cell, or None outside a notebook."""
+    """Return the module that shows HTML in a notebook's cell, or None outside a notebook."""
     ipython = sys.modules.get("IPython")  # code that runs in a notebook has imported it
     if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
         return None

@@ -81,8 +81,8 @@ def _whole(weights: Row) -> dict[int, int]:
 
 
 def _simplest(basis: list[dict[int, int]]) -> list[dict[int, int]]:
-    """Another basis of the same space: to each vector others are added or subtracted as long as that leaves fewer
-    negative entries, or as few and fewer entries: totals of amounts rather than their differences."""
+    """Return a simpler basis of the same space: to each vector others are added or subtracted as long as that leaves
+    fewer negative entries, or as few and fewer entries: totals of amounts rather than their differences."""
     changed = True
     while changed:
         changed = False

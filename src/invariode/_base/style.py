@@ -1,4 +1,4 @@
-"""How pictures look: the one place for colours and lines."""
+"""Colours and lines of all pictures, in one place."""
 
 from __future__ import annotations
 

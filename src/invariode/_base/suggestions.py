@@ -1,4 +1,4 @@
-"""What a user probably meant by a name that nothing has: "did you mean …?"."""
+"""Suggestions for unknown names in error messages: "did you mean …?"."""
 
 from __future__ import annotations
 

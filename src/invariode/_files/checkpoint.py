@@ -47,7 +47,7 @@ _WHOLE = Kind("checkpoint", RUN | END | OUTPUT | {name: SOLUTION.fields[name] fo
 
 
 class Stored(NamedTuple):
-    """A run as its files have it."""
+    """Stored run, as read from its files."""
 
     fields: dict[str, Any]  # as those of a solution, without its continuous output,
     parts: list[dict[str, Any]]  # which is in the parts
@@ -78,7 +78,8 @@ class RunFiles:
         return self._path.with_name(self._path.name + _OUTPUT + self._token)
 
     def go_on(self, mechanics: dict[str, Any] | None) -> None:
-        """The run is extended: the files must still be its own, and as it left them. Takes the lock."""
+        """Take the lock again to extend the run; raise an error unless the files are still its own, and as it left
+        them."""
         with self._taking() as left:
             if left is None or left["token"] != self._token:
                 raise ValueError(
@@ -129,7 +130,7 @@ class RunFiles:
             self._lock.release()
 
     def keep(self, part: Result, running: bool) -> None:
-        """Adds the output of a part of the run, and what it takes to go on behind it."""
+        """Add the output of a part of the run, and the state from which the run can continue after it."""
         self._require_untouched()
         if self._begin is None:
             data = self._packed(_PART, part)
@@ -147,7 +148,7 @@ class RunFiles:
             self._remove_remains()
 
     def _require_untouched(self) -> None:
-        """Nobody has written the state file since: where there are no locks, somebody may have."""
+        """Raise an error if another process has written the state file, as may happen where there are no locks."""
         now = _about(self._path)
         if now is None:  # somebody has deleted it
             self._left = None
@@ -191,7 +192,7 @@ class RunFiles:
 
 
 def _writer() -> str:
-    """This process, told from others of its number."""
+    """Return a name of this process that distinguishes it from others of its number."""
     return f"{os.getpid()} on {platform.node()} {_SESSION}"
 
 
@@ -203,7 +204,7 @@ def _head_of(token: str) -> bytes:
 
 
 def _carries(path: Path, token: str) -> bool:
-    """Whether a file of that name is ours: it begins with the token, as far as a killed process came."""
+    """Return whether a file is the writer's own: it begins with the token, as far as a killed process got."""
     if path.is_symlink() or not path.is_file():
         return False
     whole = _head_of(token)
@@ -212,7 +213,7 @@ def _carries(path: Path, token: str) -> bool:
 
 
 def _about(path: Path) -> dict[str, Any] | None:
-    """What the state file says, or None without one. A ValueError, if something else is there."""
+    """Return the contents of the state file, or None without one; raise a ValueError if it is a different file."""
     try:
         return read_values(path, CHECKPOINT)
     except FileNotFoundError:
@@ -275,7 +276,7 @@ def _parts(place: Path, contents: bytes) -> Iterator[dict[str, Any]]:
 
 
 def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any]:
-    """The fields of the whole run as one solution has them, but for its continuous output."""
+    """Return the fields of the whole run as one solution has them, except its continuous output."""
     whole = {name: one for name, one in parts[0].items() if not name.startswith("dense.")}
     for name in whole.keys() & OUTPUT.keys() - {"dense", "events"}:
         along = OUTPUT[name].dimensions
@@ -293,7 +294,8 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
 
 
 def _drop_repeated(whole: dict[str, Any]) -> None:
-    """Of outputs at one requested time keeps the last, which a continued run has put out behind a jump there."""
+    """Drop repeated outputs at one requested time except the last, which a resumed run has written after a jump
+    there."""
     repeated = np.flatnonzero(np.diff(whole["t"]) == 0)
     for name in {"t", "y", "S"} & whole.keys():
         whole[name] = np.delete(whole[name], repeated, axis=OUTPUT[name].dimensions.index("t"))

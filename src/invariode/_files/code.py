@@ -99,7 +99,7 @@ def _method(value: Any) -> Method | None:
 
 
 class _Uses:
-    """What the code of one function uses by name, and what it changes, which is its memory and not its code."""
+    """Names that the code of one function uses, and names that it changes, which are its state and not its code."""
 
     def __init__(self, method: Method) -> None:
         function, owner = method
@@ -148,14 +148,14 @@ def _place(one: dis.Instruction) -> tuple[int | None, int | None] | None:
 
 
 def _has_attributes(value: Any) -> bool:
-    """Whether a value is an object, or a class, whose attributes are not code that is seen otherwise."""
+    """Return whether a value is an object, or a class, whose attributes are not code that is seen otherwise."""
     if isinstance(value, (ModuleType, FunctionType, MethodType, BuiltinFunctionType, np.ndarray, np.generic, np.ufunc)):
         return False
     return hasattr(value, "__dict__") or hasattr(type(value), "__slots__")
 
 
 def _attributes(objects: list[Any], names: list[str]) -> list[tuple[str, str, Any]]:
-    """What the attributes of these names are, of the objects and of those among their attributes; of methods and
+    """Return the attributes of these names, of the objects and of those among their attributes; for methods and
     properties the function with its object."""
     found: list[tuple[str, str, Any]] = []
     seen: set[int] = set()
@@ -178,7 +178,7 @@ def _attributes(objects: list[Any], names: list[str]) -> list[tuple[str, str, An
 
 
 def _reached(first: Method) -> list[_Uses]:
-    """What a function uses, and those of its module that it calls."""
+    """Return the uses of a function and of the functions of its module that it calls."""
     found: list[_Uses] = []
     waiting, seen = [first], set()
     while waiting:

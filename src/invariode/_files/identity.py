@@ -1,5 +1,4 @@
-"""What tells one problem or run from another, as data: a file that goes on with one is refused to any other, and the
-difference is named."""
+"""Identity of a problem or run, as data: a file of one run is rejected by any other, and the difference is reported."""
 
 from __future__ import annotations
 
@@ -38,8 +37,8 @@ _SAME = 1e-9
 
 
 def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
-    """What `value` is, as JSON can hold it: equal for what is written alike, in another process too. Of a function its
-    code, or only that it is one. `depth`: how many lists and dicts it is in."""
+    """Return a value as JSON can store it: equal for values that are written alike, in another process too. For a
+    function that is its code, or only that it is one. `depth`: the number of lists and dicts around it."""
     if depth > _DEEPEST:
         raise ValueError(
             f"a list or dict among the arguments of the problem is nested in more than {_DEEPEST} levels, or contains "
@@ -85,14 +84,14 @@ def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
 
 
 class Identity(NamedTuple):
-    """In JSON's types, and arrays by name."""
+    """Identity of a run: in JSON's types, and arrays by name."""
 
     about: dict[str, Any]
     arrays: dict[str, Array]
 
 
 def identity_of_run(problem: Description, method: MethodName, options: Mapping[str, Any]) -> Identity:
-    """That of a run. Evaluates f at the start."""
+    """Return the identity of a run. Evaluates f at the start."""
     about: dict[str, Any] = {"method": find_method(method)[0].name, "options": {}, "arrays": [], "functions": []}
     arrays: dict[str, Array] = {"y0": problem.y0, "f0": _slope(problem)}  # first: f may fill an array that it returns
     for name, value in options.items():
@@ -125,7 +124,8 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
 
 
 def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
-    """That of a file, whose types are known to be right. Raises whatever else the damage causes."""
+    """Return the identity that a file contains, whose types are known to be right. Raises whatever else the damage
+    causes."""
     known = table_of(Options).keys() - _OF_THE_SESSION
     for name in (*about["options"], *about["arrays"], *about["functions"]):
         if name not in known:
@@ -137,8 +137,8 @@ def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
 
 
 def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
-    """The options of the run of a file. `given`: those with functions, which are not in the file, and others, which
-    must agree with those in it."""
+    """Return the options of the run of a file. `given`: those with functions, which are not in the file, and others,
+    which must agree with the file's."""
     about, arrays = stored
     options: dict[str, Any] = {**_plain_options(about), **{name: arrays[name] for name in about["arrays"]}}
     if about["bdf"]:
@@ -166,7 +166,7 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
 
 
 def _fields(value: Any) -> dict[str, Any]:
-    """What an option of several fields says, in JSON's types."""
+    """Return the fields of a structured option in JSON's types."""
     return {name: in_words(one, code=False) for name, one in getattr(value, "__dict__", {}).items() if one is not None}
 
 
@@ -223,7 +223,7 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _described(problem: Description) -> Any:
-    """What is compared, by the words for it."""
+    """Return the compared properties of a problem, by the words for them."""
     properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None, "at_jumps": True}
     about = {
         "components": len(problem.y0),

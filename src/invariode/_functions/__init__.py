@@ -1,1 +1,1 @@
-"""What the users' functions become: native functions, machine code for lanes, derivatives without symbols."""
+"""Forms of the users' functions: native functions, machine code for lanes, derivatives without symbols."""

@@ -46,18 +46,19 @@ _UNROLLED = 32
 
 
 class Watch(Protocol):
-    """What sees each accepted step of a run, as its callback, and may end the run for what the run does not see.
+    """Observer of the accepted steps of a run, used as its callback; it may stop the run for reasons that the run does
+    not see.
 
     Attributes
     ----------
     objection : str or None
-        What speaks against the solution, in words.
+        Objection to the solution, in words; None: there is none.
     """
 
     objection: str | None
 
     def __call__(self, t: float, y: Array) -> bool:
-        """Whether the run is to stop."""
+        """Return whether the run must stop."""
 
 
 class CoreFunction:
@@ -77,16 +78,16 @@ class CoreFunction:
         return None
 
     def on_graph(self) -> CompiledFunction | None:
-        """The same function in a form that can be traced for its derivatives, or None."""
+        """Return an equivalent function that can be traced for its derivatives, or None."""
         return None
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
-        """What the core takes in its place, for n components and `size` values."""
+        """Return the form that the core calls, for n components and `size` values."""
         raise NotImplementedError
 
 
 class Shape(NamedTuple):
-    """What machine code takes and gives."""
+    """Sizes of the arguments and results of machine code."""
 
     n: int
     size: int
@@ -140,11 +141,11 @@ class CompiledFunction:
     fun : callable
         The Python function.
     inplace : bool
-        Whether it fills an output.
+        The function fills an output array.
     elementary : {"own", "libm"}
         Whose elementary functions it calls: numba the mathematical library's.
     how : str
-        How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
+        Way of compilation: "trace" or "numba", and why not the other; "numba" until it is compiled.
     """
 
     #: Whether its further arguments may be anything, not only numbers.
@@ -185,7 +186,8 @@ class CompiledFunction:
         return self.fun(t, *vectors, *([parameters] if len(parameters) else []))
 
     def value_at(self, t: float, y: Array, parameters: Array) -> Any:
-        """What the Python function returns, or the output that it fills. y as the problem has it; it is copied."""
+        """Return the value of the Python function, or the output array that it fills. `y` has the type of the problem's
+        y and is copied."""
         y = y.copy() if self.is_complex else y.copy().view(float)
         if not self.inplace:
             return self.at(t, y, parameters=parameters)
@@ -211,7 +213,8 @@ class CompiledFunction:
         return f"compile({self.__name__})"
 
     def __reduce__(self) -> str | tuple[Any, ...]:
-        """By name where `compile` was the decorator of a function; never with the machine code."""
+        """Pickle by name if `compile` was the decorator of a function, else by function and options; never with the
+        machine code."""
         try:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
         except (AttributeError, KeyError):
@@ -219,7 +222,7 @@ class CompiledFunction:
         return self.__qualname__ if named is self else self.made_again()
 
     def made_again(self) -> tuple[Any, ...]:
-        """How it is made of its function: a callable and its arguments."""
+        """Return the callable and the arguments that recreate this object from its function."""
         return CompiledFunction, (self.fun, self.inplace)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
@@ -230,8 +233,8 @@ class CompiledFunction:
     def complex_native(
         self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
     ) -> _core.Native:
-        """The same function of complex t and y, which follow each other, with complex values; with `real_time` of real
-        t and complex y.
+        """Return machine code of the function for complex y with complex values; t is complex and precedes y, or with
+        `real_time` real and separate.
 
         Raises
         ------
@@ -252,8 +255,8 @@ class CompiledFunction:
         return made
 
     def _make(self, shape: Shape) -> Any:
-        """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
-        them or hands them to a function of a fixed signature, gets copies."""
+        """Compile the function for a shape. Its array arguments are read-only; a function that numba does not compile
+        for these, because it writes to them or passes them to a function of a fixed signature, gets copies."""
         refused = numba_or_say_so().core.errors.NumbaError, AttributeError  # of y *= 2, which it has for no such array
         try:
             return self._code(shape, copies=False)
@@ -300,7 +303,8 @@ class CompiledFunction:
         return numba.cfunc(signature, error_model="numpy")(namespace["code"])
 
     def _jit(self, is_complex: bool) -> Any:
-        """For numba; 1/0 is inf: no exceptions. Of the form of first order, the accelerations.
+        """Return the function as numba compiles it, with 1/0 = inf and no exceptions; for a first-order form, its
+        accelerations.
 
         An index beyond an array raises an IndexError, which `_code` turns into NaN. Inlined, where the sizes of y and p
         are known, the function loses most of these tests: kepler, 0 %, the heat equation (n = 1000), 0 %, a loop over
@@ -322,7 +326,7 @@ class CompiledFunction:
         return self._jitted
 
     def _check_call(self, names: list[str]) -> None:
-        """That the function takes these arguments; numba would tell their number only."""
+        """Raise a TypeError unless the function takes these arguments; numba's message would give only their number."""
         try:
             inspect.signature(self.fun).bind(*names)
         except TypeError as error:
@@ -367,7 +371,7 @@ class CompiledFunction:
         return [f"out[{i}] = r[{i}]" for i in range(size)]
 
     def _stores_of_rows(self, result: Any, size: int) -> list[str]:
-        """The same for a tuple of tuples."""
+        """Return the statements that store the entries of a tuple of rows, each a tuple, in the output."""
         lengths = [len(row) if isinstance(row, numba_or_say_so().types.BaseTuple) else 1 for row in result]
         if len(set(lengths)) > 1 or not all(isinstance(row, numba_or_say_so().types.BaseTuple) for row in result):
             raise TypeError(
@@ -407,7 +411,7 @@ def numba_or_say_so() -> Any:
 
 
 def is_native(fun: object) -> bool:
-    """Whether `fun` is machine code of a kind that is accepted."""
+    """Return whether `fun` is machine code of an accepted kind."""
     if type(fun) in _PLAIN:  # the common case
         return False
     if isinstance(fun, CoreFunction):
@@ -416,7 +420,7 @@ def is_native(fun: object) -> bool:
 
 
 def is_plain_function(fun: object) -> bool:
-    """Whether `fun` is called as it is, by Python: no machine code, and no class of this package."""
+    """Return whether Python calls `fun` as it is: it is neither machine code nor of a class of this package."""
     if type(fun) in _PLAIN:
         return True
     of_ours = any(one.__module__.partition(".")[0] == "invariode" for one in type(fun).__mro__)
@@ -431,7 +435,8 @@ class NativeWithInputs(NamedTuple):
     shapes: list[tuple[int, ...]]
 
     def count(self, parameters: int) -> int:
-        """How many numbers it takes if there are so many parameters."""
+        """Return the number of parameters that the native function takes: the values of the inputs and `parameters`
+        more."""
         entries = [Numbers(np.ones(shape) if shape else 1.0, varying=True) for shape in self.shapes]
         further = parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)
         return Arguments([*entries, *further.entries])
@@ -516,7 +521,8 @@ class _Native(_core.Native):
 
 
 class Compiled(NamedTuple):
-    """A function as `compile` made it for the core: of n components and so many parameters, with `size` values."""
+    """Compiled function as `compile` made it for the core: for n components and `parameters` parameters, with `size`
+    values."""
 
     function: CompiledFunction
     n: int
@@ -526,7 +532,8 @@ class Compiled(NamedTuple):
 
 
 def made_by_compile(fun: Any) -> Compiled | None:
-    """What `to_native` made for the core of a compiled function of (t, y, p). None: it is another one."""
+    """Return the compiled function of (t, y, p) from which `to_native` made `fun` for the core; None if `fun` is
+    anything else."""
     if not isinstance(fun, _Native) or fun.made_of is None:
         return None
     compiled, shape = fun.made_of

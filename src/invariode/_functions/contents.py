@@ -86,7 +86,7 @@ def _content(value: Any, seen: dict[int, int], module: str | None) -> Any:
 
 
 def _named_elsewhere(function: FunctionType, module: str | None) -> bool:
-    """Whether a function belongs to another module than the one that uses it, which finds it there by its name: its
+    """Return whether a function belongs to a module other than `module` and is found there by its name, so that its
     code and its globals are that module's."""
     if module is None or function.__module__ == module:
         return False

@@ -80,7 +80,7 @@ class Derivatives:
     Attributes
     ----------
     kind : {'traced', 'complex step', 'differences'}
-        How derivatives are formed.
+        Way in which derivatives are formed.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Derivatives:
             self._core = self._bound(self.forms)
 
     def _of_numbers(self, function: Any, is_complex: bool) -> Any:
-        """The function as the core calls it; None: it has no complex form."""
+        """Return the function as the core calls it; None if it has no complex form."""
         n, second, count = sum(self._parts), sum(self._parts[1:]), count_of(self._parameters)
         if not is_complex:
             return to_native(self._name, function, n, self.m, self._parameters, second=second)
@@ -152,7 +152,7 @@ class Derivatives:
         return values.reshape(len(x), self.m).T
 
     def pattern(self, t: float, x: Array) -> tuple[Array, Array, Array]:
-        """Which entries of the Jacobian can be other than zero, as compressed columns.
+        """Return the pattern of the Jacobian, its entries that can be nonzero, in compressed columns.
 
         They are where NaN for a component spreads to, and where the derivatives at some points are not zero: the first
         sees terms that vanish by chance, the second those that a comparison with NaN leaves out.
@@ -188,7 +188,8 @@ class Derivatives:
         return _pattern_of(entries)
 
     def _has_all(self, t: float, x: Array, pattern: tuple[Array, Array, Array]) -> bool:
-        """Whether the entries in a pattern give the derivative along a direction in which everything moves."""
+        """Return whether the entries in a pattern reproduce the derivative along a direction in which every component
+        changes."""
         direction = somewhere(x)
         starts, rows, values = self._core.jacobian(t, x, pattern)
         terms = values * np.repeat(direction, np.diff(starts))
@@ -205,7 +206,7 @@ class Derivatives:
         return found
 
     def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
-        """Whether complex steps give what differences give."""
+        """Return whether complex steps agree with finite differences at (t, x)."""
 
         def values(z: Array) -> Array:
             if z.dtype.kind == "c":
@@ -219,7 +220,7 @@ class Derivatives:
 def takes_complex(
     values: Callable[[Array], Any], x: Array, direction: Array, beside: Array, nearer: Sequence[float] = ()
 ) -> bool:
-    """Whether complex steps give what differences give, along a direction in which everything moves.
+    """Return whether complex steps agree with finite differences along a direction in which every component changes.
 
     They are compared at the first point at which the function is defined: at x or `beside` it, which is given as a
     direction; then on both sides of x at these fractions of `beside`, over the same fractions of the direction.
@@ -233,8 +234,8 @@ def takes_complex(
 
 
 def complex_steps_fit(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> tuple[bool, int]:
-    """Whether complex steps give the derivative of a function of y, if that may be defined near y only, and how many
-    evaluations it took to know. `threshold`: the size below which a component gives no scale."""
+    """Return whether complex steps give the derivative of a function of y that may be defined near y only, and the
+    number of evaluations used. `threshold`: the size below which a component gives no scale."""
     if np.iscomplexobj(y):
         return False, 0
     calls = 0
@@ -271,7 +272,7 @@ class Comparison(NamedTuple):
         return np.imag(np.asarray(self.stepped)) / TINY
 
     def agree(self, times: float = 1.0) -> Array:
-        """Which components are equal, up to `times` the errors that are expected."""
+        """Return a boolean array: the components that agree within `times` the expected errors."""
         if isinstance(self.stepped, Exception) or self.stepped.shape != self.by_difference.shape:
             return np.zeros(1, dtype=bool)
         by_step, by_difference = self.by_step, self.by_difference
@@ -281,7 +282,8 @@ class Comparison(NamedTuple):
 
 
 def compared(function: Callable[[Array], Any], x: Array, direction: Array) -> Comparison | None:
-    """Both derivatives at x. None: the function is not defined around x."""
+    """Compare both derivatives at x, by complex steps and by finite differences; return None if the function is not
+    defined around x."""
     stepped: Array | Exception
 
     def values(z: Array) -> Array:
@@ -309,7 +311,7 @@ class OfNumbers:
     Parameters
     ----------
     called : str
-        What messages call it.
+        Name of the function in messages.
     function : callable
         The user's, of one or more numbers.
     """
@@ -368,7 +370,7 @@ def at_complex(fun: Any, m: int) -> Any:
 def _count_values(
     function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: Array
 ) -> int:
-    """How many values the function has."""
+    """Return the number of values that the function returns."""
     if isinstance(function, CompiledFunction) and not function.inplace:
         returned = np.asarray(function.at(t, *(part.copy() for part in parts), parameters=parameters))
     elif is_native(function):
@@ -416,7 +418,7 @@ def somewhere(x: Array, size: Array | None = None) -> Array:
 
 
 def sizes(x: Array) -> Array:
-    """Of the components, for increments: those that are small tell no scale of their own."""
+    """Return the sizes of the components of x for increments; components that are small take a part of the largest."""
     size: Array = np.abs(x)
     largest = size.max(initial=0.0)
     return np.maximum(size, _SMALLEST_PART * largest) if largest >= SMALLEST_SCALE else np.ones(len(x))

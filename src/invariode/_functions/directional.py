@@ -71,7 +71,7 @@ class Given(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Where F is defined."""
+    """Point (t, y) at which F is defined."""
 
     t: float
     y: Array
@@ -97,16 +97,16 @@ class Directional:
     m : int, optional
         The number of its values, which a native function does not say.
     called : str
-        What messages call it.
+        Name of the function in messages.
     moves_t : bool, default False
-        Whether derivatives with respect to t are wanted too.
+        Derivatives with respect to t are needed too.
     event : bool, default False
-        Whether machine code has the signature of events.
+        Machine code has the signature of events.
 
     Attributes
     ----------
     how : {"traced", "given", "complex step", "differences"}
-        How derivatives are formed; "given and traced" and so on if only some were given.
+        Way in which derivatives are formed; "given and traced" and so on if only some were given.
     m, k : int
         The number of values and of parameters.
     args, names
@@ -165,7 +165,7 @@ class Directional:
         return _OfGraph(exact, traced, places, parameters, self.n, self.m)
 
     def _require_numbers(self, at: Point, names: Sequence[ParameterPlace]) -> None:
-        """That integers among the parameters may be other numbers."""
+        """Raise a TypeError unless F also accepts floating-point values for integer parameters."""
         for one, number in zip(names, self._evaluate.given(names), strict=True):
             if not isinstance(number, (int, np.integer)):
                 continue
@@ -179,7 +179,7 @@ class Directional:
                 ) from error
 
     def _shaped(self, what: str, given: Any, columns: int) -> Callable[[float, Array], Any]:
-        """A given matrix as a function of (t, y), with its shape checked."""
+        """Return a given matrix as a function of (t, y) that checks its shape."""
         args, shape = self._evaluate.args, (self.m, columns)
 
         def matrix(t: float, y: Array) -> Any:
@@ -189,7 +189,8 @@ class Directional:
         return matrix
 
     def takes_complex_at(self, at: Point) -> bool:
-        """Whether complex steps, if they are how derivatives are formed, give those of F there too."""
+        """Return whether F accepts complex steps at this point too; True if derivatives are not formed by complex
+        steps."""
         if self._steps is None or self._steps.how != "complex step":
             return True
         try:
@@ -206,7 +207,8 @@ class Directional:
         return found
 
     def tangent_nodes(self) -> list[Node] | None:
-        """The same as a graph, of (t, (y, S_1, S_2, ...)) and the numbers of the arguments."""
+        """Return the nodes of the derivative, functions of (t, (y, S_1, S_2, ...)) and the numbers of the arguments;
+        None without a graph."""
         return None if self._graph is None else self._graph.tangent_nodes()
 
     def for_core(self, t: float, Y: ArrayLike) -> Any:
@@ -235,15 +237,15 @@ class Directional:
         return np.ravel(found)
 
     def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
-        """The same in c directions, dt (c,), dy (c, n) and dp (c, k), in rows: of shape (c, m)."""
+        """Return the derivatives of F in c directions, dt (c,), dy (c, n) and dp (c, k), as rows: of shape (c, m)."""
         with np.errstate(all="ignore"):  # what is not finite is looked at here
             found = self._columns(t, y, dt, dy, dp)
         return found if np.isfinite(found).all() else self._mended(found, t, y, dt, dy, dp)
 
     def _mended(self, found: Array, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
-        """The same with one-sided differences for entries that are not finite though F is, such as 0 · ∞ where a
-        formula is singular and the function is not. What these do not give stays as it is: there F has no derivative
-        along this direction, or is not defined."""
+        """Return `found` (c, m) with one-sided finite differences in place of entries that are not finite though F is,
+        such as 0 · ∞ where a formula is singular and the function is not. Entries that these do not give stay: there F
+        has no derivative along this direction, or is not defined."""
         if self._sides is None:
             self._sides = _Sides(self._evaluate, self.n)
         found = found.copy()
@@ -280,7 +282,7 @@ class Directional:
 
     @cached_property
     def _unit_directions(self) -> tuple[Array, Array, Array]:
-        """Of each component of y, then of each parameter."""
+        """Unit directions (dt, dy, dp) of each component of y, then of each parameter."""
         both = self.n + self.k
         return np.zeros(both), np.eye(both, self.n), np.eye(both, self.k, -self.n)
 
@@ -295,34 +297,35 @@ class Directional:
 
     @property
     def outputs(self) -> list[Node] | None:
-        """The values of its graph; None: it has none."""
+        """Nodes of F's values in its graph; None without a graph."""
         return None if self._graph is None else list(self._graph.outputs)
 
     def switches(self, at: Point) -> list[Switch]:
-        """Where the values of its graph jump; of a function without a graph that is not known."""
+        """Return the switches of F's graph at which its values jump; an empty list without a graph, where they are
+        unknown."""
         return [] if self._graph is None else self._graph.switches(at)
 
     @property
     def has_conditions(self) -> bool:
-        """Whether its graph has any, at which its values jump or not."""
+        """True if F has a graph with conditions."""
         return self._graph is not None and self._graph.has_conditions()
 
     @property
     def knows_jumps(self) -> bool:
-        """Whether its values jump nowhere else."""
+        """True if all jumps of F are known: it has a graph, without operations that may jump elsewhere."""
         return self._graph is not None and not has_steps(self._graph.outputs)
 
     def of_inputs(self, node: Node) -> bool:
-        """Whether a value depends on inputs, whose slopes are not known."""
+        """Return whether a node depends on inputs, whose slopes are not known."""
         return self._graph is not None and self._graph.of_inputs(node)
 
     def on_graph(self, outputs: Sequence[Node], name: str) -> Any:
-        """Other values of its graph as a function of the same arguments."""
+        """Return a function with F's arguments and these other nodes of its graph as values."""
         assert self._graph is not None
         return self._graph.with_values(outputs, name)
 
     def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
-        """The same for Python, of (t, y)."""
+        """Return the values of these nodes as a Python function of (t, y)."""
         assert self._graph is not None
         return self._graph.branch(outputs)
 
@@ -337,7 +340,7 @@ class Directional:
 
 
 def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
-    """Whether a parameter is a constant of the graph, such as the count of a loop."""
+    """Return whether one of the parameters is a constant of the graph, such as the count of a loop."""
     inside, before = (fun.fun, int(fun.count(0))) if isinstance(fun, NativeWithInputs) else (fun, 0)
     if before:
         shape = shape._replace(parameters=fun.count(shape.parameters))
@@ -357,7 +360,7 @@ def _as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[i
 
 
 def with_graph(fun: Any) -> Any:
-    """F as something that may have a graph. None: it is machine code, or belongs to the core."""
+    """Return F in a form that may have a graph; None if it is machine code, or belongs to the core."""
     inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
     if isinstance(inside, OnGraph):
         return fun
@@ -385,7 +388,7 @@ class _OfGraph:
 
     @cached_property
     def native(self) -> Any:
-        """Of (t, (y, S_1, S_2, ...))."""
+        """Machine code of the derivatives, a function of (t, (y, S_1, S_2, ...))."""
         k = len(self._places)
         return native(self._exact.tangents(self._places), self._fun, (1 + k) * self._n, k * self._m, len(self._p))
 
@@ -395,13 +398,13 @@ class _OfGraph:
 
     @cached_property
     def _tangent(self) -> Callable[[float, Array, Array], Array]:
-        """The same for Python."""
+        """Python function of (t, (y, S_1, S_2, ...)) that returns the derivatives."""
         k = len(self._places)
         return self._for_python(self._exact.tangents(self._places), (1 + k) * self._n, k * self._m)
 
     @cached_property
     def _transposed(self) -> Callable[[float, Array, Array], Array]:
-        """Of (t, (y, w))."""
+        """Python function of (t, (y, w)) that returns the transposed derivatives times w."""
         n = self._n
         return self._for_python(self._exact.transposed(self._places), n + self._m, n + len(self._places))
 
@@ -474,14 +477,14 @@ class _OfGraph:
 
 
 def numbers_at(t: float, fun: Any, p: Array) -> Array:
-    """What machine code takes as its parameters: the values of inputs at t, then the numbers of the arguments."""
+    """Return the parameters of machine code: the values of inputs at t, then the numbers of the arguments."""
     if not isinstance(fun, NativeWithInputs):
         return p
     return np.concatenate([*(one.evaluate(np.array([t]))[0] for one in fun.inputs), p])
 
 
 def has_llvm() -> bool:
-    """Whether there is what makes machine code of graphs."""
+    """Return whether llvmlite, which makes machine code of graphs, is installed."""
     return find_spec("llvmlite") is not None
 
 
@@ -526,14 +529,15 @@ class _Evaluation:
         return with_numbers(self.args, changes)
 
     def _inputs(self, t: Any) -> list[Any]:
-        """As F takes them."""
+        """Return the values of the inputs at t, in the shapes that F takes."""
         if not isinstance(self._fun, NativeWithInputs):
             return []
         rows = [one.evaluate(np.array([np.real(t)]))[0] for one in self._fun.inputs]
         return [row.reshape(shape)[()] for row, shape in zip(rows, self._fun.shapes, strict=True)]
 
     def _of_compiled(self, fun: CompiledFunction, t: Any, y: Array, given: list[Any]) -> Array:
-        """As it was traced, or as numba takes it: with all numbers in one array."""
+        """Call the Python function of a compiled F with the arguments as it was traced or, failing that, with all
+        numbers in one array, as numba takes it."""
         numbers = [np.concatenate([np.ravel(np.asarray(one)) for one in given])] if given else []
         out: Array | None = None
         if fun.inplace:

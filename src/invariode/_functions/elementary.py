@@ -87,7 +87,7 @@ BIAS = 1023
 
 
 def polynomial(x: Value, coefficients: Sequence[float]) -> Value:
-    """By Estrin's scheme: a short chain of operations."""
+    """Evaluate a polynomial by Estrin's scheme, a short chain of operations."""
     c = list(coefficients)
     terms = [x * high + low for low, high in zip(c[::2], c[1::2], strict=False)]
     last: list[Value | float] = [c[-1]] if len(c) % 2 else []
@@ -109,8 +109,9 @@ class Angle(NamedTuple):
 
 
 def nearest_quarter(x: Value) -> Angle:
-    """For |x| below LARGEST_ANGLE. All but the last product and difference are exact: a is a multiple of the last place
-    of b, so that what is lost in a − b is found, even where a is smaller (Dekker)."""
+    """Split |x|, which is below LARGEST_ANGLE, into the nearest multiple of π/2 and the rest. All but the last product
+    and difference are exact: a is a multiple of the last place of b, so that the part lost in a − b is recovered, even
+    where a is smaller (Dekker)."""
     absolute = (x.bits & ABSOLUTE).number
     rounded = absolute * TWO_OVER_PI + ROUNDER
     k = rounded - ROUNDER
@@ -160,7 +161,8 @@ WORDS = 19
 
 
 def nearest_quarter_of_large(x: Value) -> Angle:
-    """For one |x| above LARGEST_ANGLE, by Payne and Hanek: x = m 2^e, and m times the 192 bits of 2/π that matter."""
+    """Split one |x| above LARGEST_ANGLE into the nearest multiple of π/2 and the rest, by Payne and Hanek: x = m 2^e,
+    and m times the 192 bits of 2/π that matter."""
     absolute = x.bits & ABSOLUTE
     m = (absolute & MANTISSA) | (MANTISSA + 1)
     start = (absolute >> 52) - (BIAS + 52 + 2 - 64)  # bits of 2/π before it give multiples of 4
@@ -228,7 +230,8 @@ def multiple_and_rest(x: Value) -> tuple[Value, Value]:
 
 
 def power_of_two_times_exponential(m: Value, r: Value, exponent: Value) -> Value:
-    """2^(m mod 128 / 128) exp(r), times a power of two that its bits give; the table has 64 bits of the former."""
+    """Return 2^(m mod 128 / 128) exp(r) times the power of two whose exponent bits are `exponent`; the table has 64
+    bits of the first factor."""
     entry = looked_up(roots_of_two(), m & (PARTS_OF_TWO - 1), 1)[0]
     high = (((entry >> 12) | bits_of(1.0)) + exponent).number
     base = exponent + bits_of(2.0**-12)  # of such numbers a unit in the last place is 2^-64
@@ -243,7 +246,8 @@ def exponential(x: Value) -> Value:
 
 
 def exponential_of_large(x: Value) -> Value:
-    """With two more factors, neither of which overflows or is subnormal."""
+    """Evaluate exp(x) for any x, also |x| above LARGEST_EXPONENT, with two more factors, neither of which overflows or
+    is subnormal."""
     x = x.compared("<", LOWEST_EXPONENT).choose(LOWEST_EXPONENT, x)
     x = x.compared(">", HIGHEST_EXPONENT).choose(HIGHEST_EXPONENT, x)
     m, r = multiple_and_rest(x)
@@ -297,7 +301,8 @@ class Twofold(NamedTuple):
 
 
 def product(a: Value, b: Value) -> Twofold:
-    """Without error but that of the tail (Dekker); a and b are cut in two, heads of 26 bits."""
+    """Return a b as a twofold number, exact except for the rounding of its tail (Dekker); a and b are split, with heads
+    of 26 bits."""
     head = a * b
     a_head, b_head = ((one.bits & ~LAST_27).number for one in (a, b))
     a_tail, b_tail = a - a_head, b - b_head
@@ -321,18 +326,20 @@ def half_power(x: Value, n: int) -> Value:
 
 
 def inverted(x: Twofold, inverse: Value) -> Value:
-    """1/x, from that of its head."""
+    """Return 1/x of a twofold number, from `inverse`, the reciprocal of its head."""
     unity = product(inverse, x.head)
     return inverse + inverse * (((1.0 - unity.head) - unity.tail) - inverse * x.tail)
 
 
 def has_half_powers(x: Value) -> Value:
-    """Without overflow or underflow in between."""
+    """Return whether x is in [2^-200, 2^200], where the formulas for half powers do not overflow or underflow in
+    between."""
     return x.compared(">=", 2.0**-200) & x.compared("<=", 2.0**200)
 
 
 class Formula(NamedTuple):
-    """A function: for usual arguments, which are those, and for others, perhaps only one at a time."""
+    """Formulas of a function: `usual` where `is_usual` is true, `unusual` elsewhere, which may take one number at a
+    time."""
 
     usual: Callable[[Value], Value]
     is_usual: Callable[[Value], Value]

@@ -14,14 +14,14 @@ MOST_INLINED = 32
 
 
 class Function(NamedTuple):
-    """One of ours, of a number or of a vector."""
+    """Elementary function of invariode, of a number or of a vector."""
 
     name: str
     lanes: int = 1
 
     @property
     def symbol(self) -> str:
-        """What it is called in LLVM's language."""
+        """Name of the function in LLVM's language."""
         return f"invariode_{self.name}" + (f"_v{self.lanes}" if self.lanes > 1 else "")
 
     @property

@@ -44,7 +44,8 @@ _LEFT = (
 
 
 class Lanes(NamedTuple):
-    """How an ensemble is solved: in the lanes of `instructions`, or one trajectory at a time, for a `reason`."""
+    """Way in which an ensemble is solved: in the lanes of `instructions`, or one trajectory at a time, for a
+    `reason`."""
 
     instructions: str = ""
     width: int = 1
@@ -52,11 +53,13 @@ class Lanes(NamedTuple):
     reason: str = ""
 
     def for_core(self) -> tuple[str, list[int]] | None:
-        """What `integrate_all` takes."""
+        """Return the argument of the core's `integrate_all`: the instruction set and the addresses of the codes, or
+        None."""
         return (self.instructions, [code.address for code in self.codes]) if self.codes else None
 
     def described(self, alone: Sequence[int] = ()) -> str:
-        """In words; `alone`: how many trajectories were left to the code for one at a time, for each reason."""
+        """Return a description in words; `alone`: the numbers of trajectories that were solved one at a time, by
+        reason."""
         if not self.codes:
             return f"one at a time: {self.reason}"
         reasons = ", ".join(f"{count} {why}" for count, why in zip(alone, _LEFT, strict=False) if count)
@@ -73,9 +76,9 @@ def choose_lanes(
     series: Callable[[int, bool], MachineCode | str] | None,
     size: int,
 ) -> Lanes:
-    """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
-    by what they are called in reasons (`Plan.in_lanes`). `series` has the code of the
-    Taylor coefficients in so many lanes, if the method takes them, and makes it if that is requested."""
+    """Choose how `size` trajectories of this solver are solved. `functions` are those of its problem, as the core calls
+    them, by their names in reasons (`Plan.in_lanes`). `series` returns the code of the Taylor coefficients for a number
+    of lanes, if the method needs it, and compiles it if that is requested."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:
         return Lanes(reason=obstacle)

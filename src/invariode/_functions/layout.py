@@ -1,4 +1,5 @@
-"""How machine code takes the further arguments of a function: numbers as parameters, everything else as constants."""
+"""Layout of the further arguments of a function in machine code: numbers are parameters, everything else is
+constant."""
 
 from __future__ import annotations
 
@@ -29,11 +30,11 @@ class Numbers:
     shape : tuple of int
         Its shape.
     value : number or array
-        What it was.
+        The original value.
     rank : int
         From which of `TRUTHS`, `INTEGERS`, `ARRAYS`, `ALL` on it may be a constant.
     fixed : bool
-        Whether it is one. Otherwise functions of all values are the same.
+        The value is a constant of the code. Otherwise functions of all values are the same.
     """
 
     __slots__ = ("_key", "fixed", "rank", "shape", "value")
@@ -67,7 +68,7 @@ class Numbers:
         return Numbers, (self.value, self.fixed, self.rank == _VARYING)
 
     def as_constant(self, fixed: bool) -> Numbers:
-        """The same, as a constant or not."""
+        """Return these numbers as a constant, or as parameters."""
         return Numbers(self.value, fixed, self.rank == _VARYING)
 
 
@@ -109,7 +110,7 @@ Entry: TypeAlias = Numbers | Listed | Constant
 
 
 class Arguments(int):
-    """How many numbers the arguments of a problem have together, and what they are the numbers of.
+    """Count of the numbers in all arguments of a problem, as an int that knows which argument each number belongs to.
 
     Attributes
     ----------
@@ -127,7 +128,7 @@ class Arguments(int):
 
     @classmethod
     def single(cls, count: int) -> Self:
-        """So many numbers, one by one, whose values are not known."""
+        """Return `count` single numbers whose values are not known."""
         return cls([Numbers(1.0, varying=True)] * count)
 
     def __eq__(self, other: object) -> bool:
@@ -143,7 +144,7 @@ class Arguments(int):
         return type(self), (self.entries,)
 
     def fixed(self, most: int) -> Arguments:
-        """With the numbers up to this rank as constants."""
+        """Return the arguments with the numbers up to rank `most` as constants."""
 
         def of(entry: Entry) -> Entry:
             if isinstance(entry, Numbers):
@@ -154,15 +155,15 @@ class Arguments(int):
 
     @property
     def ranks(self) -> set[int]:
-        """Of its numbers."""
+        """Ranks of the numbers."""
         return {one.rank for one in _numbers(self.entries)} - {_VARYING}
 
     def values(self) -> Array:
-        """The numbers that they were, one after the other."""
+        """Return the original values of all numbers, one after the other."""
         return _flat(self.entries)
 
     def known(self) -> Array:
-        """Which of the numbers are constants."""
+        """Return a boolean array: which of the numbers are constants."""
         return np.concatenate([_NONE, *(np.full(math.prod(one.shape), one.fixed) for one in _numbers(self.entries))])
 
     def made(self, of_numbers: Callable[[Numbers, int], Any], of_constant: Callable[[Any], Any]) -> list[Any]:
@@ -182,7 +183,7 @@ class Arguments(int):
         return [of(entry) for entry in self.entries]
 
     def given(self, parameters: Array) -> list[Any]:
-        """The arguments with these numbers."""
+        """Return the arguments with these numbers in place of their own."""
 
         def of_numbers(entry: Numbers, place: int) -> Any:
             numbers = np.reshape(parameters[place : place + math.prod(entry.shape)], entry.shape)
@@ -193,11 +194,12 @@ class Arguments(int):
         return self.made(of_numbers, lambda value: value)
 
     def may_vary(self, most: int) -> bool:
-        """Whether code with numbers up to this rank as constants takes any other numbers."""
+        """Return whether code with numbers up to rank `most` as constants takes any other numbers."""
         return all(isinstance(one, Numbers) and one.rank > most for one in _leaves(self.entries))
 
     def objection(self, rows: Array, most: int) -> str | None:
-        """Why code with numbers up to this rank as constants does not take other rows (N, k) of numbers."""
+        """Return why code with numbers up to rank `most` as constants does not take other rows (N, k) of numbers, or
+        None."""
         place, found = 0, None
         for entry in _numbers(self.entries):
             size = math.prod(entry.shape)
@@ -242,7 +244,8 @@ def _entry(value: Any) -> Entry:
 
 
 def is_listed(value: Any) -> bool:
-    """Whether a value is taken apart into its entries: lists, tuples and records, but no classes made of these."""
+    """Return whether a value is split into its entries: lists, tuples and records, but no classes derived from
+    these."""
     return type(value) in (list, tuple, Record)
 
 
@@ -276,7 +279,7 @@ def undefined_arguments(args: Iterable[Any]) -> str:
 
 
 def numbers_at_places(args: Sequence[Any], places: Iterable[tuple[int, int | None]]) -> list[Any]:
-    """The numbers in these arguments at these places among the argument's numbers, as they were given."""
+    """Return the original numbers at these places (argument, place among its numbers)."""
     inside: dict[int, list[Any]] = {}
     found = []
     for index, item in places:
@@ -331,5 +334,5 @@ class Parameters(np.ndarray[Any, Any]):
 
 
 def count_of(parameters: Array) -> int:
-    """How many numbers there are; `Arguments` if they know what they are the numbers of."""
+    """Return the number of parameters, as `Arguments` if the array knows which arguments they belong to."""
     return getattr(parameters, "arguments", len(parameters))

@@ -63,7 +63,7 @@ class Value:
         return self._made("fneg" if self._element == "double" else "neg", self.ir)
 
     def leading_zeros(self) -> Value:
-        """Of one integer; of 0 as many as it has bits."""
+        """Return the number of leading zeros of an integer; for 0 the number of its bits."""
         return self._made("ctlz", self.ir, ir.Constant(ir.IntType(1), 0))
 
     def _called(self, name: str, *arguments: Value) -> Value:
@@ -81,7 +81,7 @@ class Value:
         return self._intrinsic("sqrt")
 
     def floor(self) -> Value:
-        """The largest integer that is not above it."""
+        """Return the largest integer that is not above this number."""
         return self._intrinsic("floor")
 
     def times_plus(self, factor: Value, term: Value) -> Value:
@@ -89,7 +89,7 @@ class Value:
         return self._intrinsic("fma", factor, term)
 
     def library_power(self, exponent: float) -> Value:
-        """Of one number, by the mathematical library."""
+        """Return this number to the power `exponent`, by the mathematical library."""
         return self._called("pow", self, Value(self.builder, self._like(exponent)))
 
     def compared(self, sign: str, other: Value | float) -> Value:
@@ -98,13 +98,13 @@ class Value:
         return self._made(compare, sign, self.ir, self._like(other))
 
     def choose(self, yes: Value | float, no: Value | float) -> Value:
-        """Of a truth."""
+        """Select `yes` where this truth value is true, else `no`."""
         known = yes if isinstance(yes, Value) else no
         assert isinstance(known, Value)
         return self._made("select", self.ir, known._like(yes), known._like(no))
 
     def resized(self, width: int) -> Value:
-        """Of one integer: zeros come in, or high bits are lost."""
+        """Return this integer with `width` bits: extended by zeros, or without its high bits."""
         return self._made("trunc" if width < self.ir.type.width else "zext", self.ir, ir.IntType(width))
 
     @property
@@ -126,7 +126,7 @@ class Value:
 
 
 def looked_up(table: Sequence[int], index: Value, count: int) -> list[Value]:
-    """That many words of 64 bits of a table, from an index on; loads one by one are no slower than a gather."""
+    """Return `count` words of 64 bits of a table, from an index on; loads one by one are no slower than a gather."""
     builder, kind = index.builder, index.ir.type
     lanes = kind.count if isinstance(kind, ir.VectorType) else 0
     stored = ir.GlobalVariable(builder.module, ir.ArrayType(_WORD, len(table)), f"{builder.function.name}_table")

@@ -1,5 +1,5 @@
-"""What `compile` adds to numba: arrays that may only be read, and powers of complex numbers whose imaginary parts are
-derivatives. Imported with numba only."""
+"""Additions of `compile` to numba: arrays that may only be read, and powers of complex numbers whose imaginary parts
+are derivatives. This module is imported with numba only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ir, _ir_utils, _types = _core.ir, import_module("numba.core.ir_utils"), _core.t
 
 @_extending.intrinsic  # type: ignore[untyped-decorator]  # numba has no types
 def read_only(context: Any, array: Any) -> Any:
-    """The same memory as an array to which numba compiles no assignment."""
+    """Return an array in the same memory to which numba compiles no assignment."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _imputils.impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
@@ -85,7 +85,7 @@ def _is_power(value: Any) -> bool:
 
 @_machinery.register_pass(mutates_CFG=False, analysis_only=False)
 class _Powers(_machinery.FunctionPass):  # type: ignore[misc]  # numba has no types
-    """Every ** becomes a call of `_power`."""
+    """Compiler pass that replaces every ** by a call of `_power`."""
 
     _name = "invariode_powers"
 

@@ -72,7 +72,7 @@ class SecondOrder(CoreFunction):
 
     @property
     def first_order(self) -> FirstOrderForm:
-        """The Python function of (t, y), for those who trace it."""
+        """Python function of (t, y) in first-order form, for tracing."""
         return FirstOrderForm(self.fun.fun if isinstance(self.fun, CompiledFunction) else self.fun)
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
@@ -80,5 +80,5 @@ class SecondOrder(CoreFunction):
 
 
 def states_second_order(fun: Any) -> bool:
-    """Whether this f is known not to depend on velocities."""
+    """Return whether f is known not to depend on velocities."""
     return isinstance(fun, SecondOrder) or (isinstance(fun, CompiledFunction) and isinstance(fun.fun, FirstOrderForm))

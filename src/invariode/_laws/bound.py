@@ -71,7 +71,7 @@ class InvariantSpec(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """Where invariants got new values: at an action, or at a breakpoint where they jump."""
+    """New values of invariants, from an action or from a breakpoint where they jump."""
 
     row: int  # of the output, the first at which they hold
     t: float
@@ -109,12 +109,12 @@ class BoundInvariants:
 
     @property
     def demanded(self) -> list[bool]:
-        """Whether each value was demanded."""
+        """True if the value of each invariant was prescribed."""
         return [not spec.held for spec in self.specs for _ in range(spec.m)]
 
     @property
     def along_steps(self) -> bool:
-        """Whether corrections are along the stages of the steps."""
+        """True if corrections are along the stages of the steps."""
         return any(spec.along_steps for spec in self.specs)
 
     @property
@@ -123,12 +123,12 @@ class BoundInvariants:
         return [spec.sense for spec in self.specs for _ in range(spec.m)]
 
     def varied(self, tangents: Sequence[Any]) -> BoundInvariants:
-        """The same with their tangents, which may be machine code."""
+        """Return these invariants with their tangents, which may be machine code."""
         parameters = self.parameters if len(self.parameters) else Parameters.of(self.args)
         return replace(self, tangents=tangents, parameters=parameters)
 
     def equalities(self) -> BoundInvariants:
-        """Only those that keep their values."""
+        """Return only the invariants that keep their values, without inequalities."""
         kept = [sense == 0 for sense in self.senses]
         if all(kept):
             return self
@@ -146,15 +146,15 @@ class BoundInvariants:
         return self.jumps[-1].value[: len(self)] if self.jumps else self.value
 
     def jumped(self, jumps: Iterable[tuple[int, float, Array]]) -> BoundInvariants:
-        """The same with the jumps of a run."""
+        """Return these invariants with the jumps of a run."""
         return replace(self, jumps=tuple(Jump(*jump) for jump in jumps))
 
     def pieces_of_output(self, size: int) -> Array:
-        """Between which jumps each point of the output lies."""
+        """Return for each of `size` points of the output the number of jumps before it."""
         return np.searchsorted([jump.row for jump in self.jumps], np.arange(size), side="right")
 
     def pieces_at(self, t: Array, side: Literal["left", "right"]) -> Array:
-        """The same for times; `side`: which side of a jump at that time is meant."""
+        """Return for each time t the number of jumps before it; `side`: which side of a jump at that time is meant."""
         times = self.forward * np.array([jump.t for jump in self.jumps])
         return np.searchsorted(times, self.forward * np.asarray(t), side=side)
 
@@ -169,7 +169,8 @@ class BoundInvariants:
             yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value
 
     def _within_pieces(self, t: Array, pieces: Array) -> Array:
-        """The times, those of jumps as in the run: on the side of the piece, since the functions may jump too."""
+        """Return the times t, where those of jumps are moved to the side of their piece, since the functions may jump
+        too."""
         t = t.copy()
         for i, jump in enumerate(self.jumps):
             here = np.flatnonzero(t == jump.t)
@@ -190,7 +191,7 @@ class BoundInvariants:
         return residual
 
     def jumps_at(self, t: Array, y: Array) -> bool:
-        """Whether a function has two values at one of the times, for the same y."""
+        """Return whether a function has two values at one of the times, for the same y."""
         if not self.specs or not len(t):
             return False
         before, after = (
@@ -359,7 +360,7 @@ def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
 
 
 def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, int]:
-    """The metric of an invariant as the core takes it, and the number of its values."""
+    """Return the metric of an invariant as the core takes it, and the number of its values."""
     metric = one.metric
     if metric is None:
         return None, 0
@@ -380,7 +381,7 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
 
 
 def _in_levels(specs: list[InvariantSpec]) -> bool:
-    """Whether the invariants have levels, in which all may move the same components in the same metric."""
+    """Return whether the invariants have levels, in which all may move the same components in the same metric."""
     first: dict[int, InvariantSpec] = {}
     for spec in specs:
         other = first.setdefault(spec.level, spec)
@@ -415,7 +416,7 @@ def _require_one_direction(specs: list[InvariantSpec], levelled: bool) -> None:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two metrics are one."""
+    """Return whether two metrics are one."""
     return a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
 
 

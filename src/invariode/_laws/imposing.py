@@ -182,8 +182,8 @@ def impose(
 
 
 def _count_values(one: Invariants, points: Array, args: tuple[Any, ...]) -> int:
-    """How many values an invariant has, of which no point tells: by its names or values, or what it returns for y = 1;
-    1 if it is not defined there."""
+    """Return the number of values of an invariant where no point determines it: by its names or values, or from its
+    result for y = 1; 1 if it is not defined there."""
     counts = [len(known) for known in (one.names, one.value) if known is not None]
     if counts or is_native(one.fun):
         return max(counts, default=1)

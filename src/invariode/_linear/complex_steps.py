@@ -54,7 +54,7 @@ def python_at_complex(fun: Callable[..., Any], t: float, y: Array, args: tuple[A
 
 
 def _require_complex(found: Comparison) -> None:
-    """That f takes complex y, and makes derivatives of it."""
+    """Raise a TypeError unless f accepts complex y and complex steps give derivatives of it."""
     stepped = found.stepped
     if isinstance(stepped, ComplexWarning):
         raise TypeError(

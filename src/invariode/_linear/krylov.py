@@ -1,4 +1,4 @@
-"""What matrix-free linear algebra calls, in the form the core takes: products with the Jacobian, a preconditioner."""
+"""Matrix-free linear algebra in the form the core takes: products with the Jacobian, a preconditioner."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ class Krylov:
 def krylov(
     given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]
 ) -> Krylov:
-    """What a problem gives and its linear solver, checked. `exact`: the product that follows from f, or None.
+    """Check a problem's matrices and its linear solver, and return them in the core's form. `exact`: returns the
+    product that follows from f, or None.
 
     Raises
     ------
     TypeError, ValueError
-        What cannot be used without a matrix; a mass matrix without a preconditioner.
+        An argument cannot be used without a matrix; there is a mass matrix without a preconditioner.
     """
     for name, value in (("jac_sparsity", given.jac_sparsity), ("the width of bands", given.bands)):
         if value is not None:
@@ -51,7 +52,7 @@ def krylov(
 
 
 def is_operator(given: object) -> bool:
-    """Whether it is a matrix that is known by its products alone."""
+    """Return whether an object is a matrix that is known by its products alone."""
     return isinstance(given, LinearOperator)
 
 
@@ -82,7 +83,8 @@ def _product(jac: Any, jac_product: Any, y0: Array, p: Array, exact: Callable[[]
 
 
 def _operator(name: str, given: Any, n: int) -> Any:
-    """What multiplies vectors of n components: an array, a sparse matrix or a LinearOperator."""
+    """Return a checked operator that multiplies vectors of n components: an array, a sparse matrix or a
+    LinearOperator."""
     operator = given if is_operator(given) or sp.issparse(given) else as_array(name, given)
     if operator.shape != (n, n):
         raise ValueError(f"{name} has shape {operator.shape}, expected shape {(n, n)}")
@@ -90,7 +92,7 @@ def _operator(name: str, given: Any, n: int) -> Any:
 
 
 class _Evaluated:
-    """Products with a Jacobian that a function gives: it is called where t or y is new."""
+    """Products with the Jacobian that a function returns; the function is called where t or y is new."""
 
     def __init__(self, jac: Callable[..., Any], n: int) -> None:
         self._jac, self._n = jac, n

@@ -39,7 +39,7 @@ _NO_COLUMNS = (np.zeros(1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zero
 
 @dataclass(frozen=True)
 class _Storage:
-    """How matrices of n components are stored: dense, banded or sparse; complex ones as 2 × 2 blocks of reals."""
+    """Storage of matrices of n components: dense, banded or sparse; complex ones as 2 × 2 blocks of reals."""
 
     kind: str
     n: int
@@ -52,7 +52,7 @@ class _Storage:
         return (self.lower + self.upper + 1 if self.kind == "banded" else self.n, self.n)
 
     def values(self, name: str, given: Any) -> Any:
-        """What a user gave, checked, as the core reads it: an array, or (starts, rows, values)."""
+        """Check a user's matrix and return it as the core reads it: an array, or (starts, rows, values)."""
         matrix = as_matrix(name, given, self.given_shape, is_complex=self.complex, banded=self.kind == "banded")
         if self.kind == "sparse":
             return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
@@ -62,7 +62,7 @@ class _Storage:
         return np.ascontiguousarray(dense, dtype=float)
 
     def mass_values(self, given: Any) -> Any:
-        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
+        """Check a mass matrix and return it as the core reads it; it is passed whole even if the Jacobian is banded."""
         matrix = as_matrix("mass", given, (self.n, self.n), is_complex=self.complex)
         if self.kind != "banded":
             return self.values("mass", matrix)
@@ -79,7 +79,7 @@ class _Storage:
 
 
 class _Jacobian(NamedTuple):
-    """How the Jacobian is stored and formed, for the core."""
+    """Storage and source of the Jacobian, for the core."""
 
     storage: _Storage
     kind: str
@@ -114,7 +114,7 @@ class Start:
 
     @property
     def product(self) -> Any:
-        """∂f/∂y times v, of (t, (y, v)). None: it is not known."""
+        """Return the function ∂f/∂y v of (t, (y, v)); None if it is not known."""
         exact = self.exact
         return exact and self.derivative(exact.product(), len(self.y), vectors=2)
 
@@ -124,7 +124,8 @@ class Start:
 
 
 def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
-    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns.
+    """Return a problem's matrices for the core. A Jacobian function is called once, at (t0, y0), to see what it
+    returns.
 
     With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
     """
@@ -151,13 +152,14 @@ def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) ->
 
 
 def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
-    """It is known by its products. The structure is that of the mass matrix; bands of nothing take no memory."""
+    """Return the Jacobian that is known by its products. The structure is that of the mass matrix; bands of nothing
+    take no memory."""
     stored = "banded" if given.mass is None else "sparse"
     return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
 
 
 def _jacobian(given: Matrices, start: Start) -> _Jacobian:
-    """How it is stored, of which kind it is, and its values or its function."""
+    """Return the storage of the Jacobian, its kind, and its values or its function."""
     y0, args = start.y, start.args
     n, is_complex = len(y0), np.iscomplexobj(y0)
     bands = given.bands
@@ -182,7 +184,8 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
 
 
 def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _Jacobian:
-    """One that is computed from f, by complex steps or differences, in a structure that is given or found."""
+    """Return a Jacobian computed from f, by complex steps or finite differences, in a structure that is given or
+    found."""
     y0, found, pattern = start.y, 0, None
     storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
     exact = start.exact
@@ -210,8 +213,8 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
 
 
 def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start, exact: Derived) -> _Jacobian:
-    """Of the graph of f: in bands if these are given, sparse if that is chosen or pays. Its pattern is that of the
-    graph, whatever was given."""
+    """Return the Jacobian from the graph of f: in bands if these are given, sparse if that is chosen or pays. Its
+    pattern is that of the graph, whatever was given."""
     n, pattern = len(start.y), None
     if bands is not None:
         _require_bands(bands, exact)
@@ -270,7 +273,7 @@ def _complex_steps(jac: str | None, start: Start) -> Any:
 
 
 def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
-    """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
+    """Return whether nothing is known of the Jacobian, and a dense one would fill the memory."""
     known = (given.jac, given.jac_sparsity, given.bands)
     return all(one is None or isinstance(one, str) for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
 
@@ -282,7 +285,8 @@ def _dense_bytes(y0: Array) -> int:
 def _native_jacobian(
     given: Matrices, bands: tuple[int, int] | None, y0: Array, p: Array
 ) -> tuple[_Storage, str, tuple[Any, Any]]:
-    """Machine code fills the values of its storage: dense, the bands, or those of the pattern."""
+    """Return the storage, the kind and the source of a Jacobian that machine code computes: its values are dense,
+    bands, or those of the pattern."""
     n, is_complex = len(y0), np.iscomplexobj(y0)
     reals = y0.view(float).size
     if bands is not None:
@@ -365,7 +369,7 @@ def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
 
 
 def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
-    """Units for the rows of zeros, if these make up the left null space."""
+    """Return unit vectors for the rows of zeros, if these make up the left null space, else None."""
     n = rows.shape[0]
     empty_rows, empty_columns = (np.flatnonzero(abs(rows).max(axis=axis).toarray().ravel() == 0) for axis in (1, 0))
     if len(empty_rows) != len(empty_columns):
@@ -377,7 +381,7 @@ def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
 
 
 def _regular(A: sp.csc_array) -> bool:
-    """Whether a square matrix is regular, once its rows and columns are scaled."""
+    """Return whether a square matrix is regular, once its rows and columns are scaled."""
     if A.shape[0] == 0:
         return True
     for axis in (1, 0):
@@ -430,7 +434,7 @@ def _real_dense(A: Array) -> Array:
 
 
 def _real_bands(A: Array, lower: int, upper: int) -> Array:
-    """The same for packed bands, which become 2 lower + 1 and 2 upper + 1 wide."""
+    """Return the packed bands of a complex matrix as bands of its real form, 2 lower + 1 and 2 upper + 1 wide."""
     out = np.zeros((2 * (lower + upper) + 3, 2 * A.shape[1]))
     for d in range(lower + upper + 1):
         out[2 * d + 1, 0::2] = out[2 * d + 1, 1::2] = A[d].real

@@ -50,7 +50,8 @@ def find_pattern(
 
 
 def is_large(given: Matrices, n: int) -> bool:
-    """Whether sparse linear algebra may pay: not with a dense M, which makes the iteration matrix dense."""
+    """Return whether sparse linear algebra may pay for n components: not with a dense M, which makes the iteration
+    matrix dense."""
     mass = given.mass
     if n < _LARGE or mass is None or sp.issparse(mass):
         return n >= _LARGE
@@ -58,7 +59,7 @@ def is_large(given: Matrices, n: int) -> bool:
 
 
 def is_sparse_enough(entries: int, n: int) -> bool:
-    """Whether so many entries are few."""
+    """Return whether this number of entries is few enough for a sparse n × n matrix."""
     return entries <= _FULL * n**2
 
 

@@ -52,8 +52,8 @@ def _one_array(problem: Description) -> str:
 def error_at_start(
     state: str, problem: Description, y0: Array, args: tuple[Any, ...]
 ) -> ValueError | IndexError | None:
-    """What to raise in place of a failure whose cause is that a compiled function is NaN: in its code nothing is
-    raised. The Python functions it was made of are called at the start of the run. `state`: how that ended."""
+    """Return the error to raise in place of a failure caused by NaN from a compiled function, whose code raises
+    nothing. The Python functions it was made of are called at the start of the run. `state`: how that ended."""
     t0, wanted = problem.t_span[0], "the action" if state == "action_undefined" else ""
     for name, fun in _functions(problem):
         second_order = isinstance(fun, SecondOrder)
@@ -67,8 +67,8 @@ def error_at_start(
 
 
 def _wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
-    """That a compiled f returns, at this start, more or fewer values than there are components: in the run they are
-    NaN. None: it is not that."""
+    """Return the error of a compiled f that returns, at this start, more or fewer values than there are components,
+    which in the run are NaN; else None."""
     fun, n = problem.fun, reals(y0)
     if not isinstance(fun, CompiledFunction) or fun.inplace:
         return None
@@ -85,13 +85,13 @@ def _wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> Val
 
 
 def _is_of_the_call(error: TypeError) -> bool:
-    """Whether the call itself failed: no function of the user's was entered, in which anything may fail."""
+    """Return whether the call itself failed: no function of the user's was entered, in which anything may fail."""
     file = raised_in(error)
     return not file or file.startswith(PACKAGE)
 
 
 def _not_taking(problem: Description) -> list[str]:
-    """The functions that do not take what they are called with."""
+    """Return the names of the functions that do not accept the arguments they are called with."""
     return [
         name
         for name, fun in _functions(problem)
@@ -100,7 +100,7 @@ def _not_taking(problem: Description) -> list[str]:
 
 
 def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
-    """All that are called with t, y and the arguments, and what to call them."""
+    """Iterate over all functions that are called with t, y and the arguments, with their names for messages."""
     yield "fun", problem.fun
     yield "jac", problem.matrices.jac
     yield from ((f"invariant {call_name(one.fun, 'g')}", one.fun) for one in problem.invariants)
@@ -110,7 +110,7 @@ def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
 
 
 def takes_time(fun: Any) -> bool:
-    """Whether a function can be called with t alone."""
+    """Return whether a function can be called with t alone."""
     try:
         inspect.signature(fun).bind(None)
     except (TypeError, ValueError):
@@ -119,7 +119,7 @@ def takes_time(fun: Any) -> bool:
 
 
 def takes(fun: Any, args: Iterable[Any]) -> bool:
-    """Whether a function can be called with t, y and these."""
+    """Return whether a function can be called with t, y and these arguments."""
     if not callable(fun) or is_native(fun):
         return True
     try:

@@ -14,7 +14,8 @@ from .plan import Plan, solver
 
 
 def found_at_start(problem: Description, plan: Plan) -> list[int]:
-    """Which events occur at the start. Those with a direction take a step, which shows it."""
+    """Return the indices of the events that occur at the start. For those with a direction one step is taken, which
+    shows it."""
     zero = [e for e, event in enumerate(problem.events) if event.at_start and _value(problem, plan, e) == 0]
     if any(plan.functions.events[e].direction for e in zero):
         after = _after_one_step(plan)
@@ -40,7 +41,7 @@ def _after_one_step(plan: Plan) -> tuple[float, Array]:
 
 
 def ended_at_start(plan: Plan, found: list[int]) -> bool:
-    """Whether one of them ends the run."""
+    """Return whether one of the events found at the start ends the run."""
     return any(plan.functions.events[e].terminal == 1 for e in found)
 
 

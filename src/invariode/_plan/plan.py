@@ -86,7 +86,7 @@ class Tolerances(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Those of the settings that depend on the problem."""
+    """Settings that depend on the problem."""
 
     t0: float
     tf: float
@@ -97,7 +97,7 @@ class Course(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """How the core goes from t0 to tf, and what it keeps. The first fields are those of `Course`."""
+    """Settings of the core's path from t0 to tf and of its stored output. The first fields are those of `Course`."""
 
     t0: float
     tf: float
@@ -135,7 +135,7 @@ class Settings(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What the core evaluates."""
+    """Functions that the core evaluates."""
 
     fun: Any
     args: tuple[Any, ...]
@@ -161,7 +161,7 @@ class Choice(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does, and the names in its messages. The first fields are those that `on` exchanges."""
+    """Plan of a run, and the names in its messages. The first fields are those that `on` exchanges."""
 
     settings: Settings
     bound: BoundInvariants
@@ -187,18 +187,18 @@ class Plan(NamedTuple):
 
     @property
     def start(self) -> Array:
-        """What the core starts from: y0, and the sensitivities behind it."""
+        """Initial values of the core: y0, then the sensitivities."""
         y0 = self.y0.view(float) if self.functions.complex else self.y0
         return y0 if self.varied is None else self.varied.augmented(y0)
 
     @property
     def own_events(self) -> int:
-        """How many events are the user's; the conditions of f are behind them."""
+        """Number of the user's events; the conditions of f come after them."""
         return len(self.called.events)
 
     def in_lanes(self) -> dict[str, Any]:
-        """What is evaluated in each step, as messages call it: f, the slope of sensitivities, the first invariant with
-        its Jacobian and its tangent, events."""
+        """Return the functions evaluated in each step, by their names in messages: f, the slope of sensitivities, the
+        first invariant with its Jacobian and its tangent, events."""
         functions, varied = {"f": self.functions.fun}, self.varied
         if varied is not None:
             functions["the slope of the sensitivities"] = varied.slope
@@ -210,27 +210,27 @@ class Plan(NamedTuple):
 
     @property
     def laws(self) -> Laws:
-        """What messages say of the invariants."""
+        """Description of the invariants for messages."""
         return Laws(self.names, self.bound.demanded, self.bound.senses)
 
     def on(self, course: Course, bound: BoundInvariants, called: Names) -> Plan:
-        """The same on another interval."""
+        """Return the plan on another interval."""
         settings = Settings._make((*course, *self.settings[_OF_COURSE:]))
         return Plan._make((settings, bound, called, *self[3:]))
 
     def holding(self, value: Array) -> Plan:
-        """The same with the invariants held at these values."""
+        """Return the plan with the invariants fixed at these values."""
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
     @property
     def remarks(self) -> Callable[..., None] | None:
-        """What is told of the run while it goes on. Of discontinuities that sensitivities follow nothing is said, and
-        which these are shows at the end."""
+        """Callback that reports problems during the run; None with sensitivities: a discontinuity that they follow is
+        not reported, and which ones they follow is known only at the end."""
         return partial(say_established, self.method.name) if self.varied is None else None
 
     def follows(self, run: _core.Run) -> bool:
-        """Whether the sensitivities follow all discontinuities of f in the run."""
+        """Return whether the sensitivities follow all discontinuities of f in the run."""
         return self.varied is not None and run.sticks_since is None and self.varied.has_followed(run.discontinuities)
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
@@ -451,7 +451,7 @@ def names_of(problem: Posed | Description, event_names: list[str]) -> Names:
 
 
 def _settings(method: Method, options: Options) -> Settings:
-    """Those of the method and its options, on no interval yet."""
+    """Return the settings of the method and its options, on no interval yet."""
     at_times = options["t_eval"] is not None
     keep = options["keep"] or ("outputs" if at_times else "all")  # with t_eval no record, unless it is requested
     sections = options["adjoint"] == "checkpoints"
@@ -522,7 +522,8 @@ def longest_step(given: LargestStep, span: float) -> float:
 
 
 def _calibrated(weights: Tolerances, order: int) -> Tolerances:
-    """Tolerances of the steps for errors of the size of these ('NDF'). atol / rtol stays as it is."""
+    """Return tolerances of the steps with which errors have the size of these tolerances ('NDF'). atol / rtol stays as
+    it is."""
     factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / order)
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
@@ -533,8 +534,8 @@ _UNLIMITED = Limits()
 
 
 def _most_kept(limits: Limits, demanded: int, n: int) -> tuple[int, int]:
-    """How many points and bytes. `demanded`: times of output, which somebody wants and which do not count against
-    defaults."""
+    """Return the maximum numbers of points and bytes. `demanded`: number of output times, which the user wants and
+    which do not count against defaults."""
     points, size = limits.points, limits.bytes
     if points is None and size is None:
         return _MOST_POINTS + demanded, _MOST_BYTES + demanded * 8 * (n + 1)  # of t and y, doubles
@@ -555,15 +556,16 @@ def _highest_order(method: Method, order: int | None) -> int:
 
 
 def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
-    """Where a run of the problem starts anew: the breakpoints, and where its inputs jump, in their order."""
+    """Return the points where a run of the problem restarts: the breakpoints, and where its inputs jump, in their
+    order."""
     if not given and not problem.inputs:
         return []
     return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
 def _with_graph(problem: Description, method: Method) -> Any:
-    """f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities have to
-    satisfy algebraic equations, whose derivatives by differences would be off by up to 1e-6."""
+    """Return f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities
+    have to satisfy algebraic equations, whose derivatives by finite differences would be off by up to 1e-6."""
     fun, jac = problem.fun, problem.matrices.jac
     if "jac" not in method.options or isinstance(fun, OnGraph):
         return fun
@@ -638,7 +640,7 @@ def _functions(
 
 
 def _system(problem: Description, parameters: Array, schedule: Schedule | None) -> System:
-    """f as a graph, which is imported when it is used."""
+    """Return the graph of f as a system for Taylor series; its module is imported only when it is used."""
     from .._taylor.expansion import system_of
 
     return system_of(problem, parameters, () if schedule is None else schedule.landings.left_out)
@@ -658,8 +660,8 @@ def _linear_algebra(
     weights: Tolerances,
     jac: str | None = None,
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
-    matrix ask for it. `jac`: instead of the problem's."""
+    """Return the matrices of an implicit method for the core, and y0, moved where the algebraic equations of a singular
+    mass matrix require it. `jac`: instead of the problem's."""
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
@@ -746,6 +748,6 @@ def _require_free_directions(bound: BoundInvariants, problem: Description) -> No
 
 
 def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:
-    """Of all that is kept: the invariants, then the algebraic equations."""
+    """Return the names of all imposed quantities: the invariants, then the algebraic equations."""
     algebraic = linear.algebraic if linear else 0
     return [*bound.names, *(f"algebraic equation {i + 1}" for i in range(algebraic))]

@@ -1,4 +1,4 @@
-"""What the methods for y'' = f(t, y) ask of a problem."""
+"""Requirements of the methods for y'' = f(t, y) on a problem."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CHANGE = 1e-3
 
 
 def require_second_order(problem: Description, method: Method) -> None:
-    """That the problem states second-order equations.
+    """Raise an error unless the problem states second-order equations.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def require_second_order(problem: Description, method: Method) -> None:
 
 
 def require_no_velocities(problem: Description, sol: Solution) -> None:
-    """That accelerations do not depend on velocities in the middle and at the end of a solution either: a drag may have
+    """Raise an error if accelerations depend on velocities in the middle or at the end of a solution: a drag may have
     begun after the start.
 
     Raises
@@ -61,7 +61,8 @@ def require_no_velocities(problem: Description, sol: Solution) -> None:
 
 
 def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) -> None:
-    """At points y (n, n_t), at each of which f is evaluated with two velocities."""
+    """Raise an error if accelerations depend on velocities at points y (n, n_t), at each of which f is evaluated with
+    two velocities."""
     half, k = len(y) // 2, len(t)
     points = np.concatenate([y, y], axis=1)
     # irregular changes of about the size of the largest, so that no function of the velocities is the same by chance
@@ -85,7 +86,7 @@ def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) 
 
 
 def fits_any_args(problem: Description, method: MethodName) -> bool:
-    """Whether a problem that fits the method does so with other args: accelerations are known not to depend on
+    """Return whether a problem that fits the method does so with other args: accelerations are known not to depend on
     velocities, since that is stated or seen in their graph; and not only tested."""
     if find_method(method)[0].equations != "second-order" or states_second_order(problem.fun):
         return True

@@ -32,7 +32,7 @@ class Walk:
         self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
 
     def step(self) -> None:
-        """Goes on by one step, if it can: see `state`."""
+        """Advance the run by one step, if it can: see `state`."""
         self._inside = None
         self.core.step()
         self._watch()
@@ -69,8 +69,8 @@ class Walk:
         return self._inside
 
     def _watch(self) -> None:
-        """One warning each, if projection does harm, if stability limits the steps, and if f jumps. Nobody says that a
-        run ends before its bound, so this is checked in steps 64, 128, 256, … too."""
+        """Warn once each if projection degrades the accuracy, if stability limits the steps, and if f is discontinuous.
+        A run may end before its bound without notice, so this is checked in steps 64, 128, 256, … too."""
         self._steps += 1
         if self.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
             return

@@ -1,1 +1,1 @@
-"""What users state: f, invariants, events, inputs, breakpoints, bounds; the table of options; the methods."""
+"""Statement of a problem: f, invariants, events, inputs, breakpoints, bounds; the table of options; the methods."""

@@ -21,7 +21,7 @@ class Bounds(NamedTuple):
 
 
 def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Bounds | None:
-    """Both options as one pair of bounds. None: nothing is bounded.
+    """Combine `nonnegative` and `bounds` in one pair of bounds; return None if nothing is bounded.
 
     Raises
     ------

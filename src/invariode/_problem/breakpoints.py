@@ -50,7 +50,7 @@ def of_inputs(inputs: Sequence[Input]) -> list[Breakpoint]:
 
 
 def ordered(points: Iterable[Breakpoint], t0: float, tf: float) -> list[Breakpoint]:
-    """Those from t0 to tf, in the order of integration; actions at one time in theirs."""
+    """Return the breakpoints from t0 to tf in the order of integration; actions at one time keep their order."""
     low, high = min(t0, tf), max(t0, tf)
     inside = [point for point in points if low <= point.t <= high]
     return sorted(inside, key=lambda point: point.t if tf >= t0 else -point.t)

@@ -1,4 +1,4 @@
-"""What describes a problem, validated once."""
+"""Description of a problem, validated once."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Description:
             self.parameter_names()
 
     def _require_real(self, what: str) -> None:
-        """That the states are real numbers, for what is not defined for complex ones."""
+        """Raise an error unless the states are real; `what` is not defined for complex ones."""
         if self.y0.dtype.kind == "c":
             raise ValueError(
                 f"{what} is for real problems, and y0 is complex: write the problem in real and imaginary parts"
@@ -210,7 +210,7 @@ class Description:
         raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
 
     def _described(self) -> Self:
-        """This problem: see `Posed`."""
+        """Return this problem: see `Posed`."""
         return self
 
     @property
@@ -308,7 +308,7 @@ def state_first(names: Sequence[str]) -> str:
 
 
 def _as_called(fun: Any, y0: Array) -> Any:
-    """f as the solvers call it."""
+    """Return f as the solvers call it."""
     kind = type(fun)
     if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
         if kind is FunctionType and fun.__code__.co_varnames[:2] in STATE_FIRST:

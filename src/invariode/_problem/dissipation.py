@@ -77,7 +77,7 @@ class Dissipated(Invariants):
 
     @property
     def sense(self) -> int:
-        """1: it never falls as t grows; -1: it never rises."""
+        """Direction in which the value may change as t grows: 1, it never decreases; -1, it never increases."""
         return 1 if self.rises else -1
 
     def __repr__(self) -> str:

@@ -94,7 +94,7 @@ def _paragraphs(names: Iterable[str], own: Mapping[str, Any]) -> Iterator[tuple[
 
 
 def _for_methods(name: str) -> str:
-    """Which methods can use the option, if not all can."""
+    """Return the words "For ode23 and …. " for an option that only some methods can use, else an empty string."""
     those = [method.name for method in METHODS.values() if name in method.options]
     listed = " and ".join(filter(None, [", ".join(those[:-1]), *those[-1:]]))
     return f"For {listed}. " if those else ""

@@ -116,7 +116,7 @@ class Event:
         return value
 
     def replaced(self, fun: Any) -> Event:
-        """The same event of another function, with its name."""
+        """Return a copy of the event with another function, under the same name."""
         made = Event.__new__(Event)
         made.__dict__.update(self.__dict__, fun=fun)
         return made
@@ -196,7 +196,7 @@ class Roots:
                 raise ValueError(f"names of Roots must be {self.count}, one for each function, got {len(self.names)}")
 
     def events(self) -> list[Event]:
-        """One event for each function."""
+        """Return one event for each function."""
         return [RootOf(self, k) for k in range(self.count)]
 
     def __repr__(self) -> str:
@@ -212,7 +212,7 @@ class RootOf(Event):
 
 
 class _Component:
-    """One value of a function that has several."""
+    """Single value of a function that has several."""
 
     def __init__(self, fun: Any, number: int) -> None:
         self.fun, self._number = fun, number
@@ -234,7 +234,7 @@ class _OnRoots:
 
 
 def acts(event: Event) -> bool:
-    """Whether the solution may jump where the event occurs."""
+    """Return whether the solution may jump where the event occurs."""
     return event.action is not None or isinstance(event, RootOf)
 
 
@@ -331,7 +331,7 @@ class VectorSpec(NamedTuple):
 
 
 def vector_specs(events: Sequence[Event], n: int, p: Array) -> list[VectorSpec]:
-    """Those among the events, as the core takes them."""
+    """Return the functions of several roots among the events, as the core takes them."""
     found = []
     for first, event in enumerate(events):
         if not isinstance(event, RootOf) or event.number != 0:

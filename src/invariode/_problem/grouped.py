@@ -189,9 +189,9 @@ class Checkpoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What ends a run early, with status -3, a message and all results so far: ``limits=Limits(steps=10**6, time=60)``.
+    """Limits that end a run early, with status -3, a message and all results so far.
 
-    ``Solution.extend`` continues such a run.
+    ``limits=Limits(steps=10**6, time=60)`` sets two of them. ``Solution.extend`` continues such a run.
 
     Parameters
     ----------

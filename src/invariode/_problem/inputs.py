@@ -74,7 +74,7 @@ class Input:
 
     @property
     def size(self) -> int:
-        """How many numbers u has."""
+        """Number of values of u."""
         return 1 if self.values.ndim == 1 else int(self.values.shape[1])
 
     def __call__(self, t: ArrayLike) -> Any:
@@ -98,7 +98,7 @@ class Input:
         return self.times, CubicSpline(self.times, rows).c
 
     def covers(self, t0: float, tf: float) -> bool:
-        """Whether the table covers t0 to tf."""
+        """Return whether the table covers t0 to tf."""
         low, high = min(t0, tf), max(t0, tf)
         return bool(self.times[0] <= low and (self.kind == "previous" or high <= self.times[-1]))
 

@@ -128,7 +128,7 @@ class Invariants:
 
     @property
     def sense(self) -> int:
-        """0: it keeps its value. See `invariode.Dissipated`."""
+        """Direction in which the value may change: 0, none. See `invariode.Dissipated`."""
         return 0
 
     def _in_core(self, n: int) -> tuple[Any, Any] | None:

@@ -1,4 +1,4 @@
-"""What a problem gives of its matrices, ∂f/∂y and M, checked as far as that needs no call of a function."""
+"""Matrices of a problem, ∂f/∂y and M, checked as far as that needs no call of a function."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _NOTHING_KNOWN = Matrices()
 def to_matrices(
     jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, n: int, *, is_complex: bool
 ) -> Matrices:
-    """What a problem of n components gives. Constants are seen to be matrices of n components, and words known ones,
-    whatever the method will use.
+    """Return the matrices of a problem of n components. Constants are checked to be matrices of n components, and words
+    to be known ones, whatever the method will use.
 
     Raises
     ------

@@ -23,9 +23,9 @@ class Method:
     name : str
         As in MATLAB, or as the authors call methods that MATLAB does not have; 'auto' chooses between two.
     summary : str
-        What it is and what it is for, in a few words.
+        Summary: the method and its use in a few words.
     family : str
-        What kind of method it is.
+        Kind of method.
     min_order : int
         Lowest order of the formulas.
     order : int
@@ -46,14 +46,14 @@ class Method:
     scipy_options : mapping
         The options that this name implies.
     mass : str
-        Which mass matrices it takes: 'none', 'regular' (constant, regular ones), or 'any'.
+        Mass matrices that it takes: 'none', 'regular' (constant, regular ones), or 'any'.
     equations : str
         What it takes for f: 'any' function of (t, y), one whose expression 'graph' is known, or f of a 'second-order'
         system y'' = f(t, y).
     options : tuple of str
         Options that this method can use and others cannot.
     source : str
-        Where the formulas come from.
+        Source of the formulas.
     """
 
     name: OwnName

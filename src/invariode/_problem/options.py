@@ -76,7 +76,7 @@ __all__ = [
 
 
 def as_given(name: str, value: Any) -> Any:
-    """No check here: the value depends on the problem, and is checked with it."""
+    """Return the value unchecked: it depends on the problem, and is checked with it."""
     return value
 
 
@@ -128,7 +128,7 @@ class Option:
 
 
 class StepSizeOptions(TypedDict, total=False):
-    """What decides how long steps are."""
+    """Options that control the step size."""
 
     rtol: Annotated[
         Numbers,
@@ -161,7 +161,7 @@ class StepSizeOptions(TypedDict, total=False):
 
 
 class MethodOptions(TypedDict, total=False):
-    """How steps are made."""
+    """Options of the method."""
 
     interpolation: Annotated[
         Interpolation,
@@ -268,7 +268,7 @@ class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
 
 
 class RunningOptions(TypedDict, total=False):
-    """What a run keeps, what it calls, and what may end it, alone or in an ensemble."""
+    """Options for stored output, callbacks and limits of a run, alone or in an ensemble."""
 
     keep: Annotated[
         Keep | None,
@@ -381,7 +381,7 @@ class RunOptions(SteppingOptions, RunningOptions, total=False):
 
 
 class OutputOptions(TypedDict, total=False):
-    """What is computed besides the steps."""
+    """Options for output computed besides the steps."""
 
     t_eval: Annotated[
         ArrayLike | None,
@@ -412,7 +412,7 @@ class OutputOptions(TypedDict, total=False):
 
 
 class DescribingOptions(TypedDict, total=False):
-    """What is known about the solution and the equations: arguments of `Problem`, options of its shorter forms."""
+    """Options that describe the solution and the equations: arguments of `Problem`, options of its shorter forms."""
 
     invariants: Annotated[
         InvariantsLike | None,
@@ -538,15 +538,15 @@ class CallingOptions(TypedDict, total=False):
 
 
 class SolveOptions(RunOptions, DescribingOptions, total=False):
-    """Those of `solve_ivp` that its signature does not spell out."""
+    """Options of `solve_ivp` that its signature does not spell out."""
 
 
 class Options(RunOptions, OutputOptions, total=False):
-    """Those of `Problem.solve`."""
+    """Options of `Problem.solve`."""
 
 
 class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
-    """Those of the suite's functions."""
+    """Options of the functions of the MATLAB ODE Suite."""
 
     vectorized: Annotated[
         bool, Option(False, "bool", "Whether `fun` takes y of shape (n, k). It is called with k = 1.", flag)
@@ -554,7 +554,7 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
 
 
 class ManyOptions(TypedDict, total=False):
-    """How the trajectories of an ensemble are solved."""
+    """Options for the parallel solution of the trajectories of an ensemble."""
 
     workers: Annotated[
         int | None,
@@ -623,19 +623,19 @@ class ManyOptions(TypedDict, total=False):
 
 
 class ProblemEnsembleOptions(SteppingOptions, RunningOptions, ManyOptions, total=False):
-    """Those of `Problem.solve_ensemble` that its signature does not spell out."""
+    """Options of `Problem.solve_ensemble` that its signature does not spell out."""
 
 
 class EnsembleOptions(ProblemEnsembleOptions, DescribingOptions, total=False):
-    """Those of `solve_ensemble` that its signature does not spell out."""
+    """Options of `solve_ensemble` that its signature does not spell out."""
 
 
 class StepperOptions(MethodOptions, DescribingOptions, total=False):
-    """Those of the classes in `invariode.scipy` that their signature does not spell out."""
+    """Options of the classes in `invariode.scipy` that their signature does not spell out."""
 
 
 class ExtensionOptions(TypedDict, total=False):
-    """Those that `Solution.extend` may change. With any other the parts would not belong to one solution."""
+    """Options that `Solution.extend` may change. With any other the parts would not belong to one solution."""
 
     t_eval: ArrayLike | None
     first_step: float | None
@@ -751,8 +751,8 @@ _Part = TypeVar("_Part")
 
 
 def checked(given: Options, method: Method) -> Options:
-    """All options of a run: those given, each checked, and the defaults. One that the method cannot use draws a
-    warning, an unknown one raises an error."""
+    """Return all options of a run: the given ones, each checked, and the defaults. An option that the method cannot use
+    draws a warning, an unknown one raises an error."""
     complete = dict(_DEFAULTS)
     for name, value in given.items():
         row = _OF_A_RUN.get(name)
@@ -818,14 +818,15 @@ def warn_unused(method: Method, name: str, given: object) -> None:
 
 
 def unused(method: MethodName, describing: DescribingOptions) -> None:
-    """The same for what describes the problem. A mass matrix that the method cannot use is an error in the plan."""
+    """Warn of options describing the problem that the method cannot use. A mass matrix that the method cannot use is an
+    error in the plan."""
     for name, given in describing.items():
         if name in _OF_SOME_METHODS and name != "mass":
             warn_unused(find_method(method)[0], name, given)
 
 
 def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
-    """Options in two: those of the class, and the others."""
+    """Split options in two: those that the class has, and the others."""
     own = kind.__annotations__
     mine: Any = {}
     others: Any = {}

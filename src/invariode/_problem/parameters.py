@@ -42,7 +42,7 @@ class ParameterName:
     name : str
         Its name.
     kind : {"args", "y0"}
-        Whether it is in an argument or an initial value.
+        Place of the parameter: in an argument or in an initial value.
     index : int
         The argument or the component.
     item : int or None
@@ -120,7 +120,7 @@ def values_of(args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName]) 
 def with_values(
     args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName], values: Iterable[float]
 ) -> tuple[tuple[Any, ...], Array]:
-    """args and y0 with these values of the parameters; what was given stays as it is."""
+    """Return args and y0 with these values of the parameters; the arguments passed stay as they are."""
     start = np.array(y0)
     changes: dict[int, dict[int, float]] = {}
     for one, value in zip(names, values, strict=True):
@@ -155,7 +155,7 @@ class _Known:
 
     @cached_property
     def _by_name(self) -> dict[str, ParameterName]:
-        """All numbers in `args`, by both of their names; the first of a name."""
+        """Map of both names of all numbers in `args` to their parameters; the first one of a name counts."""
         found: dict[str, ParameterName] = {}
         for index, argument in enumerate(self._names):
             for one in self.of_argument(index):
@@ -221,7 +221,7 @@ class _Known:
         return found
 
     def _component(self, name: str) -> int:
-        """That of ``y0[label]``."""
+        """Return the index of the component in ``y0[label]``."""
         inside = name[len(Y0) + 1 : -1] if name.startswith(f"{Y0}[") and name.endswith("]") else None
         if inside is not None and self._labels is not None and inside in self._labels:
             return list(self._labels).index(inside)
@@ -235,7 +235,7 @@ class _Known:
         )
 
     def _listed(self) -> str:
-        """The names there are, for messages."""
+        """Return the known names of parameters as text for messages."""
         names = [one.name for i in range(len(self._args)) for one in self.of_argument(i)]
         more = ["..."] if len(names) > _MOST_LISTED else []
         label = self.of_y0(0).name if self._n else Y0
@@ -251,7 +251,7 @@ def _parameters_of(fun: Any) -> list[str]:
 
 
 def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
-    """As f calls them."""
+    """Return the names of the arguments as f calls them."""
     plain = [f"args[{i}]" for i in range(size)]
     compiled = isinstance(fun, CompiledFunction)
     python = fun.fun if compiled else fun

@@ -128,7 +128,7 @@ class Sensitivities:
         return size
 
     def scales_all(self, names: Sequence[ParameterName]) -> bool:
-        """Whether `scale` specifies the sizes of all parameters."""
+        """Return whether `scale` specifies the sizes of all parameters."""
         return len(self.scale) == len(names) if isinstance(self.scale, Mapping) else self.scale is not None
 
     def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:

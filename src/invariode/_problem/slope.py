@@ -13,7 +13,7 @@ from .inputs import Input, fed
 
 
 class Slope(NamedTuple):
-    """f(t, y) of a problem: given the values of its inputs, and its arguments, by machine code where it is such."""
+    """Slope f(t, y) of a problem, with the values of its inputs and its arguments; f may be machine code."""
 
     given: Any  # as users write it
     inputs: Sequence[Input]
@@ -21,11 +21,11 @@ class Slope(NamedTuple):
 
     @property
     def fun(self) -> Any:
-        """f of (t, y, *args), which gives it the inputs; native if f is."""
+        """Function f of (t, y, *args), with the values of the inputs filled in; native if f is."""
         return fed(self.given, self.inputs)
 
     def for_core(self, y0: Array, parameters: Array) -> Any:
-        """The same as the core calls it, with the parameters that native functions of the problem have."""
+        """Return f as the core calls it, with the parameters that native functions of the problem have."""
         n = reals(y0)
         return to_native("fun", self.fun, n, n, parameters)
 
@@ -49,7 +49,7 @@ class Slope(NamedTuple):
 
 
 def checked_slope(given: Any, y: Array) -> Array:
-    """What f returned at y (n,), as numbers of its shape, which are real if y is.
+    """Return the values of f at y (n,) as numbers of that shape, which are real if y is.
 
     Raises
     ------

@@ -68,14 +68,14 @@ _BESIDE = 16
 
 
 class Resumed(NamedTuple):
-    """Where a run continues from."""
+    """State from which a run continues."""
 
     memory: bytes  # of the run that was interrupted
     anew: bool  # the method is to start again
 
 
 class Points(NamedTuple):
-    """What is put out, where the run ended, and how."""
+    """Output points of a run, its end, and its outcome."""
 
     y: Array  # (n, n_t)
     t_end: float
@@ -104,7 +104,7 @@ class Solved:
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
-    """What a solution was made from, and where it ended: what is needed to continue it."""
+    """Origin of a solution, problem and end of the run: everything that is needed to continue it."""
 
     source: Solved
     t: float
@@ -138,7 +138,7 @@ class RunOrigin:
         return SectionedSolution(self.sectioned, sol, self.y, imposed=self.imposed)
 
     def identity(self) -> Identity:
-        """What tells its run from another."""
+        """Return the identity of the run, which distinguishes it from others."""
         return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
@@ -157,7 +157,7 @@ class RunOrigin:
         return self._slopes_of_shape(t, y, jumps) if stiff else self._sides(t, y, jumps)
 
     def _landings(self, t: Array) -> Array:
-        """At which of these times f changes its branch as a function of t alone."""
+        """Return a boolean array: at which of the times t f changes its branch as a function of t alone."""
         problem = self.source.problem
         with quietly():  # the run has warned
             schedule = schedule_of(problem, Parameters.of(problem.args))
@@ -169,7 +169,7 @@ class RunOrigin:
         return np.asarray(nearest <= _BESIDE * np.spacing(np.abs(t)))
 
     def _sides(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
-        """Those of f. `jumps`: where it may differ from one side to the other."""
+        """Return f after and before each time. `jumps`: where it may differ from one side to the other."""
         slope = self.source.problem.slope
         beside = self.forward * _BESIDE * np.spacing(np.abs(t))
         after = before = slope(np.where(jumps, t + beside, t), y)
@@ -179,8 +179,8 @@ class RunOrigin:
         return after, before
 
     def _slopes_of_shape(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
-        """Those of monotone cubics between the jumps, for implicit methods: f at stiff solutions magnifies their
-        errors, and its cubics overshoot."""
+        """Return the slopes of monotone cubics after and before each time, between the jumps, for implicit methods: f
+        at stiff solutions magnifies their errors, and its cubics overshoot."""
         from scipy.interpolate import PchipInterpolator
 
         reals = np.ascontiguousarray(y.T).view(float)
@@ -204,7 +204,7 @@ class RunOrigin:
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
     def imposing(self) -> RunOrigin:
-        """The same for the projected solution: its extension will be projected too."""
+        """Return the origin for the projected solution: its extension will be projected too."""
         return dataclasses.replace(self, imposed=True)
 
     @property
@@ -252,7 +252,7 @@ def points(problem: Posed | Description, method: MethodName, options: Options) -
 
 
 def _solved(plan: Plan, source: Solved) -> Solution:
-    """The solution by a solver of its own."""
+    """Return the solution of a plan by a solver of its own."""
     problem = source.problem
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
@@ -302,7 +302,7 @@ def _new_checkpoint(plan: Plan, at_start: list[int]) -> RunFiles | None:
 def _carried_out(
     plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: RunFiles | None = None
 ) -> Solution:
-    """The solution of a plan, or of what is left of it."""
+    """Return the solution of a plan, or of the rest of it from `resumed`."""
     core = solver(plan)
     keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
     with ExitStack() as around:
@@ -340,19 +340,19 @@ class Finished:
 
     @cached_property
     def plan(self) -> Plan:
-        """Its own."""
+        """Plan of the run."""
         return self.general if self._plan_of_run is None else self._plan_of_run()
 
     @cached_property
     def bound(self) -> BoundInvariants:
-        """The invariants, with the values that actions gave them."""
+        """Invariants of the run, with the values that actions gave them."""
         bound, functions = self.plan.bound, self.plan.functions
         if (functions.events or functions.breakpoints) and (jumps := self.run.jumps):
             return bound.jumped(jumps)
         return bound
 
     def private(self) -> dict[str, Any]:
-        """What a solution has besides its items."""
+        """Return the private attributes of the solution, besides its items."""
         run, plan = self.run, self.plan
         y_end = run.end if self.y_end is None else self.y_end
         next_h = run.next_h if plan.method.fixed_order and run.steps else None
@@ -380,7 +380,7 @@ class Finished:
 
 
 def presented(finished: Finished) -> Solution:
-    """The solution that a run came to, or the exception, with its warnings."""
+    """Return the solution of a finished run and warn of its problems, or raise its exception."""
     if finished.run.ordinary and not finished.general.names:
         return _solution(finished)
     _require_start(finished)
@@ -429,7 +429,7 @@ def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
-    """What a mechanical system has cost."""
+    """Return the counts of work of a mechanical system, or None."""
     work: Any = core.motion_work if isinstance(fun, CoreFunction) else None
     return None if work is None else {"derivatives": dict(fun.derivatives)} | work
 
@@ -518,7 +518,7 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 
 def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
-    """How the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
+    """Return how the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
     given = {"traced" if is_derived(one.jac) else "given" for one in plan.bound.specs if not isinstance(one.jac, str)}
     return {kind for one in run.derivatives for kind in (given if one == "given" else {one})}
 
@@ -608,8 +608,9 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
 
 
 def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension. Where
-    a callback has ended the run, the solution may have yet to jump: an output there is put out again."""
+    """Return the remaining output times, or those of `t_eval`, and the same with those beyond tf, for a further
+    extension. Where a callback has ended the run, the solution may have yet to jump: an output there is put out
+    again."""
     if origin.source.options.get("t_eval") is None:
         raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
@@ -625,7 +626,7 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
 
 
 def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
-    """One solution of two parts, of which the second goes on where the first ended, and has the counts of both.
+    """Join two solutions, the second of which continues where the first ended, into one with the counts of both.
     `points`: outputs of the first."""
     jumps = tuple(Jump(row + points, t, value) for row, t, value in new._invariants.jumps)
     bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
@@ -663,7 +664,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
 
 
 def _summed(first: dict[str, Any] | None, then: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What a mechanical system has cost: it counts for itself, in each part."""
+    """Return the sum of the work of a mechanical system in both parts: it counts for itself, in each part."""
     if first is None or then is None:
         return then
     return {name: of if name == "derivatives" else of + then[name] for name, of in first.items()}

@@ -51,8 +51,8 @@ class Template:
         self._idle = deque([core])
 
     def run(self, problem: Posed | Description, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course]:
-        """A run of a problem of this kind, and its course. `options`: those that the template was found for.
-        `remember`: the run can be extended."""
+        """Run a problem of the template's kind; return the run and its course. `options`: those that the template was
+        found for. `remember`: the run can be extended."""
         course = course_of(self._choice, problem, options.get("t_eval"))
         breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
         if breaks is not None:
@@ -72,7 +72,7 @@ class Template:
         return run, course
 
     def plan_of(self, problem: Posed | Description, course: Course) -> Plan:
-        """What a run has done, without what is the user's."""
+        """Return the plan of a run on `course`, without the parts that are the user's."""
         bound = replace(self._nothing_held, args=problem.args, forward=1.0 if course.tf >= course.t0 else -1.0)
         return self.plan.on(course, bound, names_of(problem, []))
 
@@ -102,7 +102,7 @@ def plan_or_template(problem: Posed | Description, method: MethodName, options: 
 
 
 def _kind(problem: Posed | Description, method: MethodName, options: Options) -> Hashable | None:
-    """What problems have in common that have a plan in common. None: this problem is the only one of its kind."""
+    """Return a key of all problems that have a plan in common; None: this problem is the only one of its kind."""
     n = reals(problem.y0)
     if not problem.is_plain or n >= _LARGE or type(method) is not str or switches_in_time(problem):
         return None
@@ -111,7 +111,8 @@ def _kind(problem: Posed | Description, method: MethodName, options: Options) ->
 
 
 def _holds_for_all(plan: Plan, problem: Description) -> bool:
-    """Whether the plan says nothing of f, which the core calls as it is, and the run needs nothing around it."""
+    """Return whether the plan is independent of f, which the core calls as it is, and the run needs nothing around
+    it."""
     linear = plan.functions.linear
     return (
         plan.functions.fun is problem.fun

@@ -1,4 +1,4 @@
-"""What events and actions do to sensitivities.
+"""Effects of events and actions on sensitivities.
 
 An event e(t, y, p) = 0 occurs at τ(p), with
 
@@ -47,7 +47,7 @@ class Weights(NamedTuple):
     threshold: float | Array
 
     def of(self, y: Array) -> Array:
-        """At a state."""
+        """Return the weights at a state y (n,)."""
         return self.rtol * np.maximum(np.abs(y), self.threshold)
 
 
@@ -61,7 +61,7 @@ class Rate:
 
     @property
     def is_singular(self) -> bool:
-        """Whether M is."""
+        """True if M is singular."""
         return self._algebraic.is_singular
 
     def __call__(self, t: float, y: Array) -> Array:
@@ -74,7 +74,8 @@ class Rate:
 
 
 def is_at_root(event: Directional, t: float, y: Array, f: Array) -> bool:
-    """Whether an event is zero at a state with this slope, to roundoff; if not, a jump has carried it over zero."""
+    """Return whether an event is zero at a state with this slope, to roundoff; if not, a jump has carried it over
+    zero."""
     none = np.zeros((4, event.k))
     signs = (-1.0) ** np.arange(len(y))
     rate, at_t, *terms = event.columns(
@@ -97,7 +98,7 @@ class EventTime:
         return self.with_slope(t, Y, self._rate(t, Y[0]))
 
     def with_slope(self, t: float, Y: Array, f: Array) -> Array:
-        """The same with y' before the event."""
+        """Return the derivative of the time of the event with respect to the parameters, with f for y' before it."""
         k = len(Y) - 1
         rates = self.function.columns(
             t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
@@ -117,7 +118,7 @@ class EventTime:
             )
 
     def _is_grazing(self, t: float, y: Array, f: Array, rate: float, k: int) -> bool:
-        """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
+        """Return whether a change of y within the tolerance could remove the root, that of e + e' s + e'' s² / 2."""
         w, none = self._weights.of(y), np.zeros((2, k))
         moved = self.function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
         with np.errstate(all="ignore"):
@@ -171,7 +172,7 @@ class _Moment(NamedTuple):
     Attributes
     ----------
     t : float
-        When.
+        Time of the actions.
     start, f : ndarray, (1 + k, n) and (n,)
         Y and y' before all of them.
     times : ndarray, (k,)
@@ -181,7 +182,7 @@ class _Moment(NamedTuple):
     behind : ndarray, (1 + k, n)
         Y as the core has it then.
     fixed : bool
-        Whether the time is that of a breakpoint.
+        The time is that of a breakpoint.
     """
 
     t: float
@@ -195,7 +196,7 @@ class _Moment(NamedTuple):
 
 @dataclass
 class Together:
-    """Which actions are taken at one time: constraints are imposed again behind all of them."""
+    """Record of the actions taken at one time: constraints are imposed again after all of them."""
 
     _last: _Moment | None = None
 
@@ -205,7 +206,7 @@ class Together:
         return last if last is not None and last.t == t and np.array_equal(last.behind, Y) else None
 
     def note(self, moment: _Moment) -> None:
-        """What has been done."""
+        """Record an action that has been taken."""
         self._last = moment
 
 

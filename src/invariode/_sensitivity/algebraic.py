@@ -43,7 +43,7 @@ class Algebraic(NamedTuple):
 
     @staticmethod
     def of(M: Array | None) -> Algebraic | None:
-        """Those of a mass matrix; None: it is regular."""
+        """Return the algebraic equations of a mass matrix, or None if it is regular."""
         if M is None or np.linalg.matrix_rank(M) == len(M):
             return None
         U, sizes, V = np.linalg.svd(M)

@@ -40,7 +40,7 @@ class Schedule(NamedTuple):
     Attributes
     ----------
     landings : Landings
-        When they are.
+        Times of the landings, as functions of the numbers of the arguments.
     p : ndarray
         The numbers of the arguments, of which its graph is a function.
     """
@@ -50,7 +50,7 @@ class Schedule(NamedTuple):
 
     @property
     def depends_on_args(self) -> bool:
-        """Whether the times depend on the arguments of f."""
+        """True if the times depend on the arguments of f."""
         return bool(self.landings.parameters())
 
 
@@ -63,9 +63,9 @@ def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] |
     problem : Description
         The problem.
     parameters : ndarray
-        Those that its native functions have.
+        Parameters of the problem's native functions.
     graph : sequence of Node, optional
-        That of its f, if it has been traced for its derivatives.
+        Graph of f, if f has been traced for its derivatives.
     """
     from .._functions.graph.landings import landings, timed
 
@@ -85,7 +85,7 @@ def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] |
 
 
 def switches_in_time(problem: Posed | Description) -> bool:
-    """Whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
+    """Return whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
     from .._functions.graph.plain import may_switch, plain_graph
 
     if not may_switch(problem.fun):
@@ -114,7 +114,7 @@ def _conditions(problem: Description, parameters: Array) -> list[Crossing]:
 
 
 def _of_python(problem: Description) -> PlainGraph | None:
-    """The graph of a Python f, if it has one that may switch."""
+    """Return the graph of a Python f, if it has one that may switch, else None."""
     fun, n = problem.fun, reals(problem.y0)
     if isinstance(fun, SecondOrder):
         if fun.native:
@@ -216,7 +216,7 @@ class LandingJump:
 def landing_jump(
     schedule: Schedule | None, problem: Description, names: Sequence[ParameterName], rate: Rate
 ) -> LandingJump | None:
-    """What sensitivities do at landings; None: their times do not depend on the parameters."""
+    """Return the jump of sensitivities at landings; None if their times do not depend on the parameters."""
     if schedule is None or not schedule.landings:
         return None
     places = [None if one.kind != "args" else place_of(problem.args, one.index, one.item) for one in names]

@@ -51,7 +51,7 @@ class MassDerivatives:
     Attributes
     ----------
     derivatives : Directional
-        Those of the mass matrix.
+        Derivatives of the mass matrix.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class AlgebraicOverTime:
 
     @property
     def is_singular(self) -> bool:
-        """Whether there are any."""
+        """True if there are algebraic equations."""
         return self._at_start is not None
 
     def at(self, t: float) -> Algebraic:
@@ -122,12 +122,12 @@ def mass_rate(problem: Description, derivatives: Callable[..., Directional]) -> 
 def mass_derivatives(
     problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
 ) -> MassDerivatives | None:
-    """Those of the mass matrix of a problem; None: it depends on none of these parameters."""
+    """Return the derivatives of the mass matrix of a problem; None if it depends on none of these parameters."""
     return MassDerivatives(problem, names, rate) if depends_on(problem, names) else None
 
 
 def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
-    """Whether the mass matrix depends on one of these parameters."""
+    """Return whether the mass matrix depends on one of these parameters."""
     mass, args = problem.matrices.mass, problem.args
     if not callable(mass):
         return False
@@ -143,7 +143,7 @@ def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
 
 
 def moves_in_time(problem: Description) -> bool:
-    """Whether the mass matrix is a function of t."""
+    """Return whether the mass matrix is a function of t."""
     mass = problem.matrices.mass
     if not callable(mass):
         return False

@@ -39,7 +39,7 @@ class OfPairs:
     fun : callable
         The function.
     complex_values : bool
-        Whether its values are complex, and pairs of real numbers take their place.
+        The values are complex, and pairs of real numbers take their place.
     """
 
     def __init__(self, fun: Callable[..., Any], complex_values: bool) -> None:
@@ -181,7 +181,7 @@ class AsPairs:
 
 
 def with_pairs(sol: Result) -> Result:
-    """The same with tolerances and states at events of pairs."""
+    """Return a solution with the tolerances and the states at events in pairs of reals."""
     each = (np.repeat(one, 2) if np.ndim(one) else one for one in (sol._rtol, sol._atol))
     events = sol.y_events and [np.ascontiguousarray(states).view(float) for states in sol.y_events]
     return sol.changed(**dict(zip(("_rtol", "_atol"), each, strict=True)), y_events=events)
@@ -210,7 +210,7 @@ def in_complex(pairs: Array, axis: int) -> Array:
 
 
 def require_analytic(slope: Directional, at: Point, name: str) -> None:
-    """That f satisfies the equations of Cauchy and Riemann, so that y has a derivative with respect to y0.
+    """Raise an error unless f satisfies the Cauchy–Riemann equations, so that y has a derivative with respect to y0.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from .actions import Weights
 
 
 class Sizes(NamedTuple):
-    """What tolerances follow from.
+    """Sizes from which the tolerances of sensitivities follow.
 
     Attributes
     ----------
@@ -24,9 +24,9 @@ class Sizes(NamedTuple):
     names : sequence of ParameterName
         The parameters.
     weights : Weights
-        Those of y.
+        Weights of y in the error test.
     places : list of int
-        Where the values of the parameters are: among the numbers of the arguments, or the initial values.
+        Positions of the parameters' values among the numbers of the arguments, or among the initial values.
     """
 
     wanted: Sensitivities
@@ -38,12 +38,12 @@ class Sizes(NamedTuple):
     def of(
         cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...]
     ) -> Sizes:
-        """Those of a problem with these arguments."""
+        """Return the sizes for a problem with these arguments."""
         places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index for one in names]
         return cls(wanted, names, weights, places)
 
     def tolerances(self, y0: Array, values: Array) -> Array:
-        """Those of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
+        """Return the tolerances of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
         scale = self.of_parameters(values, y0.shape[-1])
         return np.ascontiguousarray(self._of_state(y0)[..., None, :] / scale[..., None])
 
@@ -52,7 +52,8 @@ class Sizes(NamedTuple):
         return self.wanted.sizes(self.names, self._default(np.abs(values), n))
 
     def in_rows(self, y0: Array, numbers: Array) -> Array:
-        """The same for rows of initial values, and of the numbers of the arguments."""
+        """Return the tolerances of ∂y/∂p, of shape (N, k, n), for rows of initial values and of the numbers of the
+        arguments."""
         pairs = zip(self.names, self.places, strict=True)
         return self.tolerances(y0, np.stack([(numbers if one.kind == "args" else y0)[:, i] for one, i in pairs], 1))
 

@@ -40,42 +40,42 @@ _TOGETHER = 1e-9
 
 @dataclass
 class Variations:
-    """What a run computes besides y.
+    """Sensitivities as a run computes them besides y.
 
     Attributes
     ----------
     names : list of str
-        Those of the parameters.
+        Names of the parameters.
     start : ndarray, (k, n)
         S at the start.
     sizes : Sizes
-        What the tolerances of S follow from.
+        Sizes from which the tolerances of S follow.
     for_core : _core.Variations
-        What the core takes.
+        The sensitivities as the core takes them.
     slope : callable or machine code
         (t, Y) -> f_y S_j + f_pj, as the core calls it.
     tangents : list
         (t, Y) -> G S_j + g_pj of each invariant.
     how : dict
-        How the derivatives of each function are formed.
+        For each function, the way in which its derivatives are formed.
     times : list of EventTime
-        For each event.
+        Derivatives of the time of each event.
     actions : list
-        What happens to S at the action of each event, with its log.
+        Jump of S at the action of each event, with its log.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
     log : list of tuple
-        When conditions of f have changed, and which.
+        Times at which conditions of f have changed, and which conditions.
     near : float
-        Within which distance a discontinuity is that of a condition.
+        Largest distance in t between a discontinuity and the change of a condition that explains it.
     follows_jumps : bool
-        Whether the conditions of f are known.
+        The conditions of f are known.
     derivatives_of : list of Directional
-        Of all functions.
+        Derivatives of all functions.
     schedule : Schedule or None
-        Where f changes its branch as a function of t alone.
+        Times at which f changes its branch as a function of t alone.
     is_complex : bool
-        Whether the state is; `start` has pairs then.
+        The state is complex; `start` has pairs then.
     """
 
     names: list[str]
@@ -97,8 +97,9 @@ class Variations:
 
     @property
     def own_to_each(self) -> str | None:
-        """What is not the same for all initial values and parameters, but for the tolerances: conditions of f are
-        compared around y0, functions called with the arguments, and complex derivatives tested at y0."""
+        """Reason why the variations differ between initial values and parameters in more than the tolerances, or None:
+        conditions of f are compared around y0, functions called with the arguments, and complex derivatives tested at
+        y0."""
         if self.derivatives_of[0].has_conditions:
             return "f has branches, which are examined for each trajectory"
         if callable(self.sizes.wanted.dy0dp):
@@ -128,12 +129,12 @@ class Variations:
 
     @property
     def derivatives(self) -> str:
-        """How they are formed, in words."""
+        """Description of how the derivatives are formed."""
         ways = set(self.how.values())
         return ways.pop() if len(ways) == 1 else "; ".join(f"{called}: {way}" for called, way in self.how.items())
 
     def has_followed(self, discontinuities: Sequence[float]) -> bool:
-        """Whether f has jumped only where conditions that are followed have changed; if not, there is a warning."""
+        """Return whether f has jumped only where conditions that are followed have changed; if not, warn."""
         times = np.array([t for t, _ in self.log])
         self.log.clear()
         for t in discontinuities:
@@ -171,7 +172,7 @@ class Variations:
         return message.replace(f"omponent {component}", f"omponent {i} of the sensitivity to {self.names[j]}", 1)
 
     def _undefined(self, t: float, y: Array, i: int, name: str) -> str:
-        """That f has no derivative at a point, from which a run cannot go on."""
+        """Return the message that f has no derivative at a point, from which a run cannot continue."""
         slope = self.derivatives_of[0]
         where = slope.singular_at(t, y)
         expression = "" if where is None else f": {where} has none"
@@ -288,11 +289,11 @@ class _Derivatives:
         self.made: list[Directional] = []
 
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
-        """Those of a function."""
+        """Return the derivatives of a function."""
         return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
 
     def of_fun(self, problem: Description) -> tuple[Directional, Rate]:
-        """Those of f along directions of y and the parameters, and its rate along the solution."""
+        """Return the derivatives of f along directions of y and the parameters, and its rate along the solution."""
         fun, given = given_derivatives(problem, self._names)
         slope = self.of(fun, "fun", m=self._n, given=given)
         return slope, Rate(problem, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
@@ -303,14 +304,14 @@ class _Derivatives:
         return made
 
     def of_laws(self, problem: Description, specs: Sequence[InvariantSpec]) -> list[Directional]:
-        """Those of the invariants."""
+        """Return the derivatives of the invariants."""
         return [
             self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
             for one, spec in zip(problem.invariants, specs, strict=True)
         ]
 
     def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
-        """Those of the mass matrix; None: it does not depend on the parameters."""
+        """Return the derivatives of the mass matrix; None if it does not depend on the parameters."""
         found = mass_derivatives(problem, self._names, rate)
         if found is not None:
             self._note(found.derivatives)
@@ -324,7 +325,7 @@ class _Derivatives:
         rate: Rate,
         restored: Directional | None,
     ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
-        """What the actions of events, and at breakpoints, do to S."""
+        """Return the jumps of S at the actions of events and at breakpoints."""
         together, n = Together(), self._n
         jumps = [
             None
@@ -368,7 +369,7 @@ _MOST_DOUBLINGS = 8
 
 
 class Crossing(NamedTuple):
-    """How e(t, y, p) = 0 is crossed: y' before and behind, the rate of e before, and whether it leads back."""
+    """Crossing of e(t, y, p) = 0: y' before and after, the rate of e before, and whether it leads back."""
 
     before: Array
     behind: Array
@@ -378,12 +379,12 @@ class Crossing(NamedTuple):
 
 @dataclass
 class Switching:
-    """Where f goes from one branch to another at e(t, y, p) = 0: S⁺ = S⁻ + (f⁻ − f⁺) ∂τ.
+    """Passage of f from one branch to another at e(t, y, p) = 0: S⁺ = S⁻ + (f⁻ − f⁺) ∂τ.
 
     Attributes
     ----------
     name : str
-        What messages call it.
+        Name of the condition in messages.
     function : callable
         e, for events.
     difference : Directional
@@ -408,7 +409,7 @@ class Switching:
         return made
 
     def crossing(self, t: float, y: Array) -> Crossing | None:
-        """How it is crossed in this state; None: it is not."""
+        """Return the crossing in this state, or None if there is none."""
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
         none = np.zeros((2, self.difference.k))
         rates = self.difference.columns(t, y, np.ones(2), np.stack([below, above]), none)[:, 0]
@@ -431,7 +432,7 @@ class Switching:
         return y
 
     def jump(self, t: float, Y: Array, after: Array) -> Array:
-        """S behind it."""
+        """Return S after the switch, for Y = (y, S) before it."""
         y, S = Y[0], Y[1:]
         found = self.crossing(t, y)
         if found is None:
@@ -519,7 +520,7 @@ def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> t
 
 
 def _with_inputs(problem: Description) -> Any:
-    """f, with its inputs."""
+    """Return f with its inputs."""
     fun, inputs = problem.fun, problem.inputs
     fun = fun.first_order if isinstance(fun, SecondOrder) else fun
     return with_tables(fun, inputs) if inputs else fun

@@ -47,7 +47,7 @@ def order_of(method: Method, rtol: float, given: int | None, sums: float) -> int
         return given
 
     def cost(p: int) -> float:
-        """Of a length of t."""
+        """Return the estimated cost per unit of t at order p."""
         return (_STEP + _ORDER * p + _PRODUCT * sums * p * p / 2) / math.exp((math.log(rtol) - _MARGIN) / (p - 1))
 
     order = min(max(math.ceil(1 - math.log(rtol) / 2), method.min_order), method.order)
@@ -70,7 +70,7 @@ def on_graph(problem: Description, method: Method) -> Description:
     ValueError
         There are no components.
     ModuleNotFoundError
-        What compiles graphs is not installed.
+        The compiler of graphs is not installed.
     """
     extra("llvmlite", f"method={method.name!r} needs", "compiled")
     events = [_on_graph(event, problem) for event in problem.events] if problem.records_events else None
@@ -80,7 +80,7 @@ def on_graph(problem: Description, method: Method) -> Description:
 
 
 def _require_graph(problem: Description, method: Method) -> None:
-    """That f can be traced."""
+    """Raise an error unless f can be traced."""
     n = reals(problem.y0)
     needs = f"method={method.name!r} needs the expression graph of fun"
     if n == 0:
@@ -113,7 +113,7 @@ def _traceable(fun: Any, method: Method) -> Any:
 
 
 def _on_graph(event: Event, problem: Description) -> Event:
-    """The event; with a function that is traced, if it can be."""
+    """Return the event with a traced function if that is possible, else the event."""
     if is_native(event.fun) or isinstance(event, RootOf) or problem.y0.dtype.kind == "c":
         return event
     traced = compile(event.fun, by="trace")
@@ -125,7 +125,8 @@ def _on_graph(event: Event, problem: Description) -> Event:
 
 
 def _graph_of_event(fun: Any, problem: Description) -> list[Node] | None:
-    """Its value, of (t, y) and the parameters of native functions."""
+    """Return the nodes of an event's value, a function of (t, y) and the parameters of native functions; None without a
+    graph."""
     if not isinstance(fun, OnGraph):
         return None
     shape = fun.known(Shape(len(problem.y0), 1, count_of(Parameters.of(problem.args)), event=True))
@@ -140,9 +141,9 @@ class System(NamedTuple):
     outputs : list of Node
         Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
     conditions : list of Node
-        What changes its sign where it changes its branch, if that depends on y; none if there are too many.
+        Functions whose sign changes where f changes its branch, if that depends on y; none if there are too many.
     own : bool
-        Whether our elementary functions are called.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     outputs: list[Node]
@@ -167,26 +168,26 @@ def system_of(problem: Description, parameters: Array, unknown: Iterable[Node] =
 
 
 class Expansion(NamedTuple):
-    """What the core expands.
+    """Taylor series that the core expands.
 
     Attributes
     ----------
     series : _core.Series
-        Of the solution, and of its sensitivities.
+        Series of the solution, and of its sensitivities.
     conditions : _core.Series or None
-        Along the solution, of what changes its sign where f changes its branch: a step ends there.
+        Series along the solution of the functions whose sign changes where f changes its branch: a step ends there.
     condition_count : int
-        How many these are.
+        Number of the conditions.
     events : list of EventSpec
-        Those of the problem with their series.
+        Events of the problem with their series.
     problem : Description
         The problem, with f and its events on their graphs.
     outputs : list of Node
         y' of the solution, and of its sensitivities.
     form : SeriesForm
-        Of its series.
+        Form of the code of the series.
     of_any_span : bool
-        Whether it is the same on every interval: there are no bounds, which depend on the direction.
+        The expansion is the same on every interval: there are no bounds, which depend on the direction.
     """
 
     series: _core.Series
@@ -199,7 +200,7 @@ class Expansion(NamedTuple):
     of_any_span: bool
 
     def for_core(self) -> dict[str, Any]:
-        """What the core's problem takes, besides its events."""
+        """Return the arguments of the core's problem that concern the series, without events."""
         return {"series": self.series, "conditions": self.conditions, "condition_count": self.condition_count}
 
     def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
@@ -248,7 +249,7 @@ class _Maker:
         self._size, self._order, self._own = size, order, own
 
     def form(self, *, along: bool) -> SeriesForm:
-        """What the code takes and gives."""
+        """Return the form of the code: its arguments and its results."""
         from .._functions.graph.series_writer import SeriesForm
 
         return SeriesForm(self._size, self._order, along, own=self._own)

@@ -142,7 +142,7 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
     ravel = flatten
 
     def interleaved(self) -> TracedArray:
-        """The real numbers that stand for it in memory."""
+        """Return the real numbers that stand for the complex array in memory, real and imaginary parts in turn."""
         found: Any = np.stack([self.real.ravel(), self.imag.ravel()], axis=-1).ravel()
         return cast("TracedArray", found)
 
@@ -165,7 +165,8 @@ def parts(value: Any, like: TracedArray) -> tuple[Any, Any]:
 
 
 def _part(value: Any, which: int, like: TracedArray) -> Any:
-    """The same part of an argument and of what is in a list; integers, which count or index, stay."""
+    """Return the real or the imaginary part of an argument and of the entries of a list; integers, which count or
+    index, stay."""
     if isinstance(value, (list, tuple)):
         return type(value)(_part(one, which, like) for one in value)
     numbers = isinstance(value, (TracedArray, TracedComplex, complex, float)) or (

@@ -55,7 +55,8 @@ def gradient(output: Node, variables: Sequence[Node]) -> Row:
 
 
 def _singular_above(nodes: Sequence[Node], depends: set[Node]) -> dict[Node, Node]:
-    """Of each argument, near or far, of operations that may be singular: the condition that one of them is."""
+    """Map each argument, direct or indirect, of operations that may be singular to the condition that one of them
+    is."""
     found: dict[Node, Node] = {}
     for node in reversed(nodes):
         above, here = found.get(node), singular_where(node)
@@ -71,7 +72,8 @@ def _singular_above(nodes: Sequence[Node], depends: set[Node]) -> dict[Node, Nod
 
 
 def _backwards(slope: Callable[[Node], Node], factor: Node, singular: Node | None) -> Node:
-    """The factor of an argument, of that of its operation, which may be infinite where the condition holds."""
+    """Return the factor of an argument from the factor of its operation, which may be infinite where `singular` is
+    true."""
     if singular is None:
         return slope(factor)
     own = slope(factor.graph.node(1.0))
@@ -125,7 +127,7 @@ def _dependent(nodes: Iterable[Node], variables: Mapping[Node, int]) -> set[Node
 
 
 def _combined(node: Node, rows: Mapping[Node, Row]) -> Row:
-    """The row of a node, of the rows of its arguments."""
+    """Return the row of a node, its derivatives by variable, from the rows of its arguments."""
     given = [rows[one] for one in node.arguments]
     if node.op in _CONSTANT or not any(given):
         return {}
@@ -154,7 +156,8 @@ def _of_branches(node: Node, rows: Mapping[Node, Row]) -> Row:
 
 
 def _of_solution(system: Node, rows: Mapping[Node, Row]) -> dict[Node, Row]:
-    """Of all entries of X with A X = B: A X′ = B′ − A′ X, one linear system for all variables."""
+    """Return the derivatives of all entries of X with A X = B: A X′ = B′ − A′ X, one linear system for all
+    variables."""
     graph, form = system.graph, system.value
     k, m = form.k, form.m
     matrix, right = form.matrix(system.arguments), form.right(system.arguments)
@@ -189,7 +192,7 @@ Slope = Callable[[Node], Node] | None
 
 
 def _slopes(node: Node, depends: set[Node]) -> list[Slope]:
-    """For each argument of a smooth operation."""
+    """Return the slope of a smooth operation in each of its arguments, or None where there is none."""
     found = _RULES[node.op](node, *node.arguments) if node.op not in _CONSTANT else [None] * len(node.arguments)
     return [slope if one in depends else None for one, slope in zip(node.arguments, found, strict=True)]
 
@@ -214,7 +217,8 @@ def _mask(factor: Node) -> Callable[[Node], Node] | None:
 
 
 def singular_where(node: Node) -> Node | None:
-    """Where the factors of an operation may be infinite though its value is not, as a condition; None: nowhere."""
+    """Return the condition under which factors of the derivative of an operation may be infinite though its value is
+    not, or None."""
     if node.op not in _INFINITE_WHERE:
         return None
     zero_there = _INFINITE_WHERE[node.op](node, *node.arguments)
@@ -237,7 +241,8 @@ def _guarded(node: Node, factor: Node) -> Callable[[Node], Node]:
 
 
 def _over(divisor: Node, node: Node | None = None) -> Callable[[Node], Node]:
-    """By one quotient for all variables. `node`: the operation, if its factor may be infinite."""
+    """Return the function that divides a node by `divisor`, with one quotient for all variables. `node`: the operation,
+    if its factor may be infinite."""
     return _times(1.0 / divisor) if node is None else _guarded(node, 1.0 / divisor)
 
 
@@ -261,7 +266,7 @@ def _atan2(v: Node, y: Node, x: Node) -> list[Slope]:
 
 
 def _hypot(v: Node, a: Node, b: Node) -> list[Slope]:
-    """0 at a = b = 0, where the length has its minimum."""
+    """Return the slopes of v = hypot(a, b), which are 0 at a = b = 0, where v has its minimum."""
     graph = v.graph
     there, zero = graph.make("equal", v, graph.node(0.0)), graph.node(0.0)
     return [_times(graph.select(there, zero, one / v)) for one in (a, b)]

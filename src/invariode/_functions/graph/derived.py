@@ -29,11 +29,11 @@ class Derived:
     Parameters
     ----------
     name : str
-        What the function is called.
+        Name of the function.
     outputs : sequence of Node
-        Its values.
+        Values of the function.
     n : int
-        The components of y.
+        Number of components of y.
     elementary : {"own", "libm"}
         As in `compile`.
 
@@ -70,17 +70,17 @@ class Derived:
 
     @cached_property
     def _size(self) -> int:
-        """How many nodes the function has."""
+        """Number of nodes of the function's graph."""
         return sum(1 for _ in in_order(self.outputs))
 
     @property
     def _is_large(self) -> bool:
-        """Whether the code of all entries is so much longer than that of a product that it is not to be formed."""
+        """True if the code of all entries is too much longer than that of a product to be formed."""
         terms = self._dependences[1]
         return terms > _MOST_TERMS and terms > _MANY_TIMES * self._size
 
     def is_product(self, columns: int) -> bool:
-        """Whether ∂/∂y is formed by products with the unit vectors of so many groups of columns."""
+        """Return whether ∂/∂y is formed by products with the unit vectors of this number of groups of columns."""
         return self._is_large and columns * self._size <= _LONGER * self._dependences[1]
 
     @cached_property
@@ -90,7 +90,7 @@ class Derived:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Which entries of ∂/∂y can be other than zero."""
+        """Pattern of ∂/∂y: its entries that can be nonzero."""
         if not self._is_large:
             return Pattern.of(self.rows, self._n)
         one = self._graph.node(1.0)
@@ -99,12 +99,12 @@ class Derived:
 
     @property
     def entries(self) -> int:
-        """How many there are."""
+        """Number of entries of ∂/∂y that can be nonzero."""
         return len(self.pattern.indices) if self._n == len(self.outputs) else sum(map(len, self.rows))
 
     @cached_property
     def bands(self) -> tuple[int, int]:
-        """How far from the diagonal they are, below and above."""
+        """Lower and upper bandwidth of ∂/∂y."""
         away = [i - j for i, row in enumerate(self.rows) for j in row]
         return max(away, default=0), -min(away, default=0)
 
@@ -113,7 +113,7 @@ class Derived:
         return self._filled("dense", len(self.rows) * self._n, lambda i, j: i * self._n + j)
 
     def banded(self, lower: int, upper: int) -> GraphFunction:
-        """Its bands, as LAPACK packs them; entries outside are left out."""
+        """Return the function of the bands of ∂/∂y, as LAPACK packs them; entries outside are left out."""
         return self._filled(
             ("banded", lower, upper),
             (lower + upper + 1) * self._n,
@@ -121,17 +121,17 @@ class Derived:
         )
 
     def sparse(self) -> GraphFunction:
-        """Its entries in the order of `pattern`."""
+        """Return the function of the nonzero entries of ∂/∂y, in the order of `pattern`."""
         order = self.pattern.places()
         return self._function("sparse", lambda: [self.rows[i][j] for i, j in order])
 
     def by_rows(self) -> GraphFunction:
-        """Its entries row by row."""
+        """Return the function of the nonzero entries of ∂/∂y, row by row."""
         return self._function("by_rows", lambda: [row[j] for row in self.rows for j in sorted(row)])
 
     @property
     def row_pattern(self) -> tuple[list[int], list[int]]:
-        """Where each row begins among the entries, and their columns."""
+        """Pattern of ∂/∂y in compressed rows: the start of each row among the entries, and their columns."""
         starts = [0]
         for row in self.rows:
             starts.append(starts[-1] + len(row))
@@ -217,7 +217,7 @@ class Derived:
         return self._function(key, values)
 
     def _function(self, key: Any, outputs: Any) -> GraphFunction:
-        """Made once, so that its machine code is."""
+        """Return the function with this key, made once, so that its machine code is made once too."""
         if key not in self._made:
             values = outputs()
             name = key if isinstance(key, str) else key[0]
@@ -247,7 +247,7 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
 
 
 def is_derived(fun: Any) -> bool:
-    """Whether it is a derivative for the core."""
+    """Return whether `fun` is a derivative that was made for the core."""
     made = made_by_compile(fun)
     return made is not None and made.function.how == DERIVED
 

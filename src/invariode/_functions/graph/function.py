@@ -37,11 +37,11 @@ class OnGraph(CompiledFunction):
         self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
-        """Its values for such arguments; None: it has no graph, and numba compiles it."""
+        """Return the nodes of its values for arguments of this shape; None if it has no graph and numba compiles it."""
         raise NotImplementedError
 
     def known(self, shape: Shape) -> Shape:
-        """The shape with its arguments as they are handed over; functions that are traced alike have one."""
+        """Return the shape with its arguments as they are handed over; functions that are traced alike have one."""
         return shape
 
     def _make(self, shape: Shape) -> Any:
@@ -83,7 +83,7 @@ class GraphFunction(OnGraph):
 
     @property
     def size(self) -> int:
-        """How many values it has."""
+        """Number of values of the function."""
         return len(self.fun.outputs)
 
     def made_again(self) -> tuple[Any, ...]:
@@ -111,7 +111,7 @@ class TracedFunction(OnGraph):
     fun, inplace, elementary
         As in `compile`.
     by : {"trace", "auto"}
-        Whether numba may compile what cannot be traced.
+        With "auto" numba may compile a function that cannot be traced.
     """
 
     _takes_any = True
@@ -135,7 +135,7 @@ class TracedFunction(OnGraph):
         return TracedFunction, (self.fun, self.inplace, self.elementary, self.by, self.is_complex)
 
     def of_complex(self) -> TracedFunction:
-        """The same function, of complex y, which is traced as pairs of real numbers."""
+        """Return the function of complex y, which is traced as pairs of real numbers."""
         if self.is_complex:
             return self
         if self._of_complex is None:
@@ -155,7 +155,7 @@ class TracedFunction(OnGraph):
         return super().at(t, *vectors, parameters=np.array(parameters))
 
     def _binds(self, given: Sequence[Any]) -> bool:
-        """Whether it can be called with these."""
+        """Return whether the function can be called with these arguments."""
         try:
             inspect.signature(self.fun).bind(*given)
         except (TypeError, ValueError):
@@ -169,13 +169,13 @@ class TracedFunction(OnGraph):
         return self._graphs[self.known(shape)._replace(is_complex=False, real_time=False)]
 
     def constants(self, parameters: int) -> int:
-        """Up to which rank the numbers of these arguments are constants of its code."""
+        """Return the rank up to which the numbers of these arguments are constants of the code."""
         arguments = _arguments(parameters).fixed(TRUTHS)
         ways = [way for shape, way in self._ways.items() if shape.parameters == arguments]
         return max((way for way in ways if way is not None), default=TRUTHS)
 
     def known(self, shape: Shape) -> Shape:
-        """The shape with its arguments as they are handed over; functions that are traced alike have one."""
+        """Return the shape with its arguments as they are handed over; functions that are traced alike have one."""
         real = shape._replace(is_complex=False, real_time=False)
         if real in self._graphs:
             return shape
@@ -300,7 +300,8 @@ class TracedFunction(OnGraph):
                 )
 
     def disagreement(self, t: float, y: Array, values: Array, parameters: Array) -> str | None:
-        """How values of its code differ from those of the Python function, if by more than roundoff."""
+        """Describe how the values of the code differ from those of the Python function; None if they agree to
+        roundoff."""
         try:
             with np.errstate(all="ignore"):
                 expected = self._called(t, y, parameters, len(values))
@@ -321,7 +322,7 @@ class TracedFunction(OnGraph):
 
 
 def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[Array, Array]) -> str | None:
-    """Values of a graph and those expected, if they differ by more than roundoff."""
+    """Describe the values of a graph and the expected ones if they differ by more than roundoff; else return None."""
     values, expected = found
     if expected.shape != values.shape:
         return f"it has {expected.size} values, its graph {values.size}"
@@ -336,7 +337,7 @@ def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[
 
 
 def _in_one(count: int) -> Arguments:
-    """So many numbers in one array."""
+    """Return arguments that consist of one array of `count` numbers, or of nothing if it is 0."""
     return Arguments([Numbers(np.ones(count), varying=True)] if count else [])
 
 

@@ -1,4 +1,4 @@
-"""Where a graph goes from one branch to another as y changes: what changes its sign there."""
+"""Kinks of a graph: the differences whose signs change where it passes from one branch to another as y changes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .nodes import Node, in_order
 
 
 def substituted(outputs: Sequence[Node], instead: Mapping[Node, Node]) -> list[Node]:
-    """The same values with other nodes in the place of some."""
+    """Return the nodes `outputs` with some nodes inside replaced by others."""
     made: dict[Node, Node] = dict(instead)
     for node in in_order(outputs):
         if node in made:
@@ -21,12 +21,13 @@ def substituted(outputs: Sequence[Node], instead: Mapping[Node, Node]) -> list[N
 
 
 def is_analytic(outputs: Sequence[Node]) -> bool:
-    """Whether there are no branches."""
+    """Return whether the graph has no branches."""
     return not any(_crossings(node) for node in in_order(outputs))
 
 
 def kinks(outputs: Sequence[Node], others: Iterable[Node] = ()) -> list[Node]:
-    """What changes its sign where the branches of these values change with y, and where those of `others` do."""
+    """Return the differences whose signs change where the branches of `outputs`, and those of `others`, change with
+    y."""
     also = set(others)
     found: dict[frozenset[Node], Node] = {}
     for node in in_order(outputs):

@@ -50,7 +50,7 @@ _HALVINGS = 1100
 
 
 class Crossing(NamedTuple):
-    """What changes where a branch does.
+    """Condition of t at which a branch changes.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Crossing(NamedTuple):
     state : Node
         Truth or number of the branch, which is constant between the changes.
     levels : tuple of float or None
-        What `moving` passes where the state rises from k to k + 1: 0 for a truth; the breaks of a table; None: k + 1.
+        Levels of `moving` at which the state rises from k to k + 1: 0 for a truth; breaks of a table; None: k + 1.
     inner : frozenset of Node
         The operations inside `moving` that have branches.
     """
@@ -82,11 +82,11 @@ class Source(NamedTuple):
     period: float
 
     def about(self, length: float) -> float:
-        """About how many there are in an interval of this length."""
+        """Return approximately how many changes there are in an interval of this length."""
         return len(self.times) + (len(self.first) * length / self.period if self.period else 0.0)
 
     def between(self, low: float, high: float) -> Array:
-        """Its changes from low to high."""
+        """Return the times from low to high at which this source changes."""
         single = self.times[(low <= self.times) & (self.times <= high)]
         if not len(self.first):
             return single
@@ -120,11 +120,12 @@ class Landings:
         return single.tolist(), [first for first, _ in progressions], [period for _, period in progressions]
 
     def between(self, low: float, high: float) -> Array:
-        """All of them from low to high."""
+        """Return the times from low to high at which any source changes."""
         return np.unique(np.concatenate([np.zeros(0), *(one.between(low, high) for one in self.sources)]))
 
     def apart(self, low: float, high: float, known: Array) -> Array:
-        """Those from low to high that a step leads to from the one before, and from the times that are known."""
+        """Return the times of change from low to high, without those that only roundoff separates from the one before
+        or from the `known` times."""
         found, last = [], -math.inf
         for t in self.between(low, high).tolist():
             near = _SAME * np.spacing(abs(t))
@@ -253,7 +254,7 @@ class _OverTime:
         self._p = p
 
     def __call__(self, node: Node, t: Array) -> Array:
-        """The values of a node, numbers also where it is a truth.
+        """Return the values of a node at times t, as numbers also where the node is a truth value.
 
         Raises
         ------
@@ -297,7 +298,7 @@ _LINEAR |= {"sign", "piece", "pick", "select", "less", "less_equal", "and", "or"
 
 
 class _Forms:
-    """Which functions of t are lines, or periodic."""
+    """Classifier of the functions of t that are lines, or periodic."""
 
     def __init__(self, values: _OverTime) -> None:
         self._values = values
@@ -312,7 +313,7 @@ class _Forms:
         return self._known[node]
 
     def is_straight(self, node: Node) -> bool:
-        """Whether it is a straight line between the changes of branches."""
+        """Return whether a function of t is a straight line between the changes of branches."""
         for one in in_order([node]):
             if one not in self._straight:
                 straight = one.op in _LINEAR or self._is_constant(one) or self._is_multiple(one)
@@ -364,7 +365,8 @@ class _Forms:
         return _Form(slope, of.period) if math.isfinite(slope) else None
 
     def _repeated(self, node: Node, forms: list[_Form]) -> _Form | None:
-        """A function that comes back where its argument has grown by `unit`, or grows by as much."""
+        """Return the form of a function that repeats, or grows by as much, when its argument has grown by `unit`; None:
+        unknown."""
         unit = 1.0 if node.op in ("floor", "ceil") else 2 * math.pi
         if node.op == "modulo":
             if forms[1] != _Form(0.0, 0.0):
@@ -394,11 +396,11 @@ def _common(periods: Iterable[float]) -> float | None:
 
 
 class _UnknownError(Exception):
-    """Why the changes of a condition are not known."""
+    """Reason why the changes of a condition are not known."""
 
 
 def landings(crossings: Sequence[Crossing], p: Array, t0: float, tf: float) -> Landings:
-    """When conditions of t change, for these values of the parameters, from t0 to tf.
+    """Find the times from t0 to tf at which conditions of t change, for these values of the parameters.
 
     Parameters
     ----------
@@ -443,7 +445,7 @@ class _Search:
     high: float
 
     def of(self, crossing: Crossing, inner: Sequence[Source]) -> Source:
-        """Those of one.
+        """Return the source of the changes of one crossing: single times, or progressions with a period.
 
         Raises
         ------
@@ -475,7 +477,7 @@ class _Search:
         return 0.0 if again is None else again.period
 
     def _of_line(self, crossing: Crossing, slope: float) -> Array:
-        """Where a straight line passes levels."""
+        """Return the times at which a straight line passes the levels."""
         start = self.low if math.isfinite(self.low) else self.high
         levels = np.unique(np.asarray(crossing.levels))
         value = float(self._values(crossing.moving, np.array([start]))[0])
@@ -555,7 +557,7 @@ class _Search:
         level = np.where(crossing.node.op == "ceil", upper - 1, level)
 
         def changed(t: Array) -> Array:
-            """Whether the state is that behind the change."""
+            """Return whether the state at t is the one after the change."""
             return np.equal(self._state(crossing, t) >= upper, rising)
 
         a, b = low.copy(), high.copy()

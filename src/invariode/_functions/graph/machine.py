@@ -44,16 +44,16 @@ class MachineCode(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What the code takes and gives.
+    """Form of machine code: its arguments and its results.
 
     Attributes
     ----------
     returns : bool
-        Whether it returns its one value, as events do; otherwise it stores its values.
+        The code returns its one value, as events do; otherwise it stores its values.
     lanes : int
         So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     returns: bool = False
@@ -62,17 +62,18 @@ class Form(NamedTuple):
 
 
 def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
-    """The code of a function with these values: that of an equal graph, if that has been compiled in this process."""
+    """Return the machine code of a function with these values; code of an equal graph compiled in this process is
+    reused."""
     return once((form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs))
 
 
 def is_kept(key: Any) -> bool:
-    """Whether `once` has made something with an equal key."""
+    """Return whether `once` has made code with an equal key."""
     return hashlib.sha256(repr(key).encode()).digest() in _kept
 
 
 def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
-    """What has been made with an equal key in this process, or is made now."""
+    """Return the machine code made with an equal key in this process, or make it now."""
     digest = hashlib.sha256(repr(key).encode()).digest()
     with _keeping:
         if digest in _kept:
@@ -87,7 +88,7 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
 
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
-    """What a writer writes into a module, compiled at a level of optimisation; 0: as it was written."""
+    """Compile the module that a writer writes, at a level of optimisation; 0: as it was written."""
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)
@@ -126,15 +127,15 @@ class Writer:
     Parameters
     ----------
     module : llvmlite.ir.Module
-        Where.
+        Module that the function is written to.
     own : bool
-        Whether our elementary functions are called.
+        invariode's elementary functions are called, not the mathematical library's.
     lanes : int
         Numbers in each value.
     arguments : mapping
         The names and types of its arguments.
     returned : type
-        What it returns.
+        Type of the returned value.
     """
 
     def __init__(self, module: Any, own: bool, lanes: int, arguments: Mapping[str, Any], returned: Any) -> None:
@@ -147,7 +148,7 @@ class Writer:
         self._in_block = 0
 
     def write(self, outputs: Sequence[Node]) -> bool:
-        """The function with these values; whether it has loops."""
+        """Write the function with these values; return whether it has loops."""
         loops = self._write(outputs)
         self._ops.finish()
         return loops
@@ -156,7 +157,7 @@ class Writer:
         raise NotImplementedError
 
     def _optimise(self, size: int) -> None:
-        """Not where that takes too long."""
+        """Switch optimisation off where it would take too long."""
         if size > _OPTIMISED:
             self._function.attributes.add("noinline")
             self._function.attributes.add("optnone")
@@ -202,7 +203,7 @@ class Writer:
         self._build.store(value, self._place(name, index), align=8)
 
     def _value(self, node: Node, a: list[Any]) -> Any:
-        """The node, of its arguments."""
+        """Return the value of a node from those of its arguments."""
         if node.op == "t":
             return self._given["t"] if self._ops.lanes == 1 else self._load("t", 0)
         return self._load(node.op, node.value) if node.op in ("y", "p") else self._ops.value(node, a)
@@ -222,7 +223,7 @@ class _Writer(Writer):
         return self._write_rolled(outputs) or self._write_straight(outputs)
 
     def _write_rolled(self, outputs: Sequence[Node]) -> bool:
-        """With loops, if it is large and has parts that repeat."""
+        """Write the code with loops if the graph is large and has parts that repeat; return whether that was done."""
         nodes = [*in_order(outputs)]
         large = len(nodes) + len(outputs) >= _ROLLED and not self._form.returns
         groups = rolled(outputs) if large else None
@@ -263,7 +264,7 @@ class _Writer(Writer):
         self._build.ret_void()
 
     def _write_member(self, group: Group, at: Callable[[list[Any]], Any]) -> None:
-        """The value of one tree: `at` tells its index or number in a place."""
+        """Write the value of one tree of a group; `at` returns its index or number in a place."""
         values: dict[Node, Any] = {}
         for node in group.nodes:
             leaf = group.leaves.get(node)

@@ -21,7 +21,7 @@ _MOST_FACTORS = 16
 
 
 class TraceError(TypeError):
-    """Why a function has no graph: it cannot be traced."""
+    """Error of a function that cannot be traced and so has no graph; the message gives the reason."""
 
 
 class Node:
@@ -30,13 +30,13 @@ class Node:
     Attributes
     ----------
     graph : Graph
-        Where equal nodes are one.
+        Graph of the node, in which equal nodes are one object.
     op : str
         "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2",
         "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor", "ceil", "and", "or", "not", "select"; "solve",
         a linear system, and "entry", a number of its solution.
     arguments : tuple of Node
-        What it is computed of.
+        Nodes that it is computed from.
     value : float, int, tuple or None
         The number, the index in y or p or in the solution, the sizes of a linear system; see `System`.
     """
@@ -55,11 +55,11 @@ class Node:
 
     @property
     def is_truth(self) -> bool:
-        """Whether its values are true and false."""
+        """True if the node's values are true and false."""
         return self.op in _TRUTHS
 
     def is_number(self, value: float) -> bool:
-        """Whether it is that number, with the same sign if it is 0."""
+        """Return whether the node is the number `value`, with the same sign if it is 0."""
         return self.op == "number" and self.value == value and math.copysign(1, self.value) == math.copysign(1, value)
 
     def __add__(self, other: Node | float) -> Node:
@@ -110,7 +110,7 @@ class System(NamedTuple):
 
     @property
     def entries(self) -> int:
-        """How many entries of A are arguments."""
+        """Number of entries of A among the arguments."""
         return len(self.places) or self.k * self.k
 
     def matrix(self, arguments: Sequence[Node]) -> list[dict[int, Node]]:
@@ -253,7 +253,7 @@ class Graph:
         return self.solved(System(k, len(right[0]), tuple(entries)), [*entries.values()], right)
 
     def solved(self, system: System, matrix: Sequence[Node], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
-        """The solution of a system with these entries of A, by rows."""
+        """Return the entries, by rows, of the solution X of A X = B with these entries of A and of B."""
         node = self.make("solve", *matrix, *(one for row in right for one in row), value=system)
         k, m = system.k, system.m
         return [[self.make("entry", node, value=i * m + j) for j in range(m)] for i in range(k)]
@@ -278,7 +278,8 @@ def in_words(node: Node, parameters: Mapping[int, str]) -> str:
 
 
 def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], list[int]]:
-    """A graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the outputs."""
+    """Return a graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the
+    outputs."""
     places: dict[Node, int] = {}
     rows = []
     for node in in_order(outputs):
@@ -288,7 +289,7 @@ def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], 
 
 
 def in_order(nodes: Iterable[Node]) -> Iterator[Node]:
-    """What these nodes are computed of, and the nodes themselves: each once, after its arguments."""
+    """Iterate over these nodes and all nodes they are computed from: each once, after its arguments."""
     done: set[int] = set()
     waiting: list[tuple[Node, bool]] = [(node, False) for node in nodes][::-1]
     while waiting:

@@ -33,13 +33,13 @@ class Operations:
     Parameters
     ----------
     build : llvmlite.ir.IRBuilder
-        Where.
+        Builder, at the position where operations are written.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     lanes : int, default 1
         Numbers in each value.
     beside : Operations, optional
-        Those of the same module, with which our functions and tables are shared.
+        Operations of the same module, which share elementary functions and tables with these.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Operations:
         self._tables: dict[tuple[int, ...], Any] = {} if beside is None else beside._tables
 
     def of_width(self, lanes: int) -> Operations:
-        """The same on vectors of another length."""
+        """Return the operations on vectors of `lanes` numbers, in the same code."""
         return Operations(self.build, self._is_own, lanes, self)
 
     def finish(self) -> None:
@@ -64,7 +64,7 @@ class Operations:
         self._own.finish()
 
     def listed(self, values: list[Any], k: Any) -> Any:
-        """The k-th of these: a constant, a progression, or looked up."""
+        """Return the k-th of the values: a constant, a progression, or looked up in a table."""
         first = values[0]
         if isinstance(first, float):
             if len({bits_of(one) for one in values}) == 1:
@@ -79,7 +79,7 @@ class Operations:
         return self.build.load(self.build.gep(table, [INDEX(0), k], inbounds=True))
 
     def everywhere(self, number: Any) -> Any:
-        """In all lanes."""
+        """Return a vector with `number` in all lanes."""
         if self.lanes == 1:
             return number
         place = ir.IntType(32)
@@ -170,7 +170,7 @@ class Operations:
         return result
 
     def _looked_up(self, node: Node, x: Any) -> Any:
-        """In a table of numbers: how many are not above x, by bisection, or the one with the number x."""
+        """Look x up in a table of numbers: return how many are not above x, by bisection, or the number at index x."""
         build, numbers = self.build, [float(one) for one in node.value]
         if node.op == "pick":
             return self.entry_of(self.table(numbers), build.fptosi(x, INDEX))

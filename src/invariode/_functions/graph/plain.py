@@ -79,7 +79,7 @@ _SWITCHING_OPERATORS = {"%", "//", "%=", "//="}
 
 
 class _Code(NamedTuple):
-    """What the code of a function does, with the functions inside it."""
+    """Summary of the code of a function, with the functions inside it."""
 
     plain: bool  # nothing that could be noticed
     switches: bool
@@ -94,8 +94,8 @@ _knowing = threading.Lock()
 
 
 def may_switch(fun: Any) -> bool:
-    """Whether a Python function, or one that it calls, has anything that may switch with t, and its code nothing that
-    could be noticed. This takes less than a microsecond for a function that is known."""
+    """Return whether a Python function, or one that it calls, has anything that may switch with t, and code without
+    observable effects. This takes less than a microsecond for a function that is known."""
     function = _function_of(fun)
     if function is None or not _may_switch(function, ()):
         return False
@@ -229,7 +229,7 @@ def _nested(code: CodeType) -> Iterator[CodeType]:
 
 
 def _is_plain(code: CodeType, whole: CodeType) -> bool:
-    """Whether code changes nothing but variables of the whole function, and uses attributes of numbers and arrays."""
+    """Return whether code changes only variables of the whole function, and uses attributes of numbers and arrays."""
     is_generator = code.co_flags & (inspect.CO_GENERATOR | inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR)
     if is_generator and code.co_name != "<genexpr>":
         return False
@@ -269,7 +269,7 @@ def _names(code: CodeType, whole: CodeType) -> Iterator[str]:
 
 
 def _outside(function: FunctionType, code: _Code) -> Iterator[Any]:
-    """What a function uses."""
+    """Iterate over the objects that a function uses: variables of enclosing functions, globals, default values."""
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     for name in code.outside:
         if name in cells:
@@ -325,7 +325,7 @@ def _contents_of(value: Any, around: tuple[CodeType, ...]) -> Hashable:
 
 
 def _is_of_library(value: Any) -> bool:
-    """Whether it is NumPy, `math`, or one of their functions or of Python's that may be called."""
+    """Return whether a value is NumPy, `math`, or one of the functions of these or of Python that may be called."""
     if isinstance(value, ModuleType):
         return value in (np, math, np.linalg)
     name = getattr(value, "__name__", "")
@@ -338,7 +338,7 @@ _NUMBERS = (bool, int, float, str, np.bool_, np.integer, np.floating)
 
 
 def _contents_of_arguments(entries: Sequence[Entry]) -> Hashable:
-    """What arguments are, besides numbers."""
+    """Return a key of all entries of arguments that are not numbers."""
     found: list[Hashable] = []
     for one in entries:
         if isinstance(one, Listed):

@@ -36,7 +36,7 @@ def as_text(name: str, outputs: Sequence[Node]) -> str:
 
 
 class Pattern(NamedTuple):
-    """Where entries of a sparse matrix are, in compressed columns."""
+    """Positions of the entries of a sparse matrix, in compressed columns."""
 
     indices: Array
     indptr: Array
@@ -44,7 +44,7 @@ class Pattern(NamedTuple):
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[int, Node]], n: int) -> Pattern:
-        """Of rows of nodes by column."""
+        """Return the pattern of a matrix given by its rows of nodes by column."""
         places = sorted((j, i) for i, row in enumerate(rows) for j in row)
         counts = np.bincount([j for j, _ in places], minlength=n)
         return cls(np.array([i for _, i in places], dtype=int), np.concatenate([[0], np.cumsum(counts)]), n)
@@ -66,7 +66,7 @@ class Formula:
     Parameters
     ----------
     name : str
-        What it is called.
+        Name of the function.
     outputs : function
         Makes its values, one after the other, when they are first needed.
     layout : tuple of int or Pattern
@@ -87,12 +87,12 @@ class Formula:
 
     @cached_property
     def outputs(self) -> list[Node]:
-        """The values of its outputs."""
+        """Nodes of the formula's values."""
         return list(self._outputs())
 
     @cached_property
     def text(self) -> str:
-        """The source of its function (t, y, p)."""
+        """Source of the formula as a Python function (t, y, p)."""
         return as_text(self.__name__, self.outputs)
 
     @cached_property
@@ -115,7 +115,7 @@ class Formula:
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
 
     def array(self, t: float, y: Any, *args: Any) -> Array:
-        """The same as an array."""
+        """Evaluate the formula and return its value as an array."""
         return np.array(self(t, y, *args))
 
     def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:

@@ -29,7 +29,7 @@ class Sum(NamedTuple):
     Attributes
     ----------
     weight : (float, float)
-        Those of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1.
+        Factors (a, b) of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1.
     """
 
     left: Node
@@ -40,7 +40,7 @@ class Sum(NamedTuple):
 
     @property
     def is_square(self) -> bool:
-        """Whether terms come in equal pairs."""
+        """True if the terms come in equal pairs."""
         return self.left is self.right and self.weight == UNWEIGHTED
 
 
@@ -48,37 +48,37 @@ _RATE = (1.0, 0.0)
 
 
 class Coefficients(Protocol):
-    """What is known when a coefficient is computed; numbers have operators."""
+    """Known quantities for computing a coefficient; numbers have operators."""
 
     @property
     def k(self) -> Any:
         """The order."""
 
     def now(self, node: Node) -> Any:
-        """Its coefficient k."""
+        """Return coefficient k of a node."""
 
     def first(self, node: Node) -> Any:
-        """Its coefficient 0."""
+        """Return coefficient 0 of a node."""
 
     def over(self, number: Any, node: Node) -> Any:
         """The number over the coefficient 0 of the node."""
 
 
 class Rule(NamedTuple):
-    """How the coefficient k ≥ 1 of a node is computed: numerator / (divisor_0 · multiple · k).
+    """Rule for the coefficient k ≥ 1 of a node: numerator / (divisor_0 · multiple · k).
 
     Attributes
     ----------
     sums : list of Sum
-        What it needs of earlier coefficients.
+        Sums over earlier coefficients that the rule needs.
     numerator : function
-        Of what is known and the sums.
+        Numerator as a function of the known coefficients and the sums.
     divisor : Node, optional
         None: 1.
     multiple : float
         0: there is no factor k.
     now : sequence of Node
-        What is needed up to order k, beside the sums.
+        Nodes whose coefficient k is needed, besides the sums.
     """
 
     sums: list[Sum]
@@ -89,7 +89,7 @@ class Rule(NamedTuple):
 
     @property
     def uses(self) -> list[Node]:
-        """All that is needed of orders up to k."""
+        """All nodes whose coefficients up to order k are needed."""
         return [
             *self.now,
             *([self.divisor] if self.divisor else []),
@@ -98,7 +98,7 @@ class Rule(NamedTuple):
 
 
 def rule(v: Node) -> Rule:
-    """That of a node which is not linear in its arguments."""
+    """Return the rule of a node that is not linear in its arguments."""
     return _RULES[v.op](v, *v.arguments)
 
 
@@ -206,9 +206,9 @@ class Program(NamedTuple):
     nodes : list of Node
         Each after what it needs at order k.
     degrees : dict
-        Of which degree in s each is: 0 is constant, inf a series that does not end.
+        Degree of each node in s: 0 is constant, inf a series that does not end.
     rules : dict
-        Those of nodes that are not linear.
+        Rules of the nodes that are not linear.
     moving : set
         The nodes whose coefficients k ≥ 1 are needed.
     """
@@ -220,7 +220,7 @@ class Program(NamedTuple):
 
 
 def program(outputs: Sequence[Node]) -> Program:
-    """All that is computed for these values."""
+    """Return the program that computes the Taylor coefficients of these values."""
     nodes: list[Node] = []
     degrees: dict[Node, float] = {}
     rules: dict[Node, Rule] = {}
@@ -250,7 +250,7 @@ def _moving(outputs: Sequence[Node], degrees: Mapping[Node, float], rules: Mappi
 
 
 def _sorted(nodes: Sequence[Node], rules: Mapping[Node, Rule]) -> list[Node]:
-    """Each after its arguments and what else it needs at the same order."""
+    """Sort the nodes so that each comes after its arguments and the other nodes it needs at the same order."""
     found: dict[Node, None] = {}
     waiting = [(node, False) for node in reversed(nodes)]
     while waiting:
@@ -266,7 +266,7 @@ def _sorted(nodes: Sequence[Node], rules: Mapping[Node, Rule]) -> list[Node]:
 
 
 def needs(node: Node, rules: Mapping[Node, Rule]) -> list[Node]:
-    """What is needed at the same order."""
+    """Return the nodes whose coefficients a node needs at the same order."""
     made = rules.get(node)
     if made is None:
         return list(node.arguments)
@@ -275,12 +275,12 @@ def needs(node: Node, rules: Mapping[Node, Rule]) -> list[Node]:
 
 
 def _newest(total: Sum) -> list[Node]:
-    """What is needed of order k."""
+    """Return the nodes whose coefficients of order k a sum needs."""
     return [total.left, *([] if total.first else [total.right])]
 
 
 def is_linear(node: Node, degrees: Mapping[Node, float]) -> bool:
-    """Whether coefficient k ≥ 1 depends on those of order k and on those of order 0 only, which are factors."""
+    """Return whether coefficient k ≥ 1 depends only on coefficients of order k, and on those of order 0 as factors."""
     if node.op in _LINEAR or not node.arguments or node.op in ("solve", "entry"):
         return True
     if node.op == "multiply":
@@ -352,7 +352,7 @@ def plus(a: Any, b: Any) -> Any:
 
 
 def minus(a: Any, b: Any) -> Any:
-    """Differences of them."""
+    """Return the difference of two coefficients, some of which are known to be zero."""
     if isinstance(b, float):
         return a
     return -b if isinstance(a, float) else a - b

@@ -29,7 +29,7 @@ class Group(NamedTuple):
     Attributes
     ----------
     nodes : list of Node
-        Those of the first tree, in order.
+        Nodes of the first tree, in order.
     leaves : dict
         Its nodes that have a place.
     target : str
@@ -47,7 +47,7 @@ class Group(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many operations its code has."""
+        """Number of operations in the group's code."""
         return len(self.nodes) * (1 if self.is_loop else len(self.places))
 
 
@@ -58,8 +58,8 @@ class _Tree(NamedTuple):
 
 
 def rolled(outputs: Sequence[Node]) -> tuple[list[Group], int] | None:
-    """The groups, in an order in which all that one needs is there, and the size of `work`. None: it is hardly shorter
-    than the graph, or has linear systems."""
+    """Return the groups of a graph, each after those it needs, and the size of `work`; None if the code would hardly be
+    shorter than the graph, or if there are linear systems."""
     nodes = [*in_order(outputs)]
     if any(node.op == "solve" for node in nodes):
         return None
@@ -112,7 +112,8 @@ def _shared(nodes: Sequence[Node], outputs: Sequence[Node]) -> set[Node]:
 
 
 def _tree(root: Node, shared: set[Node], *, whole: bool) -> tuple[_Tree, tuple[Any, ...]]:
-    """The tree of a root down to what is shared, and its form. `whole`: the root itself is shared, and not a leaf."""
+    """Return the tree of a root down to shared nodes, and its form. `whole`: the root itself is shared, and not a
+    leaf."""
     numbers: dict[Node, int] = {}
     nodes: list[Node] = []
     places: list[Node] = []

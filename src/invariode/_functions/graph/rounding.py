@@ -1,4 +1,4 @@
-"""What roundoff may do to the values of a graph: a bound that is computed along with them."""
+"""Bounds on the effect of roundoff on the values of a graph, computed along with them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class _Value(NamedTuple):
 
 
 def bounds(outputs: Sequence[Node], t: float, y: Sequence[float], p: Sequence[float]) -> list[float]:
-    """How far two evaluations of each value may be apart. Infinite where a condition is as near as that to changing."""
+    """Return how far apart two evaluations of each value may be: infinite where a condition is that near to
+    changing."""
     known: dict[Node, _Value] = {}
     systems: dict[Node, list[float]] = {}
     for node in in_order(outputs):
@@ -61,7 +62,7 @@ _made: dict[tuple[object, ...], Callable[..., float]] = {}
 
 
 def _operation(node: Node) -> Callable[..., float]:
-    """One operation as a function of its arguments."""
+    """Return the operation of a node as a function of its arguments."""
     key = (node.op, node.value, len(node.arguments))
     if key not in _made:
         graph = type(node.graph)()
@@ -72,7 +73,7 @@ def _operation(node: Node) -> Callable[..., float]:
 
 
 def _compared(op: str, a: _Value, b: _Value) -> _Value:
-    """1 or 0; with an infinite error if roundoff may change it."""
+    """Return the value of a comparison, 1 or 0, with an infinite error if roundoff may change it."""
     truths = {"less": a.value < b.value, "less_equal": a.value <= b.value, "equal": a.value == b.value}
     value = truths.get(op, a.value != b.value)
     near = a.error + b.error > 0 and abs(a.value - b.value) <= a.error + b.error

@@ -25,7 +25,7 @@ _OURS = "_invariode_"
 
 
 class _Unbound:
-    """What stands for a variable that is not bound."""
+    """Placeholder for a variable that is not bound."""
 
 
 _UNBOUND = _Unbound()
@@ -62,7 +62,7 @@ def selecting(function: types.FunctionType) -> types.CodeType | None:
 
 
 def _module(made: Any, code: types.CodeType) -> ast.Module:
-    """The function in another one that binds its free variables, at its line."""
+    """Return a module with the function inside another one that binds its free variables, at its original line."""
     outer: Any = ast.parse(f"def {_OURS}outer({', '.join(code.co_freevars)}): pass")
     outer.body[0].body = [made if isinstance(made, ast.FunctionDef) else ast.Expr(made)]
     ast.fix_missing_locations(outer)
@@ -146,7 +146,8 @@ class _Writer(ast.NodeTransformer):
         return ast.copy_location(ast.Call(_name(which), parts, []), test)
 
     def _block(self, body: Sequence[ast.stmt], returns: bool) -> list[ast.stmt]:
-        """Statements in succession. `returns`: they end the function, so that a return in them can be selected."""
+        """Return the statements with selections in place of branches. `returns`: they end the function, so that a
+        return in them can be selected."""
         done: list[ast.stmt] = []
         for i, one in enumerate(body):
             rest = list(body[i + 1 :])
@@ -184,7 +185,7 @@ class _Writer(ast.NodeTransformer):
         return list(found)
 
     def _returning(self, node: ast.If, rest: list[ast.stmt]) -> list[ast.stmt]:
-        """A branch that returns, and what follows where it does not."""
+        """Return the statements for a branch that returns and for the rest that follows where it does not."""
         self.count += 1
         place = f"{_OURS}{next(self._numbers)}"
         text, bodies = [], []
@@ -229,7 +230,7 @@ def _assigns(tree: ast.AST) -> bool:
 
 
 def _is_simple(body: Iterable[ast.stmt]) -> bool:
-    """Whether these only assign, to variables and to elements of variables."""
+    """Return whether statements only assign, to variables and to elements of variables."""
     for one in body:
         if isinstance(one, ast.If):
             if not (_is_simple(one.body) and _is_simple(one.orelse)) or _assigns(one.test):
@@ -280,7 +281,7 @@ def _stored(body: Iterable[ast.stmt]) -> _Stored:
 
 
 def _returns(body: Sequence[ast.stmt]) -> bool:
-    """Whether statements always end in a return."""
+    """Return whether statements always end in a return."""
     if not body:
         return False
     last = body[-1]
@@ -288,7 +289,7 @@ def _returns(body: Sequence[ast.stmt]) -> bool:
 
 
 def _can_be_function(body: Iterable[ast.stmt]) -> bool:
-    """Whether statements mean the same in a function of their own."""
+    """Return whether statements keep their meaning in a function of their own."""
     kinds = (ast.Global, ast.Nonlocal, ast.Raise, ast.Try, ast.With, ast.Import, ast.ImportFrom, ast.Delete, ast.Yield)
     body = list(body)
     names = {*_stored(body)}
@@ -300,7 +301,7 @@ def _can_be_function(body: Iterable[ast.stmt]) -> bool:
 
 
 def _changes(value: ast.expr, own: set[str]) -> bool:
-    """Whether a call for its effect may change something made before."""
+    """Return whether a call for its effect may change an object made before."""
     if not isinstance(value, ast.Call):
         return False
     owner = value.func.value if isinstance(value.func, ast.Attribute) else None
@@ -404,7 +405,7 @@ def _joined(op: str, last: bool, decide: Callable[[Node], bool]) -> Callable[...
 
 
 class _Tried(NamedTuple):
-    """What a branch returns, and the arrays that it writes to: themselves, their cells before and after."""
+    """Result of a branch, and the arrays that it writes to: themselves, their cells before and after."""
 
     value: Any
     written: _Written
@@ -425,7 +426,7 @@ def _tried(branch: Callable[[], Any]) -> _Tried:
 
 
 def _merge_arrays(condition: Node, yes: _Written, no: _Written) -> list[tuple[Any, Any]]:
-    """Arrays as one or the other branch leaves them; they with their cells before."""
+    """Return the arrays as one or the other branch leaves them, each with its cells before."""
     graph = condition.graph
 
     def either(a: Node, b: Node) -> Node:
@@ -441,8 +442,8 @@ def _merge_arrays(condition: Node, yes: _Written, no: _Written) -> list[tuple[An
 
 
 def _own_copy(value: Any) -> Any:
-    """What a branch may change in place. Writes to traced arrays are taken back; what cannot be copied must not be
-    there."""
+    """Return a copy of a value that a branch may change in place. Writes to traced arrays are taken back, so these are
+    not copied; a value that cannot be copied counts as unbound."""
     if isinstance(value, list):
         return [_own_copy(one) if isinstance(one, list) else one for one in value]
     if isinstance(value, np.ndarray):
@@ -460,7 +461,7 @@ def _as_condition(value: Any) -> Node | None:
 
 
 def _selected(condition: Node, yes: Any, no: Any, decide: Callable[[Node], bool]) -> Any:
-    """One of two results."""
+    """Select one of two results by a condition."""
     if yes is no:
         return yes
     if isinstance(yes, (list, tuple)) and type(yes) is type(no) and len(yes) == len(no):

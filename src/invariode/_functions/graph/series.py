@@ -35,7 +35,8 @@ _MOST_PRODUCTS = 2500
 
 
 def count_sums(outputs: Sequence[Node]) -> float:
-    """How many sums of products there are in each order; of linear systems, which are not counted, infinitely many."""
+    """Return the number of sums of products in each order; infinity if there are linear systems, which are not
+    counted."""
     found = program(outputs)
     return math.inf if _solves(found) else _sums(found)
 
@@ -49,12 +50,13 @@ def _solves(found: Program) -> bool:
 
 
 def is_small(found: Program, order: int) -> bool:
-    """Whether the coefficients are written out; of linear systems they always are."""
+    """Return whether the coefficients are written out, as those of linear systems always are."""
     return _sums(found) * order * (order + 1) // 2 <= _MOST_PRODUCTS or _solves(found)
 
 
 def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
-    """The code for y' = these values, or for these values along a polynomial."""
+    """Return the machine code of the Taylor coefficients for y' = these values, or for these values along a
+    polynomial."""
 
     def make() -> MachineCode:
         found = program(outputs)
@@ -81,7 +83,7 @@ def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> Machi
 
 
 class Unrolled(SeriesWriter):
-    """Every coefficient by instructions of its own."""
+    """Writer of every coefficient by instructions of its own."""
 
     def __init__(self, module: Any, form: SeriesForm, found: Program) -> None:
         super().__init__(module, form)
@@ -248,7 +250,7 @@ class Unrolled(SeriesWriter):
 
 
 class _At:
-    """What is known of order k."""
+    """Known coefficients when those of order k are computed."""
 
     def __init__(self, writer: Unrolled, k: int) -> None:
         self._writer, self._k = writer, k

@@ -38,7 +38,7 @@ class Row(NamedTuple):
     name : str
         The array.
     start, stride : int
-        Where coefficients 0 begin, and the distance to those of the next order.
+        Position of coefficients 0, and the distance to those of the next order.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Members(NamedTuple):
     rules : list of Rule
         Theirs, if they are not linear.
     moving : bool
-        Whether coefficients of order k are needed.
+        Coefficients of order k are needed.
     """
 
     nodes: list[Node]
@@ -95,7 +95,7 @@ class Chunk(NamedTuple):
 
 
 def chunks(count: int, width: int) -> list[Chunk]:
-    """All members: in vectors of full width, the rest in a shorter one."""
+    """Split `count` members into vectors of full width and a shorter one for the rest."""
     full = [Chunk(i, width, width) for i in range(0, count - width + 1, width)]
     rest = count - len(full) * width
     return [*full, *([Chunk(len(full) * width, 1 << (rest - 1).bit_length(), rest)] if rest else [])]
@@ -140,7 +140,7 @@ class Looped(SeriesWriter):
     # Where everything is
 
     def _arrange(self) -> None:
-        """Groups, in an order in which all that one needs is there."""
+        """Arrange the nodes in groups, each after the groups it needs."""
         levels: dict[Node, int] = {}
         kinds: dict[tuple[Any, ...], list[Node]] = {}
         for node in self._program.nodes:
@@ -161,7 +161,7 @@ class Looped(SeriesWriter):
         return start
 
     def _kind(self, node: Node) -> tuple[Any, ...]:
-        """What is the same in a group."""
+        """Return a key that is equal for all members of a group."""
         exponent = node.arguments[-1].value if node.op == "power" else None
         constant = tuple((one.op == "number", self._program.degrees[one] > 0) for one in node.arguments)
         square = len({*node.arguments}) < len(node.arguments)
@@ -175,7 +175,7 @@ class Looped(SeriesWriter):
         return start
 
     def _operands(self, group: Members) -> list[tuple[Row, Row]]:
-        """Where the factors of its sums are."""
+        """Return the rows that hold the two factors of each sum of a group, and allocate those that are missing."""
         if not group.rules:
             return []
         if group.rules[0].divisor is not None:
@@ -300,11 +300,11 @@ class Looped(SeriesWriter):
         return self._of(self._build.fcmp_unordered("!=", found.ir, self._wide[chunk.width].constant(0.0)))
 
     def _everywhere(self, number: Any, width: int) -> Value:
-        """One number for all members, and for all lanes."""
+        """Return one number for all members, and for all lanes."""
         return self._of(self._wide[width].everywhere(number))
 
     def _each_chunk(self, count: int, write: Callable[[Chunk], None]) -> None:
-        """For all members."""
+        """Call `write` for each chunk of members, in a loop if there are many."""
         found = chunks(count, self._width)
         full = [one for one in found if one.valid == self._width]
         if len(full) < self._looped:
@@ -319,7 +319,7 @@ class Looped(SeriesWriter):
     # Order 0
 
     def _begin(self, outputs: Sequence[Node]) -> None:
-        """All coefficients of order 0, the first of y' and what divides by some of them."""
+        """Write all coefficients of order 0, the first of y' and the reciprocals that some of them need."""
         self._each_chunk(len(self._y), self._begin_y)
         for group in self._groups:
             self._each_chunk(len(group.nodes), partial(self._begin_members, group))
@@ -389,7 +389,7 @@ class Looped(SeriesWriter):
         self._end_order("now", outputs, k)
 
     def _next_given(self, k: Any, chunk: Chunk) -> None:
-        """Of y, along a polynomial."""
+        """Write the next coefficients of y, which are those of a given polynomial."""
         before = self._build.mul(k, INDEX(self._form.n), flags=("nsw",))
         for i in range(chunk.valid):
             at = self._build.add(before, self._index(self._plus(chunk.start, i)), flags=("nsw",))
@@ -442,7 +442,7 @@ class Looped(SeriesWriter):
         self._each_chunk(self._form.n, advance)
 
     def _output(self, value: Value, k: Any, n: int, chunk: Chunk) -> None:
-        """Stores members that are there, in row k of n."""
+        """Store members of a chunk in row k of n of the output."""
         at = self._at(Row("out", 0, n), k, chunk.start)
         if chunk.valid == chunk.width:
             self._keep(value, "out", at, chunk.width)
@@ -452,7 +452,7 @@ class Looped(SeriesWriter):
             self._keep(self._of(one), "out", self._plus(at, i), 1)
 
     def _at(self, row: Row, k: Any, start: Any) -> Any:
-        """Where the coefficients k of members are."""
+        """Return the position of the coefficients k of members."""
         before = self._build.mul(k, INDEX(row.stride), flags=("nsw",))
         return self._build.add(before, self._index(self._plus(start, row.start)), flags=("nsw",))
 
@@ -562,7 +562,7 @@ class Looped(SeriesWriter):
 
 
 class _Now:
-    """What is known of order k of the members of a chunk."""
+    """Known coefficients of order k of the members of a chunk."""
 
     def __init__(self, writer: Looped, nodes: dict[Node, list[Node]], k: Any, chunk: Chunk) -> None:
         self._writer, self._nodes, self._order, self._chunk = writer, nodes, k, chunk

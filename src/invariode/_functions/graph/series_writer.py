@@ -1,4 +1,4 @@
-"""What writers of Taylor coefficients share, unrolled or in loops: the form of the code, and reciprocals."""
+"""Common base of the writers of Taylor coefficients, unrolled or in loops: the form of the code, and reciprocals."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .operations import DOUBLE, POINTER
 
 
 class SeriesForm(NamedTuple):
-    """What the code takes and gives.
+    """Form of the code of Taylor coefficients: its arguments and its results.
 
     Attributes
     ----------
     n : int
         Components of y.
     order : int
-        Of the last coefficients.
+        Order of the last coefficients.
     along : bool
-        Whether y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
+        y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
     lanes : int
         So many numbers side by side.
     own : bool
-        Whether our elementary functions are called, not the mathematical library's.
+        invariode's elementary functions are called, not the mathematical library's.
     """
 
     n: int
@@ -49,7 +49,7 @@ class Inverse(NamedTuple):
 
 
 def inverse_of(d: float) -> tuple[float, float]:
-    """Of a number: both parts."""
+    """Return the reciprocal of a number as a sum of two doubles."""
     high = 1 / d
     return high, float((1 - Fraction(high) * Fraction(d)) / Fraction(d))
 
@@ -75,7 +75,7 @@ class SeriesWriter(Writer):
         return self._given["unit"] if self._ops.lanes == 1 else self._load("unit", 0)
 
     def _inverse(self, d: Value | None, multiple: float) -> Inverse:
-        """Of a number that is known when the code runs times one that is known now."""
+        """Return the reciprocal of d · multiple, where d is known when the code runs and `multiple` now."""
         if d is None:
             high, low = inverse_of(multiple)
             return Inverse(self._constant(high), self._constant(low))

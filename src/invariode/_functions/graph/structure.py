@@ -57,7 +57,7 @@ def _alone(node: Node, exponent: int = 1) -> Row:
 
 
 def _short(node: Node, its: Row) -> Row:
-    """The terms of a factor; a long sum is one factor of its own."""
+    """Return the terms of a factor; a long sum is one factor of its own."""
     return its if len(its) <= _MOST_TERMS // 8 else _alone(node)
 
 

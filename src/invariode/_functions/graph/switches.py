@@ -33,7 +33,7 @@ class Switch(NamedTuple):
     Attributes
     ----------
     difference : Node
-        What changes its sign.
+        Function that changes its sign at the switch.
     below, above : list of Node
         The values of the graph where the difference is negative, and where it is positive.
     """
@@ -50,12 +50,12 @@ def switches(outputs: Sequence[Node], t: float, y: Array, p: Array) -> list[Swit
 
 
 def has_steps(outputs: Sequence[Node]) -> bool:
-    """Whether a graph may jump elsewhere too."""
+    """Return whether the values of a graph may jump elsewhere than at its switches."""
     return any(node.op in _PUNCTURED for node in in_order(outputs))
 
 
 def conditions(outputs: Sequence[Node]) -> list[Switch]:
-    """All comparisons, signs and steps of values that change with y."""
+    """Return all comparisons, signs and steps of values that change with y."""
     return [*_comparisons(outputs), *_steps(outputs)]
 
 
@@ -84,8 +84,8 @@ def _comparisons(outputs: Sequence[Node]) -> list[Switch]:
 
 
 def _steps(outputs: Sequence[Node]) -> list[Switch]:
-    """Where x is an integer sin πx changes its sign, upwards at even ones. Near an integer r = ⌊x + 1/2⌋ the floor of x
-    is r − 1 below it and r above it."""
+    """Return the switches of floor, ceil and modulo. Where x is an integer sin πx changes its sign, upwards at even
+    ones. Near an integer r = ⌊x + 1/2⌋ the floor of x is r − 1 below it and r above it."""
     groups: dict[Node, list[Node]] = {}
     for node in in_order(outputs):
         if node.op in _STEPPED:
@@ -107,14 +107,14 @@ def _steps(outputs: Sequence[Node]) -> list[Switch]:
 
 
 def _stepped(node: Node, floor: Node) -> Node:
-    """Its value between two integers, beside which the floor is this."""
+    """Return the value of a stepped node between two integers, where the floor of its argument is `floor`."""
     if node.op == "modulo":
         return node.arguments[0] - node.arguments[1] * floor
     return floor if node.op == "floor" else floor + 1.0
 
 
 def _moves(difference: Node) -> bool:
-    """Whether the time at which it changes its sign, if there is one, depends on y."""
+    """Return whether the time at which a difference changes its sign, if there is one, depends on y."""
     return any(node.op == "y" for node in in_order([difference]))
 
 
@@ -126,7 +126,7 @@ def _answer(node: Node, *, below: bool) -> Node | bool:
 
 
 def _decided(outputs: Sequence[Node], answers: Mapping[Node, Node | bool]) -> list[Node]:
-    """The values with these answers to conditions."""
+    """Return the values with these answers in place of conditions."""
     graph = outputs[0].graph
     made: dict[Node, Node | bool] = {}
     for node in in_order(outputs):
@@ -166,7 +166,7 @@ def evaluated(outputs: Sequence[Node]) -> Callable[[float, Array, Array], Array]
 
 
 def _jumps(switch: Switch, t: float, y: Array, p: Array) -> bool:
-    """Whether the branches differ at a point of the switch; also if none is found."""
+    """Return whether the branches differ at a point of the switch; also True if no such point is found."""
     graph = switch.difference.graph
     variables = [graph.t, *(graph.y(i) for i in range(len(y)))]
     row = jacobian([switch.difference], variables)[0]

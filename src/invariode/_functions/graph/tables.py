@@ -32,7 +32,7 @@ def looked_up(x: Node, breaks: Any, values: Any) -> Node:
 
 
 def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
-    """`numpy.interp`, by its formula."""
+    """Interpolate linearly in a table, by the formula of `numpy.interp`."""
     graph, last = x.graph, x.graph.node(float(xs[-1]))
     if len(xs) == 1:
         raise TraceError("numpy.interp in a table of one point")
@@ -46,7 +46,7 @@ def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
 
 
 def is_table(value: Any) -> bool:
-    """Whether it is one of SciPy's interpolators, or makes them."""
+    """Return whether a value is one of SciPy's interpolators, or makes them."""
     kind = value if isinstance(value, type) or hasattr(value, "__wrapped__") else type(value)
     module = getattr(kind, "__module__", None) or ""
     named = any(getattr(one, "__name__", "") in _KINDS for one in getattr(kind, "__mro__", (value,)))
@@ -93,7 +93,7 @@ def _graph(x: Any) -> Any:
 
 
 def _stacked(values: list[Any], shape: tuple[int, ...]) -> Any:
-    """Of nodes, or arrays of them, for each point."""
+    """Stack nodes, or arrays of them, of each point in one array of leading shape `shape`."""
     first = values[0]
     inner = first.shape if isinstance(first, np.ndarray) else ()
     found = np.empty((len(values), *inner), dtype=object)
@@ -162,7 +162,7 @@ def _within(x: Node, breaks: Any, value: Node, below: float, above: float) -> No
 
 
 def _of_interp1d(table: Any) -> Callable[[Node], Any]:
-    """With NaN where it raises."""
+    """Return the function of an interp1d table on nodes, with NaN where the table raises."""
     xs, ys = np.asarray(table.x, dtype=float), np.asarray(table.y, dtype=float)
     if ys.ndim != 1:
         raise TraceError("interp1d of more than one row")

@@ -29,8 +29,8 @@ from .traced import _UNARY, TracedArray, cells_of, condition, has_traced, is_com
 
 
 class TraceLimits(NamedTuple):
-    """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds. Nodes are
-    counted where a decision is taken, or `anywhere`."""
+    """Limits of tracing: paths through branches on values, decisions on one of them, nodes, seconds. Nodes are counted
+    where a decision is taken, or `anywhere`."""
 
     paths: int = 512
     decisions: int = 60
@@ -51,9 +51,9 @@ class Traced(NamedTuple):
     outputs : list of Node
         Its values, one after the other.
     shape : tuple of int
-        Of what it returned.
+        Shape of the returned value.
     paths : int
-        How many paths through its branches there are.
+        Number of paths through the branches of the function.
     """
 
     outputs: list[Node]
@@ -85,11 +85,11 @@ def trace(
     second : int, default 0
         The function takes two vectors, of n - second and second components, which follow each other in y.
     inplace : int, default 0
-        How many values the function writes to an argument after these; 0: it returns them.
+        Number of values that the function writes to an argument after these; 0: it returns them.
     is_complex : bool, default False
         The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
     conditions : bool, default False
-        Whether truth values count as 1 or -1, as those of events do, not as 1 or 0.
+        Truth values count as 1 or -1, as those of events do, not as 1 or 0.
     limits : TraceLimits, optional
         Beyond them it is refused.
 
@@ -124,14 +124,14 @@ _UNDEFINED = (ArithmeticError, ValueError, AssertionError, RuntimeError)
 
 
 def _is_of_user(error: BaseException) -> bool:
-    """Whether code of the user's raised it, and neither NumPy nor the tracer."""
+    """Return whether the user's code raised an error, and neither NumPy nor the tracer."""
     file = raised_in(error)
     unlike = (RecursionError, NotImplementedError)
     return not (isinstance(error, unlike) or file.startswith(PACKAGE) or "site-packages" in file)
 
 
 class _Run:
-    """One function being traced."""
+    """Trace of one function, along each of its paths."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ class _Run:
         return Traced(self._merged([(d, o or undefined) for d, o in known], 0), shape, len(known))
 
     def _followed(self, known: Sequence[Any]) -> Any:
-        """The values on one path; None: f raises there, as it does for values where it is not defined."""
+        """Return the values on one path; None if f raises there, as it does for values where it is not defined."""
         graph = self._graph
         given: list[Any] = [wrapped(graph.t, self.decide)]
         first = 0
@@ -218,7 +218,7 @@ class _Run:
         return self._array([self._graph.t], ())
 
     def _parameter(self, numbers: Numbers, place: int) -> Any:
-        """An argument: the values themselves where they are constants."""
+        """Return an argument of the traced function: its value if it is a constant, else an array of parameters."""
         if numbers.fixed:
             return self._copies.of(numbers.value)
         cells = self._array([self._graph.p(place + i) for i in range(math.prod(numbers.shape))], numbers.shape)
@@ -231,7 +231,7 @@ class _Run:
         return TracedArray(cells.reshape(shape), self.decide)
 
     def decide(self, condition: Node) -> bool:
-        """What Python takes a condition for: as decided before, or true."""
+        """Return the truth value of a condition for Python: as decided before, or true."""
         if condition.op == "number":
             return bool(condition.value)
         for known, answer, _ in self._decisions[: self._at]:
@@ -323,7 +323,7 @@ class _Copies:
         self._helpers = helpers(run.decide) if selections else {}
 
     def of(self, value: Any) -> Any:
-        """What stands for a value in a copy: itself, if it needs none."""
+        """Return the copy of a value, or the value itself if it needs none."""
         if id(value) in self._made:
             return self._made[id(value)]
         made = self._copied(value)
@@ -457,7 +457,7 @@ def _is_full(cell: Any) -> bool:
 
 
 def _names(code: types.CodeType) -> set[str]:
-    """All names that code and the functions in it use."""
+    """Return the set of names that code and the functions in it use."""
     found = set(code.co_names)
     for one in code.co_consts:
         if isinstance(one, types.CodeType):
@@ -475,7 +475,7 @@ def _written(code: types.CodeType) -> str | None:
 
 
 def _has_handlers(code: types.CodeType) -> bool:
-    """Whether it has `except` or `finally`; `with` and generators have tables of exceptions too."""
+    """Return whether code has `except` or `finally`; `with` and generators have tables of exceptions too."""
     names = [one.opname for one in dis.get_instructions(code)]
     return names.count("PUSH_EXC_INFO") > names.count("WITH_EXCEPT_START")
 

@@ -32,7 +32,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     cells : ndarray of object
         The nodes.
     decide : function
-        What a condition is taken for where Python asks.
+        Returns the truth value of a condition where Python asks for one.
     """
 
     __slots__ = ("cells", "decide")
@@ -278,7 +278,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
 
 
 def _scalar(node: Any) -> Any:
-    """One node as an array of shape ()."""
+    """Return one node as an array of shape ()."""
     cells = np.empty((), dtype=object)
     cells[()] = node
     return cells
@@ -304,7 +304,7 @@ def _plain_index(key: Any) -> Any:
 
 
 def is_complex(value: Any) -> bool:
-    """Whether there are complex numbers in it."""
+    """Return whether a value contains complex numbers."""
     if isinstance(value, (list, tuple)):
         return any(map(is_complex, value))
     if isinstance(value, (TracedArray, Node)):
@@ -313,7 +313,7 @@ def is_complex(value: Any) -> bool:
 
 
 def has_traced(value: Any) -> bool:
-    """Whether there are nodes in it."""
+    """Return whether a value contains nodes."""
     if isinstance(value, (TracedArray, Node, TracedArray.paired)):
         return True
     if isinstance(value, (list, tuple)):
@@ -322,7 +322,7 @@ def has_traced(value: Any) -> bool:
 
 
 def cells_of(value: Any, graph: Graph) -> Any:
-    """Numbers, arrays of them, lists that hold traced ones, as an array of nodes."""
+    """Return numbers, arrays of numbers, or lists with traced ones as an array of nodes."""
     if isinstance(value, TracedArray):
         return value.cells
     if isinstance(value, Node):
@@ -398,7 +398,7 @@ def condition(node: Node) -> Node:
 
 
 def truth(node: Node) -> Node:
-    """A number as whether it is not 0."""
+    """Return whether a number is not 0, as a node."""
     return node if node.is_truth else node.graph.make("not_equal", node, node.graph.node(0.0))
 
 
