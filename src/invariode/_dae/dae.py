@@ -449,7 +449,7 @@ class Dae:
         )
 
     def _tell_move(self, x: Array) -> None:
-        """Warns where given initial values were changed that the equations leave to the user."""
+        """Warn where given initial values were changed that the equations leave to the user."""
         _, d, _ = self._structure.arrangement.offsets
         if not self.freedom:  # all values are determined: those given are guesses
             return
@@ -614,7 +614,8 @@ class Dae:
     def _again(
         self, reduction: Reduction, before: OnFailure | None, sol: Solution, on_failure: OnFailure | None = None
     ) -> Solution:
-        """Another solution of the reduced problem, which goes on from one that was presented."""
+        """Return another solution of the reduced problem, which resumes one that was presented, in the unknowns of
+        F."""
         return self._presented(sol, reduction, on_failure or before)
 
     def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
@@ -697,7 +698,7 @@ def _is_variable(entry: Any, rank: int) -> bool:
 
 
 def _size(residuals: Any, args: tuple[Any, ...], n: int, order: int) -> int:
-    """How many values F returns: as many as unknowns, unless a call says otherwise."""
+    """Return the number of values of F: as many as unknowns, unless a call shows otherwise."""
     try:
         with np.errstate(all="ignore"):
             return int(np.size(residuals(0.0, np.ones((order + 1) * n), *args)))

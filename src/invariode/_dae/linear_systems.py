@@ -45,7 +45,7 @@ class _Elimination:
         self.left = dict.fromkeys(self.rows)
 
     def run(self) -> None:
-        """Eliminates while a safe pivot makes no more new entries than the system has rows."""
+        """Eliminate while a safe pivot makes no more new entries than the system has rows."""
         candidates = {i: self._best(i) for i in self.left}
         while True:
             found = min((one for one in candidates.values() if one is not None), default=None)
@@ -67,7 +67,7 @@ class _Elimination:
         return min(((len(row) - 1) * (len(self.columns[j]) - 1), i, j) for j in safe) if safe else None
 
     def _eliminate(self, i: int, j: int) -> set[int]:
-        """Takes a pivot; returns the rows that have changed."""
+        """Eliminate with a pivot; return the rows that have changed."""
         pivot = self.rows[i]
         del self.left[i]
         for q in pivot:

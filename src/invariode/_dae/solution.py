@@ -172,7 +172,7 @@ class _OnStates(BoundInvariants):
 
     @classmethod
     def of(cls, sol: Solution) -> _OnStates:
-        """Those of a solution of the reduced problem."""
+        """Return the invariants of a solution of the reduced problem."""
         bound = sol._invariants
         fields = {one.name: getattr(bound, one.name) for one in dataclasses.fields(BoundInvariants)}
         return cls(**fields, states=sol.y, tolerances=(sol._rtol, sol._atol))
@@ -185,7 +185,7 @@ class _OnStates(BoundInvariants):
 
 
 class _Origin:
-    """What a solution of a DAE was made from.
+    """Origin of a solution of a DAE: the reduced solution, and the way back to the unknowns.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class DaeSolution(Solution):
         return found
 
     def impose(self) -> Solution:
-        """This solution with its values projected to roundoff onto all constraints.
+        """Project the values to roundoff onto all constraints.
 
         Returns
         -------

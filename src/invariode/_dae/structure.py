@@ -224,7 +224,7 @@ class Structure:
         return Arrangement(found, J, blocks(match, [*J]))
 
     def _is_regular(self, block: Block) -> bool:
-        """Whether the block is regular at one of the generic points."""
+        """Return whether the block is regular at one of the generic points."""
         return any(condition(A) > SINGULAR for A in self._matrices(block))
 
     def _matrices(self, block: Block) -> Iterable[Array]:
@@ -240,7 +240,7 @@ class Structure:
     # Repairs
 
     def _combine(self, block: Block) -> None:
-        """Replaces an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
+        """Replace an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
         uᵀ J = 0 with u_k = 1, and c_k is the smallest offset of the equations in it."""
         rows, columns = block.rows, block.columns
         c, d, _ = self.arrangement.offsets
@@ -397,7 +397,7 @@ class Structure:
         return "the equations do not determine the unknowns: " + "; ".join(texts)
 
     def _is_up_to_a_constant(self, which: Sequence[int]) -> bool:
-        """Whether the equations stay true if the same constant is added to these unknowns."""
+        """Return whether the equations stay true if the same constant is added to these unknowns."""
         n, graph = self.n, self.graph
         for one in self._given:
             row = row_of(one, [j for j in which if j in leaves([one])])

@@ -49,7 +49,7 @@ class Rows:
         self._blocks, self.size = blocks, size
 
     def first(self, count: int) -> tuple[Array, Any]:
-        """So many of the first, or all; those are not taken away."""
+        """Return y0 and args of the first `count` rows, or of all if there are fewer; the rows remain to be read."""
         taken: list[tuple[Array, Any]] = []
         while sum(len(y0) for y0, _ in taken) < count and (block := next(self._blocks, None)) is not None:
             taken.append(block)
@@ -60,7 +60,7 @@ class Rows:
         return y0[:count], rows_of(args, slice(count))
 
     def parts(self, length: int) -> Iterator[Part]:
-        """All rows, once, in parts of that length; the last may be shorter."""
+        """Yield all rows, once, in parts of that length; the last may be shorter."""
         left: list[tuple[Array, Any]] = []
         number = start = waiting = 0
         for block in self._blocks:
@@ -151,7 +151,7 @@ def digest(part: Part) -> int:
 
 
 def _pieces(value: Any) -> Iterator[bytes]:
-    """What is the same in another process; of objects of other types, their type."""
+    """Yield bytes that are the same in every process; of objects of unknown types, only the type's name."""
     if isinstance(value, np.ndarray) and value.dtype != object:
         yield np.ascontiguousarray(value).tobytes()
     elif isinstance(value, (list, tuple, np.ndarray)):

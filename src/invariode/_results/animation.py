@@ -118,7 +118,7 @@ def _motion(
     duration: float | None,
     fps: float,
 ) -> Motion:
-    """What a film of these points shows. `points`: a function, or indices of components (k, 2 or 3)."""
+    """Return the positions in a film of these points. `points`: a function, or indices of components (k, 2 or 3)."""
     times = _frame_times(sol, duration, fps)
     states = _states(sol)
     shown = _positions(states, points, times)
@@ -140,7 +140,7 @@ def _film_size(points: Array) -> tuple[float, float]:
 
 
 def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
-    """Equally spaced, from the first time of the solution to the last."""
+    """Return equally spaced times, from the first time of the solution to the last."""
     ends = sol.t if sol.sol is None else sol.sol.ts
     if len(ends) < 2:
         raise ValueError("cannot animate a solution with a single point: solve with keep='all' or dense_output=True")
@@ -167,7 +167,7 @@ def _states(sol: Result) -> Callable[[Array], Array]:
 
 
 def _positions(states: Callable[[Array], Array], points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
-    """Where the points are at these times, (n_t, k, 2 or 3)."""
+    """Return the positions of the points at these times, (n_t, k, 2 or 3)."""
     y = states(times)
     if not callable(points):
         shown: Array = np.moveaxis(y[points], -1, 0)
@@ -242,7 +242,7 @@ class Film(FuncAnimation):
         super().__init__(ax.figure, self.show, init_func=lambda: self.show(0), **frames)
 
     def show(self, frame: int) -> Sequence[Any]:
-        """Draws one frame.
+        """Draw one frame.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class Film(FuncAnimation):
         return [*self._joined, *self._paths, self._dots, self._clock]
 
     def save(self, filename: str | os.PathLike[str], writer: Any = None, **options: Any) -> None:  # type: ignore[override]  # theirs in **options
-        """Saves the film in the format given by the ending of the name.
+        """Save the film in the format given by the ending of the name.
 
         Parameters
         ----------
@@ -305,8 +305,8 @@ class Film(FuncAnimation):
 
     @contextmanager
     def _on_a_picture(self, dpi: float | Literal["figure"] | None) -> Iterator[None]:
-        """Meanwhile, the axes and what is around them are one picture behind the rest, since they take most of the time
-        of drawing a frame; and each frame is drawn once, not in the window as well."""
+        """Draw the axes and what is around them once, as a picture behind the rest, since they take most of the time of
+        drawing a frame; and draw each frame once, not in the window as well."""
         ax, canvas = self._dots.axes, self.figure.canvas
         still = _standing(ax)
         with _hidden([one for one in ax.get_children() if one not in still]):
@@ -422,7 +422,7 @@ def _corners(points: Array) -> tuple[Array, Array]:
 
 
 def _extent(low: Array, high: Array) -> Array:
-    """How far axes reach, with the room around the motion."""
+    """Return the lengths of the axes, with the room around the motion."""
     extent = high - low
     reach: Array = np.maximum(extent, _THINNEST * (extent.max() or 1.0)) * (1 + 2 * _MARGIN)
     return reach

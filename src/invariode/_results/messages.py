@@ -1,4 +1,4 @@
-"""What is said about how a run ended: what, at which t and h, and what to try."""
+"""Messages about how a run ended: the cause, at which t and h, and what to try."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool)
 
 
 def remarked(message: str, run: Run, events: Sequence[str]) -> str:
-    """The message, and what else is to be said of the run."""
+    """Return the message with remarks on stiffness, discontinuities and accumulating events added."""
     if run.stiff:
         message += f" {_sentence(limited_by_stability(run.stiff_since))}"
     for text in about_jumps(run, events):
@@ -59,7 +59,7 @@ def remarked(message: str, run: Run, events: Sequence[str]) -> str:
 
 
 def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
-    """The warnings about jumps of f, and of the solution where they accumulate."""
+    """Return the warnings about discontinuities of f, and about events whose actions accumulate."""
     texts = [about_jumps_of_fun(run)]
     if run.accumulation is not None:
         event, t, interval, count = run.accumulation
@@ -108,7 +108,7 @@ def accumulating(event: str, t: float, interval: float, count: int) -> str:
 
 
 def accumulating_in(trajectories: int) -> str:
-    """The same of an ensemble."""
+    """Return the warning about events whose actions accumulate, for so many trajectories of an ensemble."""
     return (
         f"in {trajectories} trajectories the actions of an event came closer and closer, and then the solution passed "
         "it without one: infinitely many would follow (Zeno), and what comes after stats['accumulation'], the time of "
@@ -163,7 +163,7 @@ def out_of_bounds(what: str, component: int, bounds: Bounds | None) -> str:
 
 
 def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
-    """Which limit, of this value, where, how fast the run was, and what to try."""
+    """Return the message about a limit of this value: where it was reached, how fast the run was, and what to try."""
     what, advice = _LIMITS[run.limit]
     text = f"{what.format(limit)} at t = {run.t!r}: "
     if math.isfinite(tf):
@@ -382,7 +382,8 @@ def _wrong_jacobian_of(run: Run, names: list[str], pairs: bool) -> str:
 
 
 def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: float, pairs: bool) -> str:
-    """What is wrong with the Jacobian of an invariant. `component`: an index into the reals that make up y."""
+    """Return the message about a wrong Jacobian of an invariant. `component`: an index into the reals that make up
+    y."""
     part = (" (real part)", " (imaginary part)")[component % 2] if pairs else ""
     column = component // 2 if pairs else component
     return (
@@ -413,7 +414,7 @@ _FORMED = {"function": "given", "derived": "traced", "complex-step": "complex st
 
 
 def formed(linear: Linear | None, run: Run) -> str | None:
-    """How the Jacobian of f was computed."""
+    """Return how the Jacobian of f was computed, in words; None if there is none."""
     if linear is None:
         return None
     text = _FORMED.get(linear.kind, linear.kind)

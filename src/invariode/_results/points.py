@@ -1,4 +1,4 @@
-"""What systems that know their points have in common."""
+"""Base class of systems that know their points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class HasPoints:
         raise NotImplementedError
 
     def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
+        """Show the motion of the `points` of the system as a film.
 
         Parameters
         ----------

@@ -12,14 +12,14 @@ from .._base.arguments import Array
 
 
 class AtEvents(NamedTuple):
-    """At the occurrences of each event."""
+    """Sensitivities at the occurrences of each event."""
 
     before: list[Array]  # (occurrences, n, k)
     after: list[Array]  # behind the action
     times: list[Array]  # ∂τ/∂p, (occurrences, k)
 
     def joined(self, then: AtEvents) -> AtEvents:
-        """With those of the rest of a run."""
+        """Return these sensitivities followed by those of the rest of a run."""
         return AtEvents(
             *([np.concatenate(pair) for pair in zip(a, b, strict=True)] for a, b in zip(self, then, strict=True))
         )
@@ -61,5 +61,5 @@ def states_and_sensitivities(Y: Array, n: int, k: int) -> tuple[Array, Array]:
 
 
 def named(names: Sequence[str], labels: Sequence[str]) -> list[str]:
-    """What derivatives are called in tables, component by component."""
+    """Return the names of derivatives in tables, component by component."""
     return [f"d {label} / d {name}" for label in labels for name in names]

@@ -42,7 +42,7 @@ _HINTS = ("method", "with_jacobian", "verbosity")
 
 
 class _Theirs(NamedTuple):
-    """One of SciPy's integrators."""
+    """Description of one of SciPy's integrators."""
 
     methods: Mapping[str, MethodName]  # the equivalents here, by the value of its parameter `method`, if any
     takes: tuple[str, ...]
@@ -82,7 +82,7 @@ _ODEPACK = _Codes(success=2, wrong=-3, too_long=-1, failed=-4, unsolved=-5)
 
 
 class _Integrator(NamedTuple):
-    """The choice made by `set_integrator`."""
+    """Integrator and parameters chosen by `set_integrator`."""
 
     name: str
     method: MethodName
@@ -163,7 +163,7 @@ def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
 
 
 def _is_zero(value: object) -> bool:
-    """Whether the value is zero, SciPy's notation for no limit, or for the method's own choice."""
+    """Return whether the value is zero, SciPy's notation for no limit, or for the method's own choice."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
 
 
@@ -383,7 +383,7 @@ class ode:  # noqa: N801 - SciPy's name
         return self._y
 
     def successful(self) -> bool:
-        """Whether the last call reached its time or was ended by solout; True before the first call."""
+        """Return whether the last call reached its time or was ended by solout; True before the first call."""
         return self._code is None or self._code > 0
 
     def get_return_code(self) -> int | None:
@@ -427,7 +427,7 @@ class ode:  # noqa: N801 - SciPy's name
         return Walk(self._plan._replace(settings=settings._replace(t0=self.t, tf=tf, first_step=first)), self._y)
 
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
-        """From here to `target`, with solout."""
+        """Integrate from the current time to `target`, calling solout at the start and after each step."""
         walk = self._walk_to(target, chosen)
         steps, stopped = 0, self._is_stopped()
         while walk.state == "running" and not stopped and steps != chosen.nsteps:
@@ -438,12 +438,12 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
 
     def _is_stopped(self) -> bool:
-        """Whether solout ends the call here."""
+        """Return whether solout ends the call at the current point."""
         answer = None if self._solout is None else self._solout(self.t, self._y.copy())
         return answer is not None and bool(answer < 0)
 
     def _go_on(self, target: float, chosen: _Integrator, *, step: bool, relax: bool) -> None:
-        """Steps of this run until they pass `target`, or a single step."""
+        """Advance this run until it has passed `target`, or by a single step."""
         walk, ahead = self._walk, math.copysign(1.0, target - self.t)
         if walk is None or not self._leads_to(target, walk) or (step and walk.forward != ahead):
             walk = self._walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
@@ -461,11 +461,11 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=reached, stopped=False)
 
     def _leads_to(self, target: float, walk: Walk) -> bool:
-        """Whether a run will reach that time, or passed it in its last step."""
+        """Return whether a run will reach that time, or passed it in its last step."""
         return walk.forward * (target - self._begun) >= 0
 
     def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
-        """The return code of a call, with a warning if it failed."""
+        """Set the return code of a call, with a warning if it failed."""
         codes = chosen.codes
         if reached or stopped:
             self._code = codes.stopped if stopped else codes.success

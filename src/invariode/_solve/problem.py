@@ -91,7 +91,7 @@ class Problem(Description):
 
     @documented(options=table_of(Options))
     def solve(self, method: MethodName = "ode45", **options: Unpack[Options]) -> Solution:
-        """Solves the problem.
+        """Solve the problem.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class Problem(Description):
         store: str | os.PathLike[str] | None = None,
         **options: Unpack[ProblemEnsembleOptions],
     ) -> EnsembleSolution | EnsembleStore:
-        """Solves the problem from many initial values, or with many parameter sets, in parallel.
+        """Solve the problem from many initial values, or with many parameter sets, in parallel.
 
         The result is the same, bit for bit, for any number of workers, and the same as that of single solves. A
         trajectory that fails, also with an exception, gets a status, a message and NaN as its final state; the others

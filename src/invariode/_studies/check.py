@@ -116,7 +116,7 @@ def check_invariants(
     atol: Numbers = ATOL,
     nearby: bool = True,
 ) -> CheckReport:
-    """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
+    """Check whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
 
 
 class _Elsewhere(NamedTuple):
-    """What was found at another point."""
+    """Examination of the invariants at another point."""
 
     t: float
     y: Array
@@ -233,7 +233,7 @@ class _Elsewhere(NamedTuple):
 
 
 def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
-    """The examination; None if something is not defined there."""
+    """Return the examination of the invariants at a point; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)
     except Exception:  # from a user's function, at a point that the user did not choose
@@ -246,7 +246,7 @@ _CONSERVED = ("conserved", "changes")
 
 
 def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
-    """The report, with those refused that are conserved only at its point."""
+    """Return the report, with functions marked as not conserved that are conserved only at its point."""
     conserved, findings = report.conserved.copy(), []
     for i in np.flatnonzero(report.conserved):
         there = [other for other in others if other is not None and not other.found.conserved[i]]
@@ -267,7 +267,7 @@ def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckR
 
 
 def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
-    """`pairs`: the reals that make up y are pairs."""
+    """Make the report of an examination. `pairs`: the reals that make up y are pairs."""
     stationary = found.gradient == 0
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1

@@ -75,7 +75,7 @@ class PolynomialInvariant(Invariants):
         super().__init__(self._value, self._gradient, names=self.formula)
 
     def __call__(self, y: Any) -> Any:
-        """Its value at y (n,), or at points (n, n_t)."""
+        """Return the value at y (n,), or at points (n, n_t)."""
         return self._value(0.0, np.asarray(y))
 
     def _repr_latex_(self) -> str:
@@ -112,7 +112,7 @@ def find_invariants(
     *,
     labels: Sequence[str] | None = None,
 ) -> list[PolynomialInvariant]:
-    """Proposes polynomials that y' = f(t, y) conserves.
+    """Propose polynomials that y' = f(t, y) conserves.
 
     p is an invariant if ∇p · f = 0. At points around several trajectories this is a linear system for the coefficients
     of the monomials; for each degree, its null space is used if its dimension is numerically unambiguous. The
@@ -243,7 +243,7 @@ class _Search:
         return (sol.t, sol.y) if len(sol.t) > 1 else None
 
     def _note(self, error: Exception) -> None:
-        """Keeps the first reason why there is no run; what f must never return is an error at once."""
+        """Store the first reason why there is no run; what f must never return is an error at once."""
         if error is self._wrong:
             raise error
         self._without_run = self._without_run or error
@@ -311,7 +311,7 @@ class _Search:
         return {monomials[k]: number for k, number in zip(kept, numbers, strict=True)}
 
     def independent(self, polynomials: list[PolynomialInvariant]) -> bool:
-        """Whether their gradients are linearly independent at some point."""
+        """Return whether the gradients of the polynomials are linearly independent at some point."""
         for _ in range(3):
             y = self._near(self._y0)
             rows = np.array([p._gradient(0.0, y) * self._size for p in polynomials])
@@ -320,7 +320,7 @@ class _Search:
         return False
 
     def verified(self, p: PolynomialInvariant) -> bool:
-        """Whether it is conserved at fresh points, to roundoff, and along fresh trajectories."""
+        """Return whether the polynomial is conserved at fresh points, to roundoff, and along fresh trajectories."""
         y, slope = self._samples(50)
         if y.shape[1] < 20:
             return False

@@ -85,12 +85,12 @@ class Found(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """Whether no small change grows."""
+        """True if no small change of the state grows."""
         return is_stable(self.eigenvalues)
 
 
 class NotFound(NamedTuple):
-    """No steady state was reached, and why."""
+    """Failure of the search for a steady state, with the reason."""
 
     reason: str
     y: Array
@@ -298,7 +298,7 @@ class SteadyStates:
         return (traced if has_llvm() else getattr(traced, "fun", traced)), exact
 
     def _conserved(self, totals: Totals, problem: Problem) -> Array:
-        """The rows of the totals."""
+        """Return the rows of the totals."""
         if isinstance(totals, str):
             if totals != "auto":
                 raise ValueError(f"totals must be 'auto' or rows of coefficients, got {totals!r}")
@@ -407,7 +407,7 @@ class SteadyStates:
 
 
 def is_stable(rates: Array) -> bool:
-    """Whether no eigenvalue has a positive real part, beyond roundoff."""
+    """Return whether no eigenvalue has a positive real part, beyond roundoff."""
     return not len(rates) or bool(rates.real.max() <= _GROWS * np.abs(rates).max())
 
 
@@ -449,7 +449,7 @@ class _Approach:
                 self.f = states._values.value(self.y, self._args)
 
     def _step(self, t: float, y: Array) -> bool:
-        """Whether the run has arrived."""
+        """Return whether the run has arrived."""
         T = t - self._t0
         if self._next > T:
             return False
@@ -518,7 +518,7 @@ class _OfGraph:
         return self._made[key]
 
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """f."""
+        """Return f at y, (n,)."""
         p, n = Parameters.of(args), self._n
         if "f" not in self._made:
             machine = has_llvm()
@@ -528,7 +528,7 @@ class _OfGraph:
         return found
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
+        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
         n, p, fp = self._n, Parameters.of(args), np.zeros((self._n, len(self._own)))
         flat = np.asarray(p)
         J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
@@ -559,11 +559,11 @@ class _OfPython:
         return self._last[1]
 
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """f."""
+        """Return f at y, (n,)."""
         return self._at(args).value(self._t, y)
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
+        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
         of, n, k = self._at(args), self._n, self._at(args).k
         none = np.zeros((k, n))
         fp = of.columns(self._t, y, np.zeros(k), none, np.eye(k)).T if with_parameters and k else none.T

@@ -46,7 +46,7 @@ def plot_work_precision(
     limit: float = 5.0,
     axes: Any = None,
 ) -> Array:
-    """Draws the error of the final state against its cost, for several methods and tolerances.
+    """Draw the error of the final state against its cost, for several methods and tolerances.
 
     Plain runs are solid; where the problem has invariants, projected ones are dashed.
 
@@ -139,7 +139,7 @@ def _truth(problem: Problem, given: Any, ratio: float, limit: float) -> Referenc
 
 
 def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
-    """Writes the figure to a file, in the style of the paper's."""
+    """Write the figure to a file, in the style of the paper's."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

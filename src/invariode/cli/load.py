@@ -62,7 +62,7 @@ def _parts(file: str) -> tuple[Path, str | None]:
 
 
 def _run(path: Path) -> dict[str, Any]:
-    """What the file defines. It is run as an import would, next to its neighbours; no bytecode is left behind."""
+    """Run the file as an import would, next to its neighbours, and return its names; no bytecode is left behind."""
     module = ModuleType(f"{path.stem} (problem file)")  # no name that an import could ask for
     module.__file__ = str(path)
     sys.modules[module.__name__] = module

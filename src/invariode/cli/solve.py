@@ -293,7 +293,8 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:
-    """What projection kept; or, without it, what it would have kept."""
+    """Print the drift of the invariants that projection corrected; or, without it, the drift that it would have
+    corrected."""
     if not problem.invariants:
         note = "No invariants: nothing is imposed. invariode.find_invariants looks for polynomial ones."
     elif projected:

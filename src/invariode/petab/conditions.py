@@ -37,7 +37,7 @@ class RunFailedError(RuntimeError):
 
 
 class Start(NamedTuple):
-    """Where a run starts.
+    """Start of a run.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Conditions:
         return number * volume if one.is_amount else number / volume
 
     def _numbers(self, condition: str, theta: Array) -> tuple[Array, dict[int, int]]:
-        """p, and which estimated parameters set its entries."""
+        """Return p for a condition, and which estimated parameters set its entries."""
         e = self.equations
         base, sources = self._base.copy(), {}
         set_by: dict[str, float | str] = {name: name for name in self._names if name in e._index}
@@ -139,7 +139,7 @@ class Conditions:
 
     @cached_property
     def _start_slopes(self) -> tuple[ArrayFunction, list[tuple[int, int]]]:
-        """∂y0/∂p: its entries and their places."""
+        """Return ∂y0/∂p as its entries and their places."""
         e = self.equations
         nodes = [e.state_at_start(name) for name in e.states]
         places = sorted(used(nodes, "p"))
@@ -148,8 +148,8 @@ class Conditions:
         return ArrayFunction([node for *_, node in entries]), [(i, j) for i, j, _ in entries]
 
     def start(self, before: str, condition: str, theta: Array, slopes: bool) -> Start:
-        """Where the run of a condition starts: at its initial values, or at the steady state of another condition,
-        except for states that the condition itself sets."""
+        """Return the start of a condition's run: its initial values, or the steady state of another condition, except
+        for states that the condition itself sets."""
         p, sources = self._numbers(condition, theta)
         y, S = self._initial(p, sources, slopes)
         if before:

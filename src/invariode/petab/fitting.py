@@ -96,7 +96,7 @@ def climb(objective: Callable[[Array], Evaluation], start: Array, lower: Array, 
 
 
 def _whole(at: Evaluation) -> tuple[Array, Array]:
-    """Gradient and information, those of the prior included."""
+    """Return gradient and information, those of the prior included."""
     assert at.gradient is not None
     k = len(at.gradient)
     prior = np.zeros(k) if at.log_prior_gradient is None else at.log_prior_gradient

@@ -92,7 +92,7 @@ class Equations:
             self.start(name)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Made again from the contents: nodes are equal by identity."""
+        """Pickle the contents alone, from which nodes are made again: they are equal by identity."""
         return Equations, (self.contents, self._fast, self._given)
 
     def _require_known(self) -> None:
@@ -106,17 +106,17 @@ class Equations:
     # Which symbols are what
 
     def driven(self, name: str) -> bool:
-        """Whether reactions change it."""
+        """Return whether reactions change the species."""
         one = self.contents.species.get(name)
         free = one is not None and not one.boundary and not one.constant
         return free and name in self._driving and name not in self.contents.rules and name not in self.contents.rates
 
     def volume(self, name: str) -> str:
-        """The compartment of a species."""
+        """Return the compartment of a species."""
         return self.contents.species[name].compartment
 
     def is_concentration(self, name: str) -> bool:
-        """Whether the symbol of a species means a concentration."""
+        """Return whether the symbol of a species means a concentration."""
         one = self.contents.species.get(name)
         return one is not None and not one.is_amount
 
@@ -168,7 +168,7 @@ class Equations:
         return found
 
     def _variables(self, names: set[str], seen: set[str]) -> set[str]:
-        """What a formula depends on, assignment rules followed."""
+        """Return the symbols that a formula depends on, with assignment rules followed."""
         found: set[str] = set()
         for name in names - seen:
             seen.add(name)
@@ -190,7 +190,8 @@ class Equations:
         return contents.values.get(name, math.nan)
 
     def _find_parameters(self) -> None:
-        """p: the numbers, then what algebraic rules determine at the start, which has no formula."""
+        """List the entries of p: the numbers, then those that algebraic rules determine at the start, which have no
+        formula."""
         contents = self.contents
         own = [n for n in self.symbols if n not in contents.rules and n not in contents.reactions]
         computed = {n for n in contents.initial if n not in self._given}
@@ -352,7 +353,7 @@ class Equations:
 
     @cached_property
     def slopes(self) -> list[Node]:
-        """f: y', or the residuals of algebraic rules in the places of their variables."""
+        """Nodes of f: y', or the residuals of algebraic rules in the places of their variables."""
         rows = [self.slope(name) if name not in self.matched else self.graph.node(0.0) for name in self.states]
         for name, i in self.matched.items():
             rows[self.place[name]] = self.formula(self.contents.algebraic[i])
@@ -366,12 +367,12 @@ class Equations:
         return np.diag([0.0 if name in self.matched else 1.0 for name in self.states])
 
     def formula(self, one: Expression) -> Node:
-        """An expression in the symbols as a node."""
+        """Return an expression in the symbols as a node."""
         return self._now.number(one)
 
     @property
     def translator(self) -> Translator:
-        """What makes nodes of expressions in the symbols."""
+        """Translator of expressions in the symbols into nodes."""
         return self._now
 
     # The start
@@ -382,18 +383,18 @@ class Equations:
 
     @cached_property
     def _at_start(self) -> Solved:
-        """What algebraic rules determine at the start."""
+        """Solver for the numbers that algebraic rules determine at the start."""
         residuals = [self._then.number(self.contents.algebraic[i]) for i in self.matched.values()]
         return Solved(residuals, [self.graph.p(i) for i in self._unknown.values()])
 
     @cached_property
     def _in_course(self) -> Solved:
-        """What algebraic rules determine at any time."""
+        """Solver for the states that algebraic rules determine at any time."""
         places = [self.place[name] for name in self.matched]
         return Solved([self.slopes[i] for i in places], [self.graph.y(i) for i in places])
 
     def parameters(self, changes: dict[str, float]) -> Array:
-        """p with other numbers of the file."""
+        """Return p with other numbers of the file."""
         p = np.array([*self.values, *np.ones(len(self._unknown))])
         for name, value in changes.items():
             p[self._index[name]] = value
@@ -429,7 +430,7 @@ class Equations:
         return y
 
     def initial_state(self, p: Array) -> Array:
-        """y0."""
+        """Return the initial state y0, (n,)."""
         return self._starting.at(0.0, np.zeros(0), p)
 
     # Structure
@@ -465,7 +466,7 @@ class Solved:
         self._slopes = ArrayFunction([row.get(j, zero) for row in rows for j in range(len(unknown))])
 
     def __call__(self, t: float, y: Array, p: Array, x: Array, put: Callable[[], None] = lambda: None) -> bool:
-        """Change x, which `put` puts among y or p; whether it has arrived."""
+        """Change x, which `put` puts among y or p; return whether the iteration has converged."""
         for _ in range(_ITERATIONS):
             r, J = self._residuals.at(t, y, p), self._slopes.at(t, y, p).reshape(self._k, self._k)
             if not (np.isfinite(r).all() and np.isfinite(J).all()):

@@ -216,7 +216,7 @@ class Machine:
 
     @property
     def _due(self) -> float:
-        """When the next event is executed that waits; infinite if none does."""
+        """Time of the next execution of an event that waits; infinite if none does."""
         return min((one.time for one in self.queue), default=np.inf)
 
     def functions(self, compiled: Any, once: bool) -> list[Roots]:
@@ -230,7 +230,7 @@ class Machine:
         return found
 
     def due(self, t: float, y: Array, *args: Any) -> list[float]:
-        """How long the next execution has been due; a start at t0 begins another run."""
+        """Return how long the next execution has been due; a start at t0 begins another run."""
         if t == self._t0 and args and (self.behind or len(self.queue) != self._at_start):
             self.start(t, np.array(y), np.array(args[0], dtype=float))
         return [t - self._due if self.queue else -1.0]
@@ -308,7 +308,7 @@ class Machine:
         raise ValueError(f"more than {_MOST_AT_ONCE} events at t = {t:.17g}: they trigger each other without end")
 
     def _leave(self, t: float, y: Array, hit: dict[int, int]) -> bool:
-        """Whether comparisons that are exactly at zero get the signs that they take next."""
+        """Change comparisons that are exactly at zero to the signs that they take next; return whether any changed."""
         slopes = self._code.slopes.code(t, y, self._p)
         new = {i: s for i in self._zeros if (s := _sign(slopes[i]))}
         hit.update(new)
@@ -317,7 +317,7 @@ class Machine:
         return bool(new)
 
     def _first(self, due: list[Waiting], t: float, y: Array) -> Waiting:
-        """The one of the highest priority; those of one priority, or of none, come in any order."""
+        """Return the event of the highest priority; those of one priority, or of none, come in any order."""
         if len(due) == 1:
             return due[0]
 

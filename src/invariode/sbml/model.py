@@ -98,7 +98,7 @@ class Model:
         return [*self._contents.species]
 
     def means_amount(self, name: str) -> bool:
-        """Whether the symbol of a species means an amount in formulas; otherwise it is a concentration."""
+        """Return whether the symbol of a species means an amount in formulas; otherwise it is a concentration."""
         return name in self._contents.species and self._contents.species[name].is_amount
 
     def report(self) -> str:

@@ -77,7 +77,7 @@ class EventRule:
 
 @dataclass
 class Contents:
-    """What a model says.
+    """Contents of the file of a model.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ def potential(gradient: Sequence[Any], q: Sequence[Any], symbols: Sequence[Any])
 
 
 def _gradient(kinematics: Any, forces: Sequence[Any]) -> list[Any] | None:
-    """∂V/∂q, where q' = K u and the power of the loads is force · u; None: K is not square."""
+    """Return ∂V/∂q, where q' = K u and the power of the loads is force · u; None: K is not square."""
     if not any(forces):
         return [sympy.S.Zero] * kinematics.rows
     if kinematics.rows != kinematics.cols:
@@ -76,11 +76,11 @@ def _power(method: KanesMethod) -> Any:
 
 
 def _coded(method: KanesMethod, words: Vocabulary, expression: Any) -> Any:
-    """In q and u alone: auxiliary speeds are 0."""
+    """Return the expression in q and u alone; auxiliary speeds are 0."""
     rates = {**method.kindiffdict(), **dict.fromkeys(method._uaux, 0)}
     return words.coded("the energy", expression.xreplace(rates))
 
 
 def _beyond(expression: Any, u: Sequence[Any], degree: int) -> Any:
-    """0 if the expression is homogeneous in u, of this degree."""
+    """Return an expression that is 0 if the given one is homogeneous in u, of this degree."""
     return degree * expression - sympy.Add(*(one * expression.diff(one) for one in u if expression.has(one)))

@@ -332,7 +332,7 @@ def _zero(one: Any) -> Any:
 
 
 def _forces(words: Vocabulary, q: list[Any], forces: Mapping[Any, Any] | Sequence[Any] | None) -> list[Any]:
-    """One for each coordinate."""
+    """Return the force of each coordinate."""
     if forces is None:
         return [sympy.S.Zero] * len(q)
     if isinstance(forces, Mapping):
@@ -363,7 +363,7 @@ def _require_constraints(form: Form, held: list[Any], rolled: list[Any]) -> None
 
 
 def _require_regular(words: Vocabulary, system: System) -> None:
-    """That the accelerations are determined, at a point without symmetry."""
+    """Check that the accelerations are determined, at a point without symmetry."""
     symbols = [words.t, *words.y, *words.p]
     point = np.random.default_rng(_SEED).uniform(0.2, 1.7, len(symbols))
     with np.errstate(all="ignore"):

@@ -284,7 +284,7 @@ def _formed(method: Any, *names: str) -> list[Any]:
 
 
 def _by_kane(method: Any, words: Vocabulary, n: int, named: Container[str]) -> _Made:
-    """`named`: laws that need not be found."""
+    """Take the equations of Kane's method. `named`: invariants that need not be found."""
     mass, force = _formed(method, "mass_matrix", "forcing")
     rates = method.kindiffdict()
     explicit = [words.coded(f"the derivative of {one}", rates[one.diff(words.time)]) for one in list(method.q)]
@@ -318,7 +318,8 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int, named: Container[str]) 
 
 
 def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
-    """A demand on positions, or one that is linear in velocities, is a constraint."""
+    """Return the invariant at its level: a prescribed function of positions, or one linear in velocities, is a
+    constraint."""
     if law.value is None:
         return law
     slopes = [law.formula.diff(one) for one in words.y[n:]]
@@ -351,7 +352,7 @@ def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> 
 
 
 def _says_the_same(law: Any, other: Any, words: Vocabulary) -> bool:
-    """Whether they differ by a constant, or their sum is one."""
+    """Return whether two expressions differ by a constant, or their sum is one."""
     symbols = [words.t, *words.y]
     there = {one: sympy.Rational(i + 2, i + 3) for i, one in enumerate(symbols)}
     both = (law - other, law + other)

@@ -88,7 +88,7 @@ def _integer_null_space(rows: Array) -> list[list[int]]:
 
 
 def vanishes(expression: Any, symbols: Sequence[Any]) -> bool:
-    """Whether the expression is zero: at random points, to many digits."""
+    """Return whether the expression is zero: at random points, to many digits."""
     if expression == 0:
         return True
     terms = sympy.Add.make_args(expression)

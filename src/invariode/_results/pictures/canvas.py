@@ -1,4 +1,4 @@
-"""What all pictures share: figures, names, colours, legends, marks of events."""
+"""Elements that all pictures share: figures, names, colours, legends, marks of events."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> A
 
 
 def log_axis(axis: Axis, formulas: bool = True) -> None:
-    """Shows at least a factor of ten, with numbers that are few enough not to touch. `formulas`: set by matplotlib's
+    """Show at least a factor of ten, with numbers that are few enough not to touch. `formulas`: set by matplotlib's
     parser, which takes its time; otherwise the same as text."""
     from matplotlib.ticker import FuncFormatter
 
@@ -188,7 +188,7 @@ def mark(ax: Axes, place: Sequence[Array], label: str, marker: str) -> None:
 
 
 def positive(values: Array) -> Array:
-    """NaN for zeros, which a logarithmic axis cannot show."""
+    """Return the values with NaN for those that are not positive, which a logarithmic axis cannot show."""
     return np.where(values > 0, values, np.nan)
 
 
@@ -202,7 +202,7 @@ def components(sol: Result, chosen: Any) -> list[int]:
 
 
 def require_points(sol: Result) -> None:
-    """Refuses to draw a run that took steps but kept only the last point."""
+    """Raise a ValueError for a run that took steps but kept only the last point."""
     if sol.sol is None and len(sol.t) == 1 and sol.stats.steps > 0 and sol.t[0] == sol.t_end:
         raise ValueError(
             'the run kept only its final state: for a picture solve with keep="all", the default, or with times in '

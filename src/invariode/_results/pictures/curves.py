@@ -121,7 +121,7 @@ def line_and_marks(
 
 
 def draw_over_t(ax: Axes, sol: Result, t: Array, y: Array, smooth: bool, properties: dict[str, Any]) -> None:
-    """One component, its marks apart; a long one by columns."""
+    """Draw one component, with its marks separately; a long one is drawn as columns from minimum to maximum."""
     line = line_and_marks(sol, smooth, properties)[0]
     turns = int(np.count_nonzero(np.diff(np.sign(np.diff(y[np.isfinite(y)])))))
     busy = turns > _BUSY

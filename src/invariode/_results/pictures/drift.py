@@ -75,7 +75,7 @@ def _label(g: BoundInvariants, relative: bool) -> str:
 
 
 def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[BoundInvariants, Array, Array]:
-    """The same in units of the values."""
+    """Return the invariants, residuals and largest residuals in units of the invariants' values."""
     if zero := [name for name, value in zip(g.names, g.value, strict=True) if value == 0]:
         raise ValueError(f"{', '.join(zero)} is held at 0, which has no relative drift: leave out relative=True")
     size = np.abs(g.value)

@@ -70,7 +70,7 @@ def _bands(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
 
 
 def _name_bands(ax: Axes) -> None:
-    """In the legend, without a colour: they are those of all components. The inner one lies on the outer one."""
+    """Add the bands to the legend, in grey since all components have them. The inner band lies on the outer one."""
     opaque = 0.0
     for low, high, alpha in _BANDS:
         opaque = 1 - (1 - opaque) * (1 - alpha)

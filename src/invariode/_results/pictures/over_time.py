@@ -57,7 +57,7 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[
 
 
 def _piles_up(t: Array) -> bool:
-    """Whether a linear axis shows half of the outputs at one place, its beginning, with steps over many decades."""
+    """Return whether a linear axis shows half of the outputs at its beginning, with steps over many decades."""
     h = np.diff(t)
     h = h[h > 0]
     early = len(t) > 0 and t[0] >= 0 and np.median(t) < _BEGINNING * t[-1]

@@ -55,7 +55,7 @@ def over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
 
 
 def shade_turns(panels: Array, steps: Steps) -> None:
-    """Where methods take turns: the steps of the second one on a grey ground, with its name."""
+    """Shade the steps of the second of two methods that take turns, and write its name there."""
     methods = steps.method
     if not len(methods) or (methods == methods[0]).all():
         return

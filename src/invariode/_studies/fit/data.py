@@ -101,7 +101,7 @@ def _labels(values: Any) -> Array | None:
 
 
 def _row_numbers(values: Any) -> bool:
-    """Whether an index only counts rows from 0, as that of a table does to which nobody has given one."""
+    """Return whether an index only counts rows from 0, as in a table without an index of its own."""
     index = values.index
     return type(index).__name__ == "RangeIndex" and index.start == 0 and index.step == 1
 

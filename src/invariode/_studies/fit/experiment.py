@@ -1,4 +1,4 @@
-"""One experiment: a problem, its data and their standard deviations."""
+"""Experiments: a problem, its data and their standard deviations."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Experiment:
             )
 
     def _series(self) -> Iterator[Series]:
-        """One series for each quantity and each event with data."""
+        """Yield the data of each quantity and of each event that has any."""
         rows = len(self.data.values)
         for j, (name, sigma) in enumerate(zip(self.names, _rows(self.sigma, self.names, self.data), strict=True)):
             there = np.flatnonzero(~np.isnan(self.data.values[j]))
@@ -171,9 +171,9 @@ class Experiment:
         return float(max(np.nanmax(one, initial=-np.inf) for one in times))
 
     def ended(self) -> Problem:
-        """The problem with the end that the data give, if it has no other. If times of one event are all there is, it
-        is terminal at the last one of them; otherwise runs go on beyond the last of these times, in case events come
-        later in a trial."""
+        """Return the problem with the end that the data give, if it has no other. If times of one event are all there
+        is, it is terminal at the last one of them; otherwise runs continue beyond the last of these times, in case
+        events come later in a trial."""
         problem, t0 = self.problem, self.problem.t_span[0]
         if not self.events:
             return problem.replace(t_span=(t0, self.last))
@@ -212,21 +212,21 @@ class Experiment:
         )
 
     def takes(self, name: str) -> bool:
-        """Whether a parameter of this name is one of its own."""
+        """Return whether the experiment has a parameter of this name."""
         return name in self.observation.extras or self.is_level(name) or self.dynamic(name) is not None
 
     def is_level(self, name: str) -> bool:
-        """Whether it is a noise level."""
+        """Return whether a parameter of this name is a noise level."""
         return any(one.level == name for one in self.series)
 
     def value(self, name: str) -> float | None:
-        """Its value in the problem, or its default in `observe`."""
+        """Return the parameter's value in the problem, or its default in `observe`."""
         if (one := self.dynamic(name)) is not None:
             return float(values_of(self.problem.args, self.problem.y0, [one])[0])
         return self.observation.extras.get(name)
 
     def known(self) -> list[str]:
-        """Names of its parameters, for messages."""
+        """Return names of the experiment's parameters, for messages."""
         try:
             of_args = [one.name for one in self.found(True)]
         except ValueError:

@@ -59,7 +59,7 @@ class Profile:
 
 
 class Scale(NamedTuple):
-    """How costs become standard errors."""
+    """Factors that convert costs into standard errors."""
 
     quantile: float
     variance: float  # of which half the cost is in units
@@ -72,7 +72,7 @@ class _Point(NamedTuple):
 
 
 class Walk:
-    """From the best fit towards one end of the interval.
+    """Walk along the profile from the best fit towards one end of the interval.
 
     Parameters
     ----------
@@ -123,7 +123,8 @@ class Walk:
         return self._value(u) if outside is not None else math.copysign(math.inf, self._step)
 
     def _next(self, inside: _Point, outside: _Point | None) -> float:
-        """Where the statistic reaches the quantile if it is a straight line; without limits farther by a factor."""
+        """Return the next u: where a straight line reaches the quantile; without an outer point farther by at most a
+        factor."""
         start = float(self._start[self._place])
         if outside is None:
             far = inside.u - start

@@ -114,7 +114,7 @@ class Fit:
 
     @property
     def _unscaled(self) -> bool:
-        """Whether sigma is to be estimated, and no degrees of freedom are left to do so."""
+        """True if sigma is to be estimated, and no degrees of freedom are left to do so."""
         return self._known.degrees <= 0
 
     @property
@@ -392,7 +392,7 @@ class Fit:
         return found
 
     def _no_sigma(self) -> str:
-        """Why there are no standard errors, and what to do."""
+        """Return the reason why there are no standard errors, and what to do."""
         count = self._inner - sum(one.level for one in self._model.space.free)
         return (
             f"{self._model.size} data for {count} parameters leave none to estimate sigma, so that the standard errors "

@@ -89,7 +89,7 @@ def weighted(loss: str, residuals: Array) -> Weighted:
 
 
 class Found(NamedTuple):
-    """Where a search ended.
+    """End of a search.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class NoStartError(Exception):
 
 
 class _Arrived(Exception):  # noqa: N818 - no error: it ends a search
-    """The next step would be too small to matter."""
+    """Signal that the next step would be too small to matter."""
 
 
 def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Found:
@@ -253,7 +253,7 @@ class _Round:
         return np.full(self._count, np.nan)  # a step that is not taken
 
     def _jacobian(self, u: Array) -> Array:
-        """Of an accepted step: the search ends here if the next one would be too small."""
+        """Return the Jacobian of an accepted step; the search ends here if the next step would be too small."""
         at = self._model.evaluate(self._free(u))
         assert isinstance(at, Evaluation)
         self._last = at
@@ -333,7 +333,7 @@ def start_points(model: Model, count: int, seed: Any) -> list[Array]:
 
 
 def _with_first_levels(model: Model, free: Array) -> Array:
-    """Noise levels without a start have the size of the first residuals."""
+    """Return the start with noise levels, where they have no start, of the size of the first residuals."""
     unknown = [i for i, one in enumerate(model.space.free) if one.level and one.start is None]
     at = model.evaluate(free) if unknown else None
     return _with_levels(model, at, unknown) if isinstance(at, Evaluation) else free

@@ -1,4 +1,4 @@
-"""What the model says of an experiment: one run with its sensitivities, observed at the times of the data."""
+"""Simulation of an experiment: one run with its sensitivities, observed at the times of the data."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Curves(NamedTuple):
 
 
 class _Start(NamedTuple):
-    """Where a run starts, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
+    """Start of a run, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
 
     args: tuple[Any, ...]
     y0: Array
@@ -129,8 +129,8 @@ class Simulation:
         return _Runs(self._problem.replace(t_span=(t0, tf)), self._method, {**self._options, **own})
 
     def _wanted(self, values: Array) -> Sensitivities | None:
-        """Those of the runs: of the parameters; if they start at a steady state, it depends on the parameters by way of
-        y0. Their sizes are those at the start of the search, so that runs differ in nothing else."""
+        """Return the sensitivities of the runs to the parameters. A start at a steady state depends on the parameters
+        by way of y0. The sizes are those at the start of the search, so that runs differ in nothing else."""
         problem, y0 = self.experiment.problem, self.experiment.problem.y0
         floor = np.broadcast_to(np.divide(self._options["atol"], self._options["rtol"]), y0.shape)
         names: list[str] = []

@@ -1,4 +1,4 @@
-"""How well the data determine the parameters: Fisher information, covariance, and what they leave open."""
+"""Uncertainty of fitted parameters: Fisher information, covariance, and what the data leave undetermined."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INVOLVED = 0.1
 
 
 class Uncertainty(NamedTuple):
-    """In values of the free parameters.
+    """Covariance and Fisher information of the free parameters, in their values.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Uncertainty(NamedTuple):
 
 
 def unknown_uncertainty(k: int) -> Uncertainty:
-    """What is said of k parameters if nothing could be computed."""
+    """Return the uncertainty of k parameters of which nothing could be computed: NaN."""
     nothing = np.full((k, k), np.nan)
     return Uncertainty(nothing, nothing.copy(), [], [], math.inf)
 
 
 def uncertainty(model: Model, found: Found) -> Uncertainty:
-    """That of the best parameters."""
+    """Compute the uncertainty of the best parameters."""
     space, at = model.space, found.at
     at_bound = _at_bounds(model, at)
     inner = _inner(model, at)
@@ -88,7 +88,7 @@ def _inner(model: Model, at: Evaluation) -> list[int]:
 
 
 def _estimates_sigma(model: Model, at: Evaluation) -> bool:
-    """Whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
+    """Return whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
     inner = _inner(model, at)
     return model.relative or any(bool(one.slope[inner].any()) for one in at.levels)
 
