@@ -15,7 +15,7 @@ namespace nb = nanobind;
 
 namespace invariode::binding {
 
-/// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
+/// The result of a run, its continuous solution with the objects that evaluating it needs, and its memory.
 struct FinishedRun {
   /// Which of its warnings were given while it went on.
   struct Told {

@@ -229,7 +229,7 @@ class DrivenRun {
         [&] { return holding_interpreter([&] { return PyErr_CheckSignals() == 0 && tell_if_due(); }); });
   }
 
-  /// The same with the interpreter held; the functions look for signals.
+  /// Runs with the interpreter held; the functions look for signals.
   bool with_interpreter(const Beginning& begin) {
     if (keeper_ && begin(run_) == State::running) {  // its start is kept before the first step
       do
@@ -244,7 +244,7 @@ class DrivenRun {
   /// That it has ended.
   bool tell_the_end() { return progress_.tell(run_.integration()) && keeper_.keep(run_, solver_); }
 
-  /// What it had established when it was interrupted; the exception stays the one that is on its way.
+  /// Tells the findings of a run that was interrupted; the exception stays the one that is on its way.
   void tell_the_interruption() {
     const nb::error_scope pending;
     if (!remarks_.tell(run_.integration())) PyErr_Clear();
@@ -434,7 +434,7 @@ class Stepper {
     return to_array<Vector>(std::vector<double>(y, y + n), n);
   }
   [[nodiscard]] Integration& integration() { return run_.integration(); }
-  /// What the run has done so far: it may go on afterwards.
+  /// Returns the result of the run so far: it may continue afterwards.
   [[nodiscard]] FinishedRun result() {
     Run::Marks none;
     return present(run_.result_since(none), solver_);

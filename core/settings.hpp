@@ -62,7 +62,7 @@ struct Settings {
   std::int64_t max_points = unlimited;                          ///< kept
   std::int64_t max_bytes = unlimited;                           ///< of all that is kept
 
-  /// Whether results have values between steps, and not only at their ends.
+  /// Returns whether results have values between steps, and not only at their ends.
   [[nodiscard]] bool looks_between() const {
     if (dense || sections) return true;
     return save_all && (output_at_times ? times.any_inside(t0, tf) : refine > 1);

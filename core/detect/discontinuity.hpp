@@ -27,7 +27,7 @@ class JumpSearch {
   Result decided_by_y(double t0);
   /// Where the jump is: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }
-  /// Of f, in the latest search.
+  /// Evaluations of f in the latest search.
   [[nodiscard]] std::int64_t evaluations() const { return f_.calls() - calls_before_; }
   /// Evaluations of f in all searches.
   [[nodiscard]] std::int64_t calls() const { return f_.calls(); }
@@ -92,8 +92,8 @@ class DiscontinuityDetector {
   void state(Archive& archive);
 
   static constexpr std::size_t most = 64;
-  /// Whether there may be another search after so many attempts and evaluations in search of jumps: where f jumps all
-  /// the time, as in sliding friction, these stay few.
+  /// Returns whether there may be another search after so many attempts and evaluations in search of discontinuities:
+  /// where f is discontinuous all the time, as in sliding friction, these stay few.
   static constexpr bool may_search(std::int64_t attempts, std::int64_t evaluations) {
     return evaluations <= 256 + attempts / 4;
   }

@@ -6,7 +6,7 @@
 
 namespace invariode {
 
-/// What is known of a series, apart from the points.
+/// The state of a series of failed attempts, apart from the points.
 struct SeriesState {
   int count;               // failed attempts
   bool failed;             // the latest attempt

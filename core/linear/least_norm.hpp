@@ -87,7 +87,8 @@ class PivotedBasis {
 /// Remembers the pattern for which something was prepared.
 class KnownPattern {
  public:
-  /// Whether A has another pattern than the one before: an equality, since entries move without changing their number.
+  /// Takes the pattern of A; returns whether it differs from the one before: an equality, since entries move without
+  /// changing their number.
   [[nodiscard]] bool renew(const Eigen::SparseMatrix<double>& A);
 
  private:

@@ -106,8 +106,8 @@ void ActiveSet::note_unwilling(const double* y) {
   }
 }
 
-/// Whether the invariants that were left out, some perhaps since the fixed components leave nothing to correct them
-/// with, are nearer than they were `before`; if they are not, `not_finite`.
+/// Checks that the invariants that were left out, some perhaps since the fixed components leave nothing to correct them
+/// with, are nearer than they were `before`; if they are not, returns `not_finite`.
 Outcome ActiveSet::judge_left_out(double t, const double* y, std::span<const double> before) {
   bool any = false;
   for (std::size_t i = 0; i < residual_.size(); ++i) any = any || projector_.left_out(i);

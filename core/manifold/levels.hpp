@@ -24,7 +24,8 @@ class Levels {
   /// fit.
   explicit Levels(const Invariants& invariants);
 
-  /// Whether the invariants have levels at all; without them the correction is that of the paper, of all together.
+  /// Returns whether the invariants have levels at all; without them the correction is that of the paper, of all
+  /// together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
   /// Takes the metrics at (t, y).

@@ -44,7 +44,7 @@ struct MotionTerms {
   double dependent = 0;  ///< rows that depend on others to this part of their length are left out
 };
 
-/// What the evaluations have cost so far.
+/// The cost of the evaluations so far.
 struct MotionWork {
   std::int64_t mass, force, constraints, velocity_constraints, kinematics, jacobian;  ///< calls of functions
   std::int64_t sparse, dense;                                                         ///< factorisations
@@ -102,10 +102,10 @@ class Motion {
   [[nodiscard]] std::size_t m_psi() const { return kept_psi_.size(); }
   /// How many values the mass has as a part.
   [[nodiscard]] std::size_t mass_size() const { return diagonal_mass_ ? n_v() : n_v() * n_v(); }
-  /// Whether sparse factors are tried before dense ones.
+  /// Returns whether sparse factors are tried before dense ones.
   [[nodiscard]] bool sparse() const { return sparse_; }
   [[nodiscard]] MotionWork work() const;
-  /// What v' is good to, relative to its size; 0: roundoff.
+  /// Relative error of v'; 0: roundoff.
   [[nodiscard]] double relative_error() const;
 
  private:

@@ -37,7 +37,7 @@ struct NystromTableau {
   std::array<std::array<double, Degree>, all_stages> B_q, B_v;
 
   [[nodiscard]] constexpr std::array<double, all_stages> b_bar() const { return A[Stages - 1]; }
-  /// Whether f(t₁, q*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
+  /// Returns whether f(t₁, q*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E_v[Stages - 1] != 0; }
 };
 

@@ -403,8 +403,8 @@ Outcome Radau::accept(const double* y1) {
   return Outcome::ok;
 }
 
-/// Of the next step, whose |h| is known. More stages are tried where the iteration converges so fast that longer steps
-/// would not slow it down, and where the error limits h.
+/// Chooses the order of the next step, whose |h| is known. More stages are tried where the iteration converges so fast
+/// that longer steps would not slow it down, and where the error limits h.
 void Radau::choose_order(double h) {
   steps_until_raise_ = std::max(0, steps_until_raise_ - 1);
   const double rate = convergence_.rate(), change = h / h_;

@@ -57,7 +57,7 @@ class Interpolant {
 
   /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
   Status value(const Segment& segment, double t, double* y);
-  /// The same without projection: cheap, and equal to `value` at both ends.
+  /// Evaluates with the corrections but without projection: cheap, and equal to `value` at both ends.
   void corrected(const Segment& segment, double t, double* y) const { corrected(segment, {&t, 1}, y); }
   /// At several t, (count, n).
   void corrected(const Segment& segment, std::span<const double> t, double* y) const;
@@ -86,8 +86,8 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  /// Of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has projected the step,
-  /// and knows its weights. Null without invariants.
+  /// Makes the interpolant of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has
+  /// projected the step, and knows its weights. Null without invariants.
   StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between, TangentProjector* tangent,
                   const Projector* steps, const Bounds* bounds = nullptr);
 
@@ -102,7 +102,7 @@ class StepInterpolant {
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
 
-  /// What is known of the start of the next step.
+  /// Archives the data of the start of the next step.
   void state(Archive& archive) { archive(g_known_, g_t_, g_end_, tangent_end_); }
 
   Status value(double t, double* y);

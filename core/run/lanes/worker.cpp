@@ -36,7 +36,7 @@ std::vector<Callback> functions_of(const Problem& problem) {
   return functions;
 }
 
-/// The same, with one lane.
+/// Makes the form of the functions for one lane.
 LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   LaneForm form;
   const auto called = [&functions](std::size_t i) { return lanes::Called{evaluate_alone, &functions[i]}; };
