@@ -59,7 +59,7 @@ class _Elimination:
                 candidates[k] = self._best(k)
 
     def _best(self, i: int) -> tuple[int, int, int] | None:
-        """The cheapest safe pivot of a row: (Markowitz's cost, row, column)."""
+        """Return the cheapest safe pivot of a row: (Markowitz's cost, row, column)."""
         row = self.rows[i]
         numbers = {j: abs(x.value) for j, x in row.items() if x.op == "number"}
         largest = max(numbers.values(), default=0.0)

@@ -121,7 +121,8 @@ class Unknowns:
         self.count = len(reduction.states) or 1
 
     def sensitivities(self, t: Array, states: Array, S: Array, p: Array, places: tuple[int | None, ...]) -> Array:
-        """∂y/∂p, (n, k, n_t), from those of the states, (s, k, n_t); `places` of the parameters among the arguments."""
+        """Return ∂y/∂p, (n, k, n_t), from those of the states, (s, k, n_t); `places` of the parameters among the
+        arguments."""
         if places not in self.sensitive:
             nodes, n = self.y.nodes, self.count
             made = Derived("unknowns", nodes, n, "own").tangents(places).fun.outputs

@@ -325,7 +325,7 @@ class _Stage:
 
 
 def _least_norm(A: Array, r: Array) -> tuple[Array, bool]:
-    """The x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
+    """Return the x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
     if max(A.shape) > _DENSE and (found := _by_factors(A, r)) is not None:
         return found, False
     x, _, rank, _ = np.linalg.lstsq(A, r, rcond=_RANK)

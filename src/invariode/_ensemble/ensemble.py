@@ -165,8 +165,8 @@ def _source(problem: Description, wanted: Wanted) -> Rows:
 
 
 def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
-    """The initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows; those of
-    the problem for what is not given."""
+    """Return the initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows;
+    those of the problem for what is not given."""
     states = problem.y0 if y0 is None else numbers("y0", y0)
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
@@ -188,7 +188,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
 
 
 def _named(problem: Description, args: Any) -> Any:
-    """args of a problem with parameters by name: columns or rows of them become rows of records."""
+    """Return args of a problem with parameters by name: columns or rows of them become rows of records."""
     if problem.parameters is None or args is None or isinstance(args, tuple):
         return args
     if isinstance(args, Mapping):

@@ -30,7 +30,7 @@ class Executor(Protocol):
 
 
 def executor_of(given: Any) -> Executor:
-    """An executor, from one or from a client of Dask.
+    """Return an executor, from one or from a client of Dask.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def places_of(given: Any) -> int:
 
 
 def packed(value: Any) -> bytes:
-    """A pickle with the functions of the user's own script in it, where cloudpickle is there."""
+    """Return a pickle with the functions of the user's own script in it, where cloudpickle is there."""
     try:
         import cloudpickle
     except ImportError:
@@ -89,8 +89,8 @@ def packed(value: Any) -> bytes:
 
 
 def _with_code(cloudpickle: Any, value: Any) -> bytes:
-    """A pickle by cloudpickle. Its own rule, that what `__main__` defines travels with its code, holds for compiled
-    functions too: they are compiled anew where they arrive."""
+    """Return a pickle by cloudpickle. Its own rule, that what `__main__` defines travels with its code, holds for
+    compiled functions too: they are compiled anew where they arrive."""
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # an extra, imported when it is used
         def reducer_override(self, obj: Any) -> Any:

@@ -16,7 +16,8 @@ from .solution import EnsembleEvents
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:
-    """The statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one more."""
+    """Return the statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one
+    more."""
     by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
     del by_name["dropped"], by_name["harmed"]
     return by_name
@@ -121,7 +122,7 @@ def joined(parts: Sequence[Outcomes]) -> Outcomes:
 
 
 def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
-    """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
+    """Return occurrences as trajectories ended, by trajectory; those of each one are in order."""
     order = np.argsort(trajectory, kind="stable")
     return EnsembleEvents(trajectory[order], t[order], y[order])
 

@@ -155,7 +155,7 @@ def _on_threads(
 
 
 def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array | None]:
-    """The rows that the core starts from, and rows of tolerances of sensitivities, if there are any."""
+    """Return the rows that the core starts from, and rows of tolerances of sensitivities, if there are any."""
     if plan.varied is None:
         return y0, None
     start, size = plan.varied.start.ravel(), len(y0)
@@ -164,13 +164,13 @@ def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array |
 
 
 def _apart(Y: Array, n: int, k: int) -> tuple[Array, Array]:
-    """y (N, n, ...) and S (N, n, k, ...) of rows ((1 + k) n, ...)."""
+    """Return y (N, n, ...) and S (N, n, k, ...) of rows ((1 + k) n, ...)."""
     parts = Y.reshape(len(Y), 1 + k, n, *Y.shape[2:])
     return np.ascontiguousarray(parts[:, 0]), np.ascontiguousarray(np.swapaxes(parts[:, 1:], 1, 2))
 
 
 def _parameters(task: Task, plan: Plan) -> Array:
-    """The parameters of the native functions, one row for each trajectory."""
+    """Return the parameters of the native functions, one row for each trajectory."""
     size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
         same = np.empty((size, len(p)))

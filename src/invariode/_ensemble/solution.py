@@ -66,7 +66,7 @@ class Trajectories:
         return self
 
     def invariants(self, i: int, value: Array) -> BoundInvariants:
-        """The invariants of a trajectory, at its values."""
+        """Return the invariants of a trajectory, at its values."""
         if self.bound is None or not np.isfinite(value).all():
             return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
         args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
@@ -81,7 +81,7 @@ class Trajectories:
 
 
 def final_states(y_end: Array, status: Array) -> Array:
-    """The final states (N, n, 1), NaN for trajectories that failed."""
+    """Return the final states (N, n, 1), NaN for trajectories that failed."""
     return np.where((status >= 0)[:, None], y_end, np.nan)[:, :, None]
 
 
@@ -283,7 +283,7 @@ class EnsembleSolution:
         return None if self._trajectories is None else self._trajectories.error
 
     def keys(self) -> list[str]:
-        """The names of the fields."""
+        """Return the names of the fields."""
         return [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
 
     def __contains__(self, name: object) -> bool:
@@ -414,7 +414,7 @@ class EnsembleSolution:
         return draw_ensemble(self, choice("kind", kind, ("bands", "quantiles", "spaghetti")), ax, components, line)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The trajectories as a labelled data set of xarray.
+        """Return the trajectories as a labelled data set of xarray.
 
         Returns
         -------
@@ -430,7 +430,7 @@ class EnsembleSolution:
         return ensemble_to_xarray(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The trajectories as a table of pandas.
+        """Return the trajectories as a table of pandas.
 
         Returns
         -------
@@ -463,7 +463,9 @@ class EnsembleSolution:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
-        """The result that `save` wrote to a file. Its trajectories have no invariants: functions are not in files.
+        """Load the result that `save` wrote to a file.
+
+        Its trajectories have no invariants: functions are not in files.
 
         Raises
         ------

@@ -34,7 +34,7 @@ class Part(NamedTuple):
 
 
 def rows_of(args: Any, chosen: Any) -> Any:
-    """The args of some rows, given as indices or as a slice."""
+    """Return the args of some rows; the rows are given as indices or as a slice."""
     if isinstance(args, tuple):
         return args
     if isinstance(args, np.ndarray):
@@ -137,13 +137,13 @@ def _joined(blocks: list[tuple[Array, Any]]) -> tuple[Array, Any]:
 
 
 def rejoined(parts: list[Part]) -> tuple[Array, Any]:
-    """The rows of all parts, in their order."""
+    """Return the rows of all parts, in their order."""
     y0, args = _joined([(part.y0, part.args) for part in parts])
     return y0, parts[0].args if isinstance(parts[0].args, tuple) else args
 
 
 def digest(part: Part) -> int:
-    """A number that tells the rows of a part from others; never 0."""
+    """Return a number that tells the rows of a part from others; never 0."""
     found = hashlib.blake2b(np.ascontiguousarray(part.y0).tobytes(), digest_size=DIGEST)
     for piece in _pieces(part.args):
         found.update(piece)

@@ -158,8 +158,8 @@ class StoreWriter:
             self._lock.release()
 
     def _created_beside(self, folder: Path, length: int, size: int | None, seed: Any) -> Any:
-        """A new store on this machine: it gets its name when it is complete. What a killed process has left there is
-        overwritten."""
+        """Return a new store on this machine: it gets its name when it is complete. What a killed process has left
+        there is overwritten."""
         part = folder.with_name(f".{folder.name}.invariode-part")
         if folder.is_dir() and any(folder.iterdir()):
             raise ValueError(f"the folder {folder} is there, and is not a store of an ensemble: give another name")
@@ -319,7 +319,7 @@ class EnsembleStore:
         return f"EnsembleStore({named(self.path)!r}) of {len(self)} trajectories, {len(self.failed)} failed{left}"
 
     def _of_parts(self, name: str) -> Iterator[tuple[int, Array]]:
-        """An array part by part, with the first row of each: no more than a part is in memory."""
+        """Yield an array part by part, with the first row of each: no more than a part is in memory."""
         length = int(self.attributes["chunk"])
         for start in range(0, len(self), length):
             yield start, self._group[name][start : min(start + length, len(self))]
@@ -360,7 +360,7 @@ class EnsembleStore:
         return [part for _, part in sorted(self._group["parts"].groups(), key=lambda named: int(named[0]))]
 
     def to_xarray(self) -> xarray.Dataset:
-        """The store as a data set of xarray, which reads only what is used.
+        """Return the store as a data set of xarray, which reads only what is used.
 
         Returns
         -------
@@ -491,8 +491,8 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
-    """Names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one. Empty:
-    they are not numbers."""
+    """Return names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one.
+    Empty: they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)
     except (TypeError, ValueError):

@@ -56,7 +56,7 @@ class Ensemble:
 
 
 def first_plan(task: Task) -> tuple[int, Plan]:
-    """The first trajectory that has a plan, and the plan. What fails for many is wrong for all, and raised."""
+    """Return the first trajectory that has a plan, and the plan. What fails for many is wrong for all, and raised."""
     many = 100
     first_error = None
     if len(task.y0) == 0:

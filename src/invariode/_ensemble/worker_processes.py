@@ -55,7 +55,7 @@ def may_start() -> bool:
 
 
 def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callable[[int], T]) -> Generator[list[T]]:
-    """Lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
+    """Yield lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
 
     Parameters
     ----------
@@ -156,7 +156,8 @@ class _Workers(Generic[T]):
         self._processes: Mapping[int, BaseProcess] = {}
 
     def outcomes(self) -> Generator[list[T]]:
-        """The outcomes of a chunk at a time. If it is left early, by Ctrl-C for example, the processes are killed."""
+        """Yield the outcomes of a chunk at a time. If it is left early, by Ctrl-C for example, the processes are
+        killed."""
         try:
             executor = self._start()
             while self._given:
@@ -173,7 +174,8 @@ class _Workers(Generic[T]):
             raise
 
     def _solved(self) -> list[Path]:
-        """The outcomes of chunks that are solved, after some waiting; those of an executor that is broken are lost."""
+        """Return the outcomes of chunks that are solved, after some waiting; those of an executor that is broken are
+        lost."""
         files = []
         for future in wait(self._given, LISTENING, FIRST_COMPLETED).done:
             chunk = self._given.pop(future)
@@ -209,7 +211,7 @@ class _Workers(Generic[T]):
                 self._left.popleft()
 
     def fatal_rows(self) -> set[int]:
-        """The rows at which processes died by themselves: when one does, the executor terminates the others."""
+        """Return the rows at which processes died by themselves: when one does, the executor terminates the others."""
         ended = self._processes.values()
         theirs = {p.pid for p in ended if len(ended) == 1 or p.exitcode != -signal.SIGTERM}
         rows = {i for chunk in self.lost for i in chunk if self._work.at[i] in theirs}

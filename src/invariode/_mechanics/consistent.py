@@ -30,7 +30,7 @@ _FAR = 1e-4
 
 
 def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
-    """The state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
+    """Return the state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
 
     q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
     sense, which is linear. Where q' is not v, or M is not definite, q is the nearest one in the Euclidean sense.
@@ -65,7 +65,7 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
 
 
 def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
-    """The q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
+    """Return the q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
@@ -108,7 +108,7 @@ def _off(residual: Array, rows: Any, q: Array, q0: Array) -> Array:
 
 
 def _least_change(weight: Any, rows: Any, right: Array) -> Array:
-    """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
+    """Return the x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
     n = rows.shape[1]
     if hasattr(weight, "toarray") and hasattr(rows, "toarray"):
         found = _sparse_least_change(weight, rows, right)
@@ -157,7 +157,8 @@ def _entries(matrix: Any) -> Array:
 
 
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
-    """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
+    """Return a consistent state beside a consistent one, where nothing is singular by chance; that one, if none is
+    found."""
     direction = somewhere(at.q)
     for part in _BESIDE:
         try:

@@ -91,7 +91,7 @@ class OnTraces(TracedFunction):
 
 
 def of_state(one: OfState, n_q: int) -> TracedFunction | None:
-    """A user's function as one of (t, (q, v), *args); None: it is machine code alone."""
+    """Return a user's function as one of (t, (q, v), *args); None: it is machine code alone."""
     return OnTraces([one], n_q, lambda values: values[0]) if one.may_be_traced else None
 
 
@@ -221,7 +221,7 @@ class GraphsOfMotion:
 
 
 def _square(values: list[Node], graph: Graph, n: int) -> list[list[Node]]:
-    """A matrix (n, n) of its entries row by row, or of its diagonal."""
+    """Return a matrix (n, n) of its entries row by row, or of its diagonal."""
     if len(values) == n * n:
         return [values[i * n : (i + 1) * n] for i in range(n)]
     return [[values[i] if i == j else graph.node(0.0) for j in range(n)] for i in range(n)]

@@ -228,7 +228,7 @@ class Motion:
         return self.m_phi + self.m_psi
 
     def spec(self, kept: Array | None = None) -> _core.Mechanics:
-        """The system for the core; `kept`: which constraints it imposes."""
+        """Return the system for the core; `kept`: which constraints it imposes."""
         imposed = self.kept if kept is None else kept
         key = imposed.tobytes()
         if key not in self._specs:
@@ -291,7 +291,7 @@ class Motion:
             return _assembled(motion.mass(at.t, at.x), self.n_v)
 
     def metric(self) -> Any:
-        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
+        """Return M as the metric of corrections: a constant, its diagonal if that is all, or a function of t and (q, v).
 
         None if M is sparse with off-diagonal entries: corrections in that metric would cost more than they gain.
         """
@@ -519,7 +519,7 @@ def _far(residual: Array, rows: Any, x: Array, weights: Array, kept: Array) -> A
 
 
 def _square(given: Any, n: int) -> Any:
-    """The mass as given, (n,), (n, n) or sparse, of numbers."""
+    """Return the mass as given, (n,), (n, n) or sparse, of numbers."""
     mass = given if hasattr(given, "toarray") else np.asarray(given, dtype=float)
     if mass.shape not in ((n,), (n, n)):
         raise ValueError(f"mass must have shape ({n},) or ({n}, {n}), as v0 has {n} components, got {mass.shape}")
@@ -544,7 +544,7 @@ def _is_sparse(entries: int, m: int, n: int) -> bool:
 
 
 def _assembled(columns: tuple[Any, Any, Any], rows: int) -> Any:
-    """The matrix, dense, or by sparse rows if it is large and few entries are not zero."""
+    """Return the matrix, dense, or by sparse rows if it is large and few entries are not zero."""
     starts, indices, values = columns
     n = len(starts) - 1
     if not _is_sparse(int(np.count_nonzero(values)), rows, n):
@@ -562,7 +562,7 @@ def vanishing(rows: Any) -> Array:
 
 
 def lengths(rows: Any) -> Array:
-    """The Euclidean norms of the rows of a matrix, dense or sparse."""
+    """Return the Euclidean norms of the rows of a matrix, dense or sparse."""
     if not hasattr(rows, "toarray"):
         return np.asarray(np.linalg.norm(rows, axis=1))
     from scipy.sparse.linalg import norm
@@ -578,7 +578,7 @@ def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
 
 
 def _beside(start: Point) -> Iterator[Array]:
-    """Positions near the start, where nothing vanishes by chance."""
+    """Yield positions near the start, where nothing vanishes by chance."""
     for part in _BESIDE:
         yield start.q + part * somewhere(start.q)
 

@@ -160,7 +160,7 @@ class MechanicalSystem(HasPoints):
         consistent: Literal["check", "project"] = "check",
         correction: Literal["levels", "joint", "none"] = "levels",
     ) -> Problem:
-        """The initial value problem of y = (q, v).
+        """Return the initial value problem of y = (q, v).
 
         Parameters
         ----------
@@ -224,10 +224,10 @@ class MechanicalSystem(HasPoints):
         )
 
     def consistent(self, t: float, y: ArrayLike) -> Array:
-        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+        """Return the state nearest to y = (q, v), in the metric of the mass, that satisfies the constraints.
 
-        An event's action that changes velocities should return this: the joints react to an impact with impulses, which
-        change v by the least amount in this metric.
+        Positions are corrected first. An event's action that changes velocities should return this state: the joints
+        react to an impact with impulses, which change v by the least amount in this metric.
 
         Parameters
         ----------

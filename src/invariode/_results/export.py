@@ -37,7 +37,7 @@ class Exports(Result):
     """The data of a `Solution` in other forms, as its methods."""
 
     def to_xarray(self) -> xarray.Dataset:
-        """The solution as a labelled data set of xarray, which can be written as netCDF.
+        """Return the solution as a labelled data set of xarray, which can be written as netCDF.
 
         Returns
         -------
@@ -57,7 +57,7 @@ class Exports(Result):
         return to_xarray(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The outputs as a table of pandas.
+        """Return the outputs as a table of pandas.
 
         Returns
         -------
@@ -233,6 +233,6 @@ def _attributes(solution: Result) -> dict[str, Any]:
 
 
 def _tolerance(given: ArrayLike) -> float | list[float]:
-    """A tolerance as a number if it is one, or an array of one, which netCDF cannot distinguish."""
+    """Return a tolerance as a number if it is one, or an array of one, which netCDF cannot distinguish."""
     values = np.asarray(given, dtype=float)
     return float(values.item()) if values.size == 1 else [float(one) for one in values]

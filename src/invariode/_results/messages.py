@@ -44,7 +44,7 @@ class Laws(NamedTuple):
 
 
 def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message. `events`: their names."""
+    """Return the status of the Solution and its message. `events`: names of the events."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
     return status, remarked(message, run, events)
 
@@ -68,19 +68,20 @@ def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
 
 
 def about_jumps_of_fun(run: Run | Stepper) -> str:
-    """The warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none does."""
+    """Return the warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none
+    does."""
     if (since := run.sticks_since) is not None:
         return sticking(since)
     return discontinuous(run.discontinuities) if run.discontinuities else ""
 
 
 def limited_by_stability(since: float) -> str:
-    """The warning about an explicit method on a stiff problem."""
+    """Return the warning about an explicit method on a stiff problem."""
     return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
 
 
 def discontinuous(times: Sequence[float]) -> str:
-    """The warning about a right-hand side that jumps."""
+    """Return the warning about a right-hand side that jumps."""
     listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
     more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
     return (
@@ -90,7 +91,7 @@ def discontinuous(times: Sequence[float]) -> str:
 
 
 def sticking(since: float) -> str:
-    """The warning about a solution that stays where the right-hand side jumps."""
+    """Return the warning about a solution that stays where the right-hand side jumps."""
     return (
         f"from t = {since:.6g} on the solution sticks where fun jumps, as with dry friction, and steps become tiny; "
         "make the jump a steep but continuous function, such as tanh(v / v_s) for sign(v), or describe sticking as a "
@@ -99,7 +100,7 @@ def sticking(since: float) -> str:
 
 
 def accumulating(event: str, t: float, interval: float, count: int) -> str:
-    """The warning about an event whose actions accumulate."""
+    """Return the warning about an event whose actions accumulate."""
     return (
         f"{event}: its actions came closer and closer, {count} of them until t = {t:.12g} with {interval:.2g} between "
         f"the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
@@ -157,7 +158,7 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
 
 
 def out_of_bounds(what: str, component: int, bounds: Bounds | None) -> str:
-    """The text of the ValueError for a start that is outside its bounds."""
+    """Return the text of the ValueError for a start that is outside its bounds."""
     within = "" if bounds is None else f", {bounds.lower[component]} to {bounds.upper[component]},"
     return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
@@ -294,7 +295,7 @@ def _newton_failed(run: Run, pairs: bool) -> str:
 
 
 def inconsistent_start(verdict: str, t0: float) -> str:
-    """The text of the ValueError for a start that does not satisfy the algebraic equations."""
+    """Return the text of the ValueError for a start that does not satisfy the algebraic equations."""
     if verdict == "index_too_high":
         return (
             f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
@@ -393,7 +394,7 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
 
 
 def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
-    """The message of the InvariantError raised at the start of a run."""
+    """Return the message of the InvariantError raised at the start of a run."""
     names = laws.names
     name = names[run.finding_invariant]
     if run.finding == "off_value":
@@ -428,7 +429,7 @@ def formed(linear: Linear | None, run: Run) -> str | None:
 
 
 def complex_steps_left(t: float) -> str:
-    """The text of a warning: complex steps were chosen, and f did not take them."""
+    """Return the text of a warning: complex steps were chosen, and f did not take them."""
     return (
         f'jac="complex-step": at t = {t:.6g} fun is not finite for complex y, or drops its imaginary part; differences '
         "are used from there on. Write fun without abs, real, conj, norms and rounding of y, or use "
@@ -437,7 +438,7 @@ def complex_steps_left(t: float) -> str:
 
 
 def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bool) -> str:
-    """The text of a warning: what was said about the Jacobian contradicts fun."""
+    """Return the text of a warning: what was said about the Jacobian contradicts fun."""
     kind, t, row, column, lower, upper, change, predicted = found
     reals = 2 if pairs else 1
     i, j = row // reals, column // reals
@@ -458,7 +459,7 @@ def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bo
 
 
 def harmful_projection(components: str, distance: str) -> str:
-    """The text of an AccuracyWarning: which components projections move, and how far."""
+    """Return the text of an AccuracyWarning: which components projections move, and how far."""
     return (
         f"projection moved {components} by {distance}: it corrects other components at the cost of "
         f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "

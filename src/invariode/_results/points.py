@@ -15,7 +15,7 @@ class HasPoints:
     """A system whose motion can be shown as that of its points."""
 
     def _places(self, sol: Any) -> Callable[[float, Array], Any]:
-        """The points as a function of t and y, shape (k, 2) or (k, 3); a `ValueError` if there are no points."""
+        """Return the points as a function of t and y, shape (k, 2) or (k, 3); a `ValueError` if there are no points."""
         raise NotImplementedError
 
     def animate(self, sol: Any, **options: Any) -> Film:

@@ -21,7 +21,7 @@ LIMIT_REACHED, NOT_CONSERVED, FAILED, STOPPED = -3, -2, -1, 2
 
 
 def at_events(states: Array) -> Array:
-    """States at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
+    """Return states at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
     return states if len(states) else states.reshape(0)
 
 
@@ -359,7 +359,7 @@ class DenseSolution:
         return y[:, 0] if times.ndim == 0 else y
 
     def sensitivities(self, t: ArrayLike) -> Array:
-        """∂y/∂p at t, of a run with `sensitivities`.
+        """Return ∂y/∂p at t, of a run with `sensitivities`.
 
         Parameters
         ----------
@@ -461,7 +461,7 @@ class Result(dict[str, Any]):
         return self.__dict__
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with other values of some fields, and with what the user has added."""
+        """Return a copy with other values of some fields, and with what the user has added."""
         private = {
             **self.__getstate__(),
             **{name: changes.pop(name) for name in [*changes] if name.startswith("_")},
@@ -548,7 +548,7 @@ class Result(dict[str, Any]):
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:
-        """A table with the value of each invariant, and its largest residuals before and after projection.
+        """Return a table with the value of each invariant, and its largest residuals before and after projection.
 
         Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
         Jacobian are evaluated when this is called.

@@ -65,7 +65,7 @@ def _dense(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
 
 
 def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> dict[str, Array]:
-    """The occurrences of all events in one array for each field, after `none` of them, with the numbers of the
+    """Return the occurrences of all events in one array for each field, after `none` of them, with the numbers of the
     events."""
     numbered = [{"number": np.full(len(one["t"]), e), **one} for e, one in enumerate(each)]
     empty = {"number": np.zeros(0, dtype=np.int64), **none}
@@ -97,7 +97,7 @@ def _of_group(sol: Result) -> None:
 
 
 def _values_after(sol: Result) -> Array:
-    """The values of the invariants after each jump."""
+    """Return the values of the invariants after each jump."""
     g = sol._invariants
     return np.array([jump.value[: len(g)] for jump in g.jumps]).reshape(len(g.jumps), len(g))
 
@@ -161,7 +161,7 @@ OUTPUT = {
 
 
 def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The fields that the user has added."""
+    """Return the fields that the user has added."""
     own = {field.name for field in dataclasses.fields(Result)}
     return kept({name: value for name, value in sol.items() if name not in own})
 

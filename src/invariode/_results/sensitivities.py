@@ -47,7 +47,7 @@ class SensitivityData:
     events: AtEvents | None
 
     def joined(self, then: SensitivityData, points: int) -> SensitivityData:
-        """The first outputs, and those of the rest of the run."""
+        """Return the first outputs, and those of the rest of the run."""
         events = None if self.events is None or then.events is None else self.events.joined(then.events)
         return SensitivityData(
             self.names, np.concatenate([self.values[:, :, :points], then.values], axis=2), then.end, events
@@ -55,7 +55,7 @@ class SensitivityData:
 
 
 def states_and_sensitivities(Y: Array, n: int, k: int) -> tuple[Array, Array]:
-    """y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
+    """Return y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
     parts = Y.reshape(1 + k, n, *Y.shape[1:])
     return parts[0], np.swapaxes(parts[1:], 0, 1)
 

@@ -300,7 +300,8 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
 
 
 def _dense(parts: list[dict[str, Any]], n: int, end: float) -> Dense | None:
-    """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
+    """Return the continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few
+    times."""
     wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
     if 0 < len(wholes) < len(parts):
         raise ValueError("not all of its parts have a continuous solution")

@@ -101,7 +101,7 @@ class _Integrator(NamedTuple):
 
 
 def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
-    """The integrator with this name, SciPy's or invariode's, with its parameters."""
+    """Return the integrator with this name, SciPy's or invariode's, with its parameters."""
     parameters = dict(given)
     found = _scipys(name)
     if found is None:
@@ -153,7 +153,7 @@ def _ours(name: Any) -> MethodName:
 
 
 def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
-    """The method that replaces an integrator; like SciPy, abbreviations of vode's `method` are accepted."""
+    """Return the method that replaces an integrator; like SciPy, abbreviations of vode's `method` are accepted."""
     hints = {one: parameters.pop(one, None) for one in _HINTS}
     kind = hints["method"]
     if kind is None or "" in theirs.methods:
@@ -182,7 +182,7 @@ class _Calls:
         self.jac_params: tuple[Any, ...] = ()
 
     def jacobian(self) -> Any:
-        """``jac(t, y, *f_params)``, as problems call it."""
+        """Return ``jac(t, y, *f_params)``, as problems call it."""
         jac: Any = self.jac
         if jac is None or is_native(jac):
             return jac
@@ -402,7 +402,7 @@ class ode:  # noqa: N801 - SciPy's name
     # Implementation
 
     def _chosen(self) -> _Integrator:
-        """The integrator; 'vode', SciPy's default, if none was set."""
+        """Return the integrator; 'vode', SciPy's default, if none was set."""
         if self._integrator is None:
             self._integrator = _integrator("vode", {})
         return self._integrator
@@ -412,7 +412,7 @@ class ode:  # noqa: N801 - SciPy's name
         self._problem = self._plan = self._walk = None
 
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
-        """A run from here to `tf`. If there is a plan, invariants keep its values."""
+        """Return a run from here to `tf`. If there is a plan, invariants keep its values."""
         calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
         if self._plan is None or self._plan.settings.forward != math.copysign(1.0, endless):
             held = None if self._plan is None else self._plan.bound.value

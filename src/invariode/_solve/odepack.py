@@ -320,7 +320,7 @@ def _switch(name: str, value: object) -> bool:
 
 
 def _count(name: str, value: object) -> int:
-    """A number of steps or diagonals; None and negative ones are 0."""
+    """Return a number of steps or diagonals; None and negative ones are 0."""
     return 0 if value is None else max(_integer(name, value), 0)
 
 
@@ -386,7 +386,7 @@ class _Counter:
 
 
 def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None) -> Any:
-    """A function of (y, t, ...), or of (t, y, ...) already, as one of (t, y, ...), which may count its calls."""
+    """Return a function of (y, t, ...), or of (t, y, ...) already, as one of (t, y, ...), which may count its calls."""
     if is_native(fun):
         if not tfirst:
             raise TypeError(f"{name} is machine code, which takes t first: give tfirst=True")
@@ -438,7 +438,7 @@ def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
 
 
 def _rows(y: Array, asked: _Times) -> Array:
-    """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
+    """Return the solution at the requested times, (n_t, n); NaN behind the end of the run."""
     rows = np.ascontiguousarray(y.T)
     if missing := len(asked.times) - len(rows):
         rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])

@@ -117,7 +117,7 @@ class PreparedSolver:
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 
     def _run(self, y0: Array, args: tuple[Any, ...] | None, cover: Cover | None) -> _core.Run | None:
-        """The run of an idle solver. None: y0 is not finite, or the functions take other arguments."""
+        """Return the run of an idle solver. None: y0 is not finite, or the functions take other arguments."""
         try:
             core = self._idle.pop()
         except IndexError:

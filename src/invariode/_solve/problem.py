@@ -112,7 +112,7 @@ class Problem(Description):
 
     @documented(options=table_of(Options))
     def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
-        """A solver for this problem with any y0, args and interval, which checks everything else only once.
+        """Return a solver for this problem with any y0, args and interval, which checks everything else only once.
 
         For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps if all
         functions are native and `keep` is 'end' or 'outputs'. If the problem must be checked again for another

@@ -89,11 +89,12 @@ class CheckReport:
     __repr__ = __str__
 
     def verdict(self, i: int) -> str:
-        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
+        """Return the verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for
+        `invariode.Dissipated`."""
         return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def rows(self) -> list[tuple[str, ...]]:
-        """The table: name, value, residual, rate, rate in units of its terms, verdict of each invariant."""
+        """Return the table: name, value, residual, rate, rate in units of its terms, verdict of each invariant."""
         numbers = zip(self.names, self.value, self.residual, self.rate, self.angle, strict=True)
         return [
             (name, f"{value:.6g}", f"{residual:.2e}", f"{rate:.2e}", f"{angle:.1e}", self.verdict(i))
@@ -166,7 +167,7 @@ def check_invariants(
 def checked_at(
     given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
 ) -> CheckReport:
-    """The report on the invariants of a problem at a point."""
+    """Return the report on the invariants of a problem at a point."""
     extra, listed = given.args, given.invariants
     least, threshold, scale = tolerances(rtol, atol, point)
     bound = bind(listed, at, point, extra, threshold)
@@ -203,7 +204,7 @@ _STEPS, _ALONG = 20, 4
 
 
 def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
-    """Points of a short run, and others around the start, in every direction; the same ones every time."""
+    """Return points of a short run, and others around the start, in every direction; the same ones every time."""
     t, y = problem.t_span[0], problem.y0
     run: list[tuple[float, Array]] = []
 

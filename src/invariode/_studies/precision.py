@@ -88,7 +88,7 @@ class Reference:
         return None if self.lowest is None else below_zero(y0, lowest.values, self.lowest, atol)
 
     def error(self, y: Array) -> float:
-        """The largest error of a component, relative to its largest size along the solution."""
+        """Return the largest error of a component, relative to its largest size along the solution."""
         error = float((np.abs(y - self.y) / self.size).max(initial=0))
         return error if math.isfinite(error) else math.inf
 
@@ -126,7 +126,7 @@ class Row:
 
 
 def able(problem: Problem) -> list[Method]:
-    """The methods that can solve the problem."""
+    """Return the methods that can solve the problem."""
     mass = problem.matrices.mass
     if mass is None:
         return [m for m in METHODS.values() if _takes(m, problem)]
@@ -158,8 +158,8 @@ def _stiffness_untold() -> Iterator[None]:
 
 
 def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
-    """The final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for stiff
-    problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
+    """Return the final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for
+    stiff problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
     plain = unprojected(problem)
     pairs = [_IMPLICIT] if problem.matrices.mass is not None or _stiff(plain, seconds) else [_EXPLICIT, _IMPLICIT]
     obstacles: list[str] = []
@@ -295,7 +295,7 @@ class _Curve:
         self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
 
     def __call__(self, error: float) -> float:
-        """The cost of at most this error; infinite if no run has it."""
+        """Return the cost of at most this error; infinite if no run has it."""
         if error < self.least * (1 - 1e-12):
             return math.inf
         return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
@@ -377,7 +377,7 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
 
 
 def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
-    """The least cost of the error and the method that has it; infinite if it may be another one's."""
+    """Return the least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
     return (math.inf if open_ended else cost), method
@@ -404,7 +404,7 @@ def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curv
 
 
 def _decades(least: float, largest: float) -> list[float]:
-    """The powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
+    """Return the powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
     if not 0 < least < largest < math.inf:
         return []
     powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
@@ -417,5 +417,5 @@ def unprojected(problem: Problem) -> Problem:
 
 
 def power(error: float) -> str:
-    """An error in one digit: 1e-4, not 1e-04."""
+    """Return an error in one digit: 1e-4, not 1e-04."""
     return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")

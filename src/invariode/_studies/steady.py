@@ -273,7 +273,7 @@ class SteadyStates:
         self.totals = self._conserved(totals, problem)
 
     def _at_start(self, problem: Problem) -> tuple[Any, Derived | None]:
-        """f(t0, y, *args) as a function that does not depend on t, and its graph."""
+        """Return f(t0, y, *args) as a function that does not depend on t, and its graph."""
         fun, t0 = problem.fun, self._t
         if problem.inputs:
             fun = _Frozen(fun, t0, problem.inputs)
@@ -325,7 +325,7 @@ class SteadyStates:
         return row
 
     def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None = None) -> Found | NotFound:
-        """The steady state for these arguments and this initial value.
+        """Return the steady state for these arguments and this initial value.
 
         `S0`: the derivatives of y0 for the parameters, (n, k); None: no derivatives are wanted.
         """
@@ -346,7 +346,7 @@ class SteadyStates:
         return found._replace(slopes=slopes)
 
     def _adding(self, args: tuple[Any, ...], y0: Array, S0: Array, zero: Array, still: Array) -> list[int]:
-        """The parameters that add what is absent, so that fewer components stay constant."""
+        """Return the parameters that add what is absent, so that fewer components stay constant."""
         found = []
         for j in np.flatnonzero(S0[zero].any(axis=0)).tolist():
             _, then = self._staying(args, np.where(S0[:, j] != 0, 1.0, y0))
@@ -355,7 +355,7 @@ class SteadyStates:
         return found
 
     def _staying(self, args: tuple[Any, ...], y0: Array) -> tuple[Array, Array]:
-        """The components that stay zero, and those that stay constant because of that, as truths."""
+        """Return the components that stay zero, and those that stay constant because of that, as truths."""
         zero, still = np.zeros((2, self._n), dtype=bool)
         if self._exact is not None:
             moving = {place_of(args, one.index, one.item) for _, one in self._own}
@@ -367,7 +367,7 @@ class SteadyStates:
         return zero, still
 
     def rates(self, J: Array, moving: Array) -> Array:
-        """The eigenvalues of the Jacobian of these components."""
+        """Return the eigenvalues of the Jacobian of these components."""
         block = np.ix_(moving, moving)
         if self._mass is None:
             return np.linalg.eigvals(J[block])
@@ -377,7 +377,8 @@ class SteadyStates:
         return np.asarray(found[np.isfinite(found)])
 
     def system(self, J: Array, D: Array, still: Array) -> tuple[Array, Array]:
-        """[J; W M] for changes of the components in units of D, its rows divided by their sizes; and these sizes."""
+        """Return [J; W M] for changes of the components in units of D, its rows divided by their sizes; and these
+        sizes."""
         W = self.totals if self._mass is None else self.totals @ self._mass
         A = np.vstack([J, W]) * D
         A[:, still] = A[np.flatnonzero(still)] = 0.0  # of the rows of constant components roundoff is left
@@ -386,7 +387,7 @@ class SteadyStates:
         return A / lengths[:, None], lengths
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
-        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
+        """Return S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
         _, _, fp = self._values(y, args, with_parameters=True)
         D = sizes(y, y0)
         A, lengths = self.system(J, D, still)
@@ -412,7 +413,7 @@ def is_stable(rates: Array) -> bool:
 
 
 def sizes(y: Array, y0: Array) -> Array:
-    """The sizes of components: those far below the largest, now or at the start, count as of a part of that."""
+    """Return the sizes of components: those far below the largest, now or at the start, count as of a part of that."""
     largest = max(np.abs(y).max(initial=0.0), np.abs(y0).max(initial=0.0)) or 1.0
     return np.maximum(np.abs(y), _FLOOR * largest)
 
@@ -509,7 +510,7 @@ class _OfGraph:
         self._made: dict[Any, Any] = {}
 
     def _called(self, key: Any, made: Any, n: int, size: int, p: Parameters) -> Any:
-        """A derivative as a Python function, made once."""
+        """Return a derivative as a Python function, made once."""
         if key not in self._made:
             machine = has_llvm()
             self._made[key] = (
@@ -571,7 +572,7 @@ class _OfPython:
 
 
 def _floats(args: tuple[Any, ...], own: Sequence[tuple[int, ParameterName]]) -> dict[int, dict[int, float]]:
-    """The parameters among the arguments as floats: an integer may be an index, a parameter may not."""
+    """Return the parameters among the arguments as floats: an integer may be an index, a parameter may not."""
     names = [one for _, one in own]
     values = values_of(args, np.zeros(0), names)
     changes: dict[int, dict[int, float]] = {}

@@ -118,7 +118,7 @@ def plot_work_precision(
 
 
 def _named(name: str) -> str:
-    """The method's own name; SciPy's where that implies options, as 'BDF' does."""
+    """Return the method's own name; SciPy's where that implies options, as 'BDF' does."""
     method, implied = find_method(name)
     return str(method.scipy_name) if implied else method.name
 
@@ -200,7 +200,7 @@ def _style(method: str, way: str) -> dict[str, Any]:
 
 
 def _keys(methods: Sequence[str], both: bool) -> list[Line2D]:
-    """A key for each method, and for the two ways."""
+    """Return a key for each method, and for the two ways."""
     from matplotlib.lines import Line2D
 
     keys = [Line2D([], [], label=method, **_style(method, "plain")) for method in methods]

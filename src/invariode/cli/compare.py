@@ -318,7 +318,7 @@ def _verdict(one: Judgement) -> Text:
 
 
 def answer(one: Judgement) -> str:
-    """The paper's question (section 4), answered in a sentence, for the best method with and without projection."""
+    """Answer the paper's question (section 4) in a sentence, for the best method with and without projection."""
     if not one.errors:
         return "Plain and projected runs have no range of errors in common here; try other --decades."
     kind, border = one.kind
@@ -347,7 +347,7 @@ def answer(one: Judgement) -> str:
 
 
 def _by(one: Judgement) -> str:
-    """The methods that are best, where both are."""
+    """Return the methods that are best, where both are."""
     middle = len(one.errors) // 2
     plain, projected = one.by[middle]
     whose = f"{projected} both" if plain == projected else f"{projected} projected, {plain} plain"

@@ -53,7 +53,7 @@ class _Observation:
         self._slopes = ArrayFunction([row.get(j, zero) for row in rows for j in range(count)])
 
     def values(self, t: Array, y: Array, p: Array) -> tuple[Array, Array]:
-        """The simulation and sigma at these times."""
+        """Return the simulation and sigma at these times."""
         simulated, sigma = self._values.over(t, y, p)
         return simulated, sigma
 
@@ -300,7 +300,7 @@ class Problem:
         return Evaluation(value, G * chain, F * np.outer(chain, chain), prior, prior_slopes)
 
     def _differences(self, theta: Array) -> Array:
-        """The gradient by central differences, of models whose events have no derivatives."""
+        """Return the gradient by central differences, of models whose events have no derivatives."""
         found = np.zeros(len(self.names))
         for j, place in enumerate(self._estimated):
             h = _INCREMENT * (abs(theta[place]) or 1.0)
@@ -376,7 +376,7 @@ class Problem:
         return self._observations[key]
 
     def _translator(self, fixed: Mapping[str, str | float]) -> Translator:
-        """Formulas of observables: symbols of the model, parameters, other observables, and placeholders."""
+        """Return formulas of observables: symbols of the model, parameters, other observables, and placeholders."""
         e = self.model._equations
         first, every = self._conditions.first, list(self.parameters)
 

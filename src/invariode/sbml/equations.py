@@ -143,7 +143,7 @@ class Equations:
         }
 
     def _match(self) -> dict[str, int]:
-        """The variables that algebraic rules determine: a matching by augmenting paths."""
+        """Return the variables that algebraic rules determine: a matching by augmenting paths."""
         contents = self.contents
         bound = {*contents.rules, *contents.rates}
         free = [n for n in self.symbols if n not in bound and not self.driven(n) and not self._is_constant(n)]
@@ -181,7 +181,7 @@ class Equations:
         return found
 
     def _number(self, name: str) -> float:
-        """The number in the file; NaN if there is none."""
+        """Return the number in the file; NaN if there is none."""
         contents = self.contents
         if name in contents.species:
             return contents.species[name].initial
@@ -214,7 +214,7 @@ class Equations:
         return found
 
     def value(self, name: str) -> Node:
-        """The value of a symbol."""
+        """Return the value of a symbol."""
         return self._memo(self._values, name, lambda: self._value(name))
 
     def _value(self, name: str) -> Node:
@@ -239,7 +239,7 @@ class Equations:
         return self.graph.node(math.nan) if law is None else self._now.number(law)
 
     def start(self, name: str) -> Node:
-        """The value of a symbol at the start, of the parameters."""
+        """Return the value of a symbol at the start, of the parameters."""
         return self._memo(self._starts, name, lambda: self._start(name))
 
     def _start(self, name: str) -> Node:
@@ -263,7 +263,7 @@ class Equations:
         return number * self.start(one.compartment) if one.is_amount and not is_amount else number
 
     def _rate_at_start(self, name: str) -> Node:
-        """The rate of a symbol, with all values at the start."""
+        """Return the rate of a symbol, with all values at the start."""
         node = self.rate(name)
         graph = self.graph
         inside = {one for one in in_order([node]) if one.op in ("y", "t")}
@@ -273,18 +273,18 @@ class Equations:
         return replaced([node], values)[0]
 
     def state_at_start(self, name: str) -> Node:
-        """The state of a symbol at the start."""
+        """Return the state of a symbol at the start."""
         return self.as_state(name, self.start(name), self.start)
 
     def as_state(self, name: str, value: Node, values: Callable[[str], Node]) -> Node:
-        """The state whose symbol has this value: an amount for a concentration."""
+        """Return the state whose symbol has this value: an amount for a concentration."""
         amount = self.is_concentration(name) and self.is_amount_state[name]
         return value * values(self.volume(name)) if amount else value
 
     # Rates
 
     def rate(self, name: str) -> Node:
-        """The time derivative of the value of a symbol."""
+        """Return the time derivative of the value of a symbol."""
         return self._memo(self._rates, name, lambda: self._rate(name))
 
     def _rate(self, name: str) -> Node:
@@ -309,7 +309,7 @@ class Equations:
         return graph.node(0.0)
 
     def _of_formula(self, name: str) -> Node:
-        """The derivative of an assigned value along the solution."""
+        """Return the derivative of an assigned value along the solution."""
         graph, value = self.graph, self.value(name)
         used = sorted(one.value for one in in_order([value]) if one.op == "y")
         variables = [graph.t, *map(graph.y, used)]
@@ -321,7 +321,7 @@ class Equations:
         return total
 
     def slope(self, name: str) -> Node:
-        """y' of a state."""
+        """Return y' of a state."""
         contents = self.contents
         if name not in contents.rates:
             return self._change(name)
@@ -333,7 +333,8 @@ class Equations:
         return slope + self.value(name) * self.rate(volume) if self._changes(volume) else slope
 
     def _change(self, name: str, fast_alone: bool = False) -> Node:
-        """The rate at which reactions change the amount of a species; all, or the fast ones with their own rates."""
+        """Return the rate at which reactions change the amount of a species; all, or the fast ones with their own
+        rates."""
         graph = self.graph
         changes = self._driving[name] if self.driven(name) else []
         total: Node | None = None
@@ -409,7 +410,7 @@ class Equations:
         return any(one.fast for one in self.contents.reactions.values())
 
     def _relaxed(self, t: float, y: Array, p: Array) -> Array:
-        """The state to which the fast reactions lead, with the totals that they keep."""
+        """Return the state to which the fast reactions lead, with the totals that they keep."""
         from .._studies.steady import Found, SteadyStates
 
         slopes = [self._change(name, fast_alone=True) for name in self.states]
@@ -419,7 +420,7 @@ class Equations:
         return found.y if isinstance(found, Found) else y
 
     def consistent(self, t: float, y: Array, p: Array) -> Array:
-        """y with the values that algebraic rules determine, and where fast reactions have led it."""
+        """Return y with the values that algebraic rules determine, and where fast reactions have led it."""
         if self._has_fast:
             y = self._relaxed(t, y, p)
         if not self.matched:
@@ -436,7 +437,7 @@ class Equations:
     # Structure
 
     def moieties(self) -> list[dict[int, int]]:
-        """Totals of amounts that all reactions conserve, exactly: coefficients by state.
+        """Return totals of amounts that all reactions conserve, exactly: coefficients by state.
 
         Species with stoichiometries or conversion factors that have names of their own are left out, as these may be
         given other values; so are species that events assign.
@@ -480,5 +481,5 @@ class Solved:
 
 
 def used(nodes: Sequence[Node], op: str) -> set[int]:
-    """The indices of y or p that values depend on."""
+    """Return the indices of y or p that values depend on."""
     return {one.value for one in in_order(nodes) if one.op == op}

@@ -119,7 +119,7 @@ class EventCode:
         return ArrayFunction(nodes)
 
     def _truth(self, one: Expression) -> str:
-        """A condition as Python's code, of the truths B of comparisons."""
+        """Return a condition as Python's code, of the truths B of comparisons."""
         a = one.arguments
         if one.op in ("true", "false"):
             return str(one.op == "true")
@@ -154,7 +154,7 @@ class EventCode:
         return self.comparisons.index(found)
 
     def _along(self, difference: Node) -> Node:
-        """The derivative of a difference along the solution."""
+        """Return the derivative of a difference along the solution."""
         equations = self._equations
         graph = equations.graph
         moving = [i for i in sorted(used([difference], "y")) if equations.states[i] not in equations.matched]
@@ -220,8 +220,8 @@ class Machine:
         return min((one.time for one in self.queue), default=np.inf)
 
     def functions(self, compiled: Any, once: bool) -> list[Roots]:
-        """The root functions of a run: the differences of all comparisons, and how long an execution has been due. The
-        latter also begins further runs, unless there is only one."""
+        """Return the root functions of a run: the differences of all comparisons, and how long an execution has been
+        due. The latter also begins further runs, unless there is only one."""
         needed = self._code.has_delays or not once
         found = [Roots(self.due, 1, self.on_due, names=["execution"])] if needed else []
         if count := len(self._code.comparisons):
@@ -236,18 +236,18 @@ class Machine:
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """The state behind the events that are due."""
+        """Return the state behind the events that are due."""
         return y if self._due > t + _near(t) else self._after(t, y, {})
 
     def on_roots(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """The state behind the events that comparisons trigger, or that are due."""
+        """Return the state behind the events that comparisons trigger, or that are due."""
         signs = self._signs
         pairs = zip(which.tolist(), directions.tolist(), strict=True)
         hit = {i: s for i, s in pairs if signs[i] != s}  # others have their signs from an assignment
         return self._after(t, y, hit) if hit else y
 
     def _after(self, t: float, y: Array, hit: dict[int, int]) -> Array:
-        """The state behind the events that comparisons with these new signs trigger, and those that are due."""
+        """Return the state behind the events that comparisons with these new signs trigger, and those that are due."""
         with np.errstate(all="ignore"):
             if self._zeros:  # comparisons that have left zero
                 now = self._signs_at(t, y)
@@ -289,7 +289,8 @@ class Machine:
                 self.queue = [each for each in self.queue if each.event != i]
 
     def _settled(self, t: float, y: Array, hit: dict[int, int]) -> Array:
-        """The state when nothing is due any more. `hit`: comparisons at their roots, with the signs that follow."""
+        """Return the state after all due events. `hit`: comparisons at their roots, with the signs that
+        follow."""
         late, after = t + _near(t), None
         for _ in range(_MOST_AT_ONCE):
             due = [one for one in self.queue if one.time <= late]
@@ -330,7 +331,7 @@ class Machine:
         return max(due, key=priority)
 
     def _executed(self, t: float, y: Array, chosen: Waiting) -> Array:
-        """The state behind the assignments: a concentration becomes an amount with the volume before."""
+        """Return the state behind the assignments: a concentration becomes an amount with the volume before."""
         one = self._code.events[chosen.event]
         values = one.values.code(t, y, self._p) if chosen.values is None else chosen.values
         after = np.array(y)
@@ -350,7 +351,7 @@ def _sign(d: float) -> int:
 
 
 def times_of_roots(differences: Sequence[Node], p: Array) -> list[float]:
-    """The times at which comparisons that are affine in t alone change."""
+    """Return the times at which comparisons that are affine in t alone change."""
     found = set()
     for one in differences:
         if used([one], "y") or not any(each.op == "t" for each in in_order([one])):

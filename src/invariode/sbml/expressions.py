@@ -89,12 +89,12 @@ class Expression(NamedTuple):
 
 
 def number(value: float) -> Expression:
-    """A number as an expression."""
+    """Return a number as an expression."""
     return Expression("number", (), float(value))
 
 
 def read(node: Any) -> Expression:
-    """The expression of a node of libSBML.
+    """Return the expression of a node of libSBML.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read(node: Any) -> Expression:
 
 
 def parse(text: str) -> Expression:
-    """The expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
+    """Return the expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
 
     Raises
     ------
@@ -225,7 +225,7 @@ class Translator:
         return graph.make("or", one, other)
 
     def _piecewise(self, one: Expression) -> Node:
-        """The first value whose condition holds; NaN if none does."""
+        """Return the first value whose condition holds; NaN if none does."""
         graph, a = self.graph, one.arguments
         if one.is_logical:  # the truth of the first condition that holds
             value = self.truth(a[-1]) if len(a) % 2 else self._condition("false", ())
@@ -241,7 +241,7 @@ class Translator:
 
 
 def relation(graph: Graph, op: str, left: Node, right: Node) -> Node:
-    """A comparison of two numbers."""
+    """Return a comparison of two numbers."""
     if op in ("gt", "geq"):
         left, right = right, left
     return graph.make(
@@ -286,7 +286,7 @@ def _power(graph: Graph, base: Node, exponent: Node) -> Node:
 
 
 def _root(graph: Graph, *a: Node) -> Node:
-    """The square root, or that of a degree, which comes first."""
+    """Return the square root, or that of a degree, which comes first."""
     if len(a) == 1 or (a[0].op == "number" and a[0].value == 2):
         return graph.elementary("sqrt", a[-1])
     return graph.power(a[-1], 1.0 / a[0])

@@ -148,7 +148,7 @@ def contents(source: str) -> Contents:
 
 
 def _document(L: Any, source: str) -> tuple[Any, str]:
-    """The document, and the folder of its references."""
+    """Return the document, and the folder of its references."""
     if source.lstrip().startswith("<"):
         document, folder = L.readSBMLFromString(source), ""
     else:

@@ -51,7 +51,7 @@ class Code(NamedTuple):
 
 
 def functions(system: System, laws: Sequence[Any], compiled: bool, parameters: Sequence[str] = ()) -> Code:
-    """The functions f and its exact jac; for law i its function g_i and gradient dg_i. `parameters`: their names.
+    """Return f, its exact jac, and for law i its function g_i and gradient dg_i. `parameters`: names of the parameters.
 
     The Jacobian of a system that is solved for its accelerations is formed when a method needs it: explicit methods do
     not.
@@ -93,7 +93,7 @@ def _sparse(rows: Sequence[Row], n: int) -> Pattern | None:
 
 
 def _accelerations(system: System, words: _Words) -> list[Node]:
-    """mass⁻¹ force: by L and D, if the system has them."""
+    """Return mass⁻¹ force: by L and D, if the system has them."""
     if not system.force:
         return []
     force = [words.node(one) for one in system.force]
@@ -161,7 +161,7 @@ class _Words:
         self._known: dict[Any, Node] = {}
 
     def node(self, expression: Any) -> Node:
-        """The node of an expression.
+        """Return the node of an expression.
 
         Raises
         ------

@@ -46,7 +46,7 @@ class Multibody(Mechanical):
         compiled: bool | None = None,
         name: str | None = None,
     ) -> Problem:
-        """The initial value problem.
+        """Return the initial value problem.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Multibody(Mechanical):
         return self._words.start("q0", q0, self.states)
 
     def _on_constraints(self, t: float, start: list[float]) -> list[float]:
-        """The nearest start that satisfies the constraints, positions first."""
+        """Return the nearest start that satisfies the constraints, positions first."""
         made = self._functions(False, frozenset()).functions
         held = [law for law in self._laws if law.level < LAWS]
         if not held:
@@ -128,7 +128,7 @@ def from_mechanics(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Multibody:
-    """A system whose equations of motion SymPy has formed by Kane's or Lagrange's method.
+    """Return a system whose equations of motion SymPy has formed by Kane's or Lagrange's method.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def from_pydy(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Multibody:
-    """A system of PyDy's, with its constants, specified quantities, initial conditions and times.
+    """Return a system of PyDy's, with its constants, specified quantities, initial conditions and times.
 
     Parameters
     ----------
@@ -330,8 +330,8 @@ def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
 
 
 def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> tuple[list[Law], dict[str, str]]:
-    """The laws of the method, those under the names that the user gave them who has them too, and the user's others. A
-    law that was found gives way to one of the user's that differs by a constant."""
+    """Return the laws of the method, those under the names that the user gave them who has them too, and the user's
+    others. A law that was found gives way to one of the user's that differs by a constant."""
     symbols = [words.t, *words.y, *words.p]
     renamed: dict[str, str] = {}
     others = []

@@ -182,7 +182,7 @@ class Equations(SymbolicSystem):
     """y' = f(t, y) by formulas: what `equations` and `from_mechanics` make."""
 
     def problem(self, t_span: Span, y0: Any, *, compiled: bool | None = None, name: str | None = None) -> Problem:
-        """The initial value problem.
+        """Return the initial value problem.
 
         Parameters
         ----------
@@ -209,7 +209,8 @@ class Phase(SymbolicSystem):
         return len(self.states) // 2
 
     def _start(self, q0: Any, second: Any) -> list[float]:
-        """The state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of q."""
+        """Return the state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of
+        q."""
         n = self._positions
         q, p = self.states[:n], self.states[n:]
         last = q if isinstance(second, Mapping) and not any(one in p for one in second) else p
@@ -222,7 +223,7 @@ class Mechanical(Phase):
     _second = "v"
 
     def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
-        """The multipliers λ at the points of a solution.
+        """Return the multipliers λ at the points of a solution.
 
         Parameters
         ----------
@@ -344,7 +345,8 @@ def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any])
 def constrained(
     words: Vocabulary, held: Sequence[Any], rates: Sequence[Any], rolled: Sequence[Any], mass: Any, force: Sequence[Any]
 ) -> tuple[list[Law], Mechanism | None]:
-    """The laws that constraints of positions, with their rates, and of velocities are, and the mechanism if any."""
+    """Return the laws that constraints of positions, with their rates, and of velocities are, and the mechanism if
+    any."""
     names = [f"constraint {i + 1}" for i in range(len(held))]
     laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=True)]
     laws += [Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=True)]

@@ -13,7 +13,7 @@ from .._base.arguments import number
 
 
 def parsed(what: str, value: Any) -> Any:
-    """An expression of SymPy's."""
+    """Return an expression of SymPy's."""
     try:
         expression = sympy.sympify(value, strict=True)
     except sympy.SympifyError:
@@ -100,7 +100,7 @@ class Vocabulary:
         return tuple(self.parameters.values())
 
     def start(self, name: str, value: Any, states: Iterable[Any]) -> list[float]:
-        """Initial values in the order of the states, from a mapping or a sequence."""
+        """Return initial values in the order of the states, from a mapping or a sequence."""
         states = list(states)
         if isinstance(value, Mapping):
             for one in value:

@@ -40,13 +40,13 @@ def require_matplotlib() -> Any:
 
 
 def new(title: str | None, **options: Any) -> Axes:
-    """Axes of a new figure."""
+    """Return axes of a new figure."""
     panel: Axes = new_panels(title, (1,), **options)[0]
     return panel
 
 
 def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> Array:
-    """Panels of a new figure below each other, of the given heights, with a common t axis."""
+    """Return panels of a new figure below each other, of the given heights, with a common t axis."""
     matplotlib = require_matplotlib()
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
@@ -97,7 +97,8 @@ def _power_of_ten(power: float) -> str:
 
 
 def drawable(name: str) -> str:
-    """A name as text in a picture: dollar signs that do not enclose a formula for matplotlib are drawn as they are."""
+    """Return a name as text in a picture: dollar signs that do not enclose a formula for matplotlib are drawn as they
+    are."""
     if "$" not in name:
         return name
     from matplotlib.mathtext import MathTextParser
@@ -126,7 +127,7 @@ def legend(ax: Axes, title: str | None = None) -> None:
 
 
 def component(names: Sequence[str], one: Any) -> int:
-    """The index of a component given by index or label."""
+    """Return the index of a component given by index or label."""
     if isinstance(one, str) and one in names:
         return names.index(one)
     try:
@@ -143,7 +144,8 @@ def listed(names: Sequence[str]) -> str:
 
 
 def unused(ax: Axes, style: str | None = None) -> tuple[str, tuple[str, str]]:
-    """The first colour and dashes, or colour with the style given, that nothing on the axes has yet; else the first."""
+    """Return the first colour and dashes, or colour with the style given, that nothing on the axes has yet; else the
+    first."""
     choice = DASHES if style is None else ((style, ":"),)
     used = [(line.get_color(), str(line.get_linestyle()).replace("None", "-")) for line in ax.lines]
     free = ((colour, dashes) for dashes, colour in product(choice, COLOURS) if (colour, dashes[0]) not in used)
@@ -151,7 +153,7 @@ def unused(ax: Axes, style: str | None = None) -> tuple[str, tuple[str, str]]:
 
 
 def properties(line: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
-    """Properties of a line under their full names, and the label apart."""
+    """Return properties of a line under their full names, and the label apart."""
     from matplotlib.cbook import normalize_kwargs
     from matplotlib.lines import Line2D
 
@@ -164,7 +166,7 @@ def joined(name: str, given: str | None) -> str:
 
 
 def once(ax: Axes, label: str) -> str:
-    """The label, unless the legend has it already."""
+    """Return the label, unless the legend has it already."""
     return "_nolegend_" if label in ax.get_legend_handles_labels()[1] else label
 
 
@@ -193,7 +195,7 @@ def positive(values: Array) -> Array:
 
 
 def components(sol: Result, chosen: Any) -> list[int]:
-    """Indices of the components that were chosen, all by default."""
+    """Return indices of the components that were chosen, all by default."""
     names = sol._names.components
     if chosen is None:
         return list(range(len(names)))

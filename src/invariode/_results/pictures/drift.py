@@ -83,7 +83,7 @@ def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[Boun
 
 
 def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
-    """Invariants that the run did not have, held at their values at the first output and after each jump."""
+    """Return invariants that the run did not have, fixed at their values at the first output and after each jump."""
     own, y0 = sol._invariants, sol.y[:, 0].copy()
     g = bind(listed, float(sol.t[0]), y0, own.args, tolerances(RTOL, ATOL, y0)[1])
     jumps = []
@@ -99,7 +99,7 @@ def _has_levels(g: BoundInvariants) -> bool:
 
 
 def _drifting(g: BoundInvariants, residual: Array, largest: Array) -> list[tuple[str, str | None, Any, Array, Any]]:
-    """Name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
+    """Return name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
     lines = [(name, None, *rest) for name, *rest in zip(g.names, g.value, residual, largest, strict=True)]
     if not _has_levels(g):
         return lines[:MOST]

@@ -57,7 +57,7 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
 
 
 def _of_those_there(values: Array) -> tuple[Array, Array]:
-    """Quantiles (5, n_t) of the trajectories that reached each time, and which times any did."""
+    """Return quantiles (5, n_t) of the trajectories that reached each time, and which times any did."""
     reached = np.asarray(np.isfinite(values).any(axis=0))
     return np.nanquantile(values[:, reached], _QUANTILES, axis=0), reached
 

@@ -75,7 +75,7 @@ def draw(sol: Result, chosen: tuple[Any, Any, Any], ax: Axes | None, field: bool
 
 
 def _coordinates(sol: Result, chosen: tuple[Any, Any, Any]) -> tuple[list[int], list[str]]:
-    """The components, and the labels of the axes."""
+    """Return the components, and the labels of the axes."""
     names = sol._names.components
     i, j, k = chosen
     first = component(names, i)

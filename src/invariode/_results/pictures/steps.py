@@ -50,7 +50,7 @@ def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
 
 
 def over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
-    """t and values of a curve that is constant over each step."""
+    """Return t and values of a curve that is constant over each step."""
     return np.concatenate([steps.t[:1] - steps.h[:1], steps.t]), np.concatenate([values[:1], values])
 
 

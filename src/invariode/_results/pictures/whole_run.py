@@ -22,7 +22,7 @@ _PAD, _MOST = 0.08, 0.45
 
 
 def draw(sol: Result, title: str, chosen: Any = None, log: bool = False) -> Figure:
-    """A figure that pyplot does not know. `log`: a logarithmic axis of time."""
+    """Return a figure that pyplot does not know. `log`: a logarithmic axis of time."""
     require_matplotlib()
     from matplotlib.figure import Figure
 

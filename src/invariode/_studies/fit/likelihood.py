@@ -73,7 +73,7 @@ class Evaluation(NamedTuple):
         return self.slopes / self.sigma[:, None]
 
     def with_levels(self, rows: Array) -> Array:
-        """A Jacobian of residuals, with their derivatives through the noise levels added."""
+        """Return a Jacobian of residuals, with their derivatives through the noise levels added."""
         found = rows.copy()
         for one in self.levels:
             found[one.data] -= np.outer(self.residuals[one.data], one.slope / one.value)
@@ -142,7 +142,7 @@ class Model:
         self._last: Evaluation | None = None
 
     def evaluate(self, free: Array) -> Evaluation | Failed:
-        """The model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
+        """Return the model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
         other."""
         if self._last is not None and np.array_equal(self._last.free, free):
             return self._last
@@ -186,8 +186,8 @@ class Model:
         return -squares - logs - self.size * _HALF_LOG_2PI
 
     def variance(self, at: Evaluation, unknowns: int = 0) -> float:
-        """The factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if none are
-        left, 1 if sigma is known."""
+        """Return the factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if
+        none are left, 1 if sigma is known."""
         if not self.relative:
             return 1.0
         degrees = self.size - unknowns
@@ -208,7 +208,7 @@ def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:
 
 
 def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:
-    """A list of experiments, or a problem with data as one."""
+    """Return a list of experiments, or a problem with data as one."""
     if isinstance(problem, Experiment):
         problem = [problem]
     if isinstance(problem, (list, tuple)):

@@ -103,7 +103,7 @@ class Parameter:
             raise ValueError(f'{what} is {value:g}: with scale="log" it must be positive')
 
     def __repr__(self) -> str:
-        """Fields that differ from the defaults."""
+        """Return fields that differ from the defaults."""
         said = [(one.name, getattr(self, one.name)) for one in fields(self)]
         changed = [
             f"{name}={value!r}" for (name, value), one in zip(said, fields(self), strict=True) if value != one.default
@@ -300,7 +300,7 @@ class Space:
         return _Fixed(one.equals) if isinstance(one.equals, float) else places[name, None if one.shared else e]
 
     def local(self, e: int, free: Array) -> Local:
-        """The parameters of an experiment, of the values of the free ones."""
+        """Return the parameters of an experiment at these values of the free ones."""
         rows = self._rows[e]
         values, slopes = np.zeros(len(rows)), np.zeros((len(rows), len(free)))
         for i, row in enumerate(rows):
@@ -363,7 +363,7 @@ class Space:
         return [(i, one.prior) for i, one in enumerate(self.free) if one.prior is not None]
 
     def priors(self, free: Array) -> Priors:
-        """The priors at these values."""
+        """Return the priors at these values."""
         every = [(i, prior.at(float(free[i]))) for i, prior in self._priors]
         rows = [one.slope * np.eye(len(free))[i] for i, one in every]
         factors = np.zeros(len(free))
@@ -388,7 +388,7 @@ def _arguments(name: str, function: Callable[..., float]) -> list[str]:
 
 
 def _free(name: str, short: str, one: Parameter, takers: Sequence[Taker]) -> Free:
-    """A parameter with its start."""
+    """Return a parameter with its start."""
     level = any(taker.is_level(short) for taker in takers)
     if level and (one.limits[1] <= 0 or (one.start is not None and one.start <= 0) or one.scale == "linear"):
         raise ValueError(f'{name} is a noise level, which is positive, and searched for with scale="log": {one!r}')

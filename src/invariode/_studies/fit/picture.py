@@ -22,7 +22,7 @@ _POINTS = 300
 
 
 def times(experiment: Experiment) -> Array:
-    """The times at which the model is drawn."""
+    """Return the times at which the model is drawn."""
     t0, tf = experiment.problem.t_span
     return np.linspace(t0, tf if np.isfinite(tf) else experiment.last, _POINTS)
 

@@ -80,7 +80,7 @@ class Weighted(NamedTuple):
 
 
 def weighted(loss: str, residuals: Array) -> Weighted:
-    """The loss of the residuals of data."""
+    """Return the loss of the residuals of data."""
     rho, z = LOSSES[loss], residuals**2
     if rho is None:
         return Weighted(0.5 * float(z.sum()), np.ones_like(z), np.ones_like(z))
@@ -119,7 +119,7 @@ class _Arrived(Exception):  # noqa: N818 - no error: it ends a search
 
 
 def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Found:
-    """The best parameters near a start; those `held` stay there.
+    """Return the best parameters near a start; those `held` stay there.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
 
 
 def _reached(model: Model, found: Found, loss: str, held: Sequence[int]) -> dict[int, float]:
-    """Bounds that the search was moving towards when it ended, by parameter."""
+    """Return bounds that the search was moving towards when it ended, by parameter."""
     space, at = model.space, found.at
     u = space.coordinates(at.free)
     rows = at.with_levels(at.jacobian) * space.slope(at.free)
@@ -191,7 +191,7 @@ def _require(model: Model, free: Array) -> None:
 
 
 def _with_levels(model: Model, at: Evaluation, levels: Sequence[int]) -> Array:
-    """The parameters, with the noise levels that the residuals give, within their bounds."""
+    """Return the parameters, with the noise levels that the residuals give, within their bounds."""
     free = at.free.copy()
     for i in levels:
         those = [one for one in at.levels if one.slope[i] != 0]
@@ -235,7 +235,7 @@ class _Round:
         return lower[self._moving], upper[self._moving]
 
     def _rows(self, at: Evaluation) -> tuple[Array, Array]:
-        """Residuals and their derivatives in coordinates."""
+        """Return residuals and their derivatives in coordinates."""
         parts, rows = [at.residuals], [at.with_levels(at.jacobian)]
         if self._levels:
             for one, before in zip(at.levels, self._lengths, strict=True):
@@ -266,7 +266,7 @@ class _Round:
         return jacobian
 
     def _losses(self) -> Any:
-        """The loss of the data; priors stay normal."""
+        """Return the loss of the data; priors stay normal."""
         rho, size = LOSSES[self._loss], self._model.size
         if rho is None:
             return "linear"
@@ -279,7 +279,7 @@ class _Round:
         return losses
 
     def found(self) -> Found:
-        """The end of the search."""
+        """Return the end of the search."""
         from scipy.optimize import least_squares  # takes longer to import than everything else
 
         self._last = self._first
@@ -315,7 +315,7 @@ class _Round:
 
 
 def start_points(model: Model, count: int, seed: Any) -> list[Array]:
-    """The first start, and others that fill the bounds evenly: a Latin hypercube."""
+    """Return the first start, and others that fill the bounds evenly: a Latin hypercube."""
     space = model.space
     first = np.array([1.0 if one.start is None else one.start for one in space.free])
     first = _with_first_levels(model, first)
