@@ -718,7 +718,7 @@ def _argument_names(fun: Any, count: int, order: int) -> list[str]:
 
 
 def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, Given], set[int]]:
-    """Equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
+    """Find equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
 
     Without them the first-order form of an equation has the structure of the equation itself.
     """

@@ -48,7 +48,7 @@ class Values:
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """The nodes."""
+        """Nodes of the values."""
         return list(self._make())
 
     @cached_property

@@ -53,7 +53,7 @@ class Trajectories:
         return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), RTOL, ATOL)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Functions of a module travel; without the others the invariants are as those of a run with jumps: names."""
+        """Return the state without functions that cannot be pickled; their invariants are then sent as names only."""
         state = dict(self.__dict__)
         for name, without in (("bound", {}), ("args", {"args": ()}), ("error", {"error": None})):
             try:

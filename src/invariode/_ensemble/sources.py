@@ -29,7 +29,7 @@ class Part(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """The row behind the last."""
+        """Number of the row after the last one."""
         return self.start + len(self.y0)
 
 

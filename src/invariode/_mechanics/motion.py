@@ -259,7 +259,7 @@ class Motion:
 
     @contextmanager
     def bound(self, args: tuple[Any, ...], kept: Array | None = None) -> Iterator[_core.Motion]:
-        """The motion with these arguments, for evaluations here; it is not shared meanwhile."""
+        """Lend the motion with these arguments, for evaluations in Python; it is not shared meanwhile."""
         spec = self.spec(kept)
         key = (self.kept if kept is None else kept).tobytes()
         known = self._idle.pop(key, None)
@@ -286,12 +286,12 @@ class Motion:
         return np.ones(self.m, dtype=bool)
 
     def mass(self, at: Point) -> Any:
-        """M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
+        """Return M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
         with self.bound(at.args) as motion:
             return _assembled(motion.mass(at.t, at.x), self.n_v)
 
     def metric(self) -> Any:
-        """Return M as the metric of corrections: a constant, its diagonal if that is all, or a function of t and (q, v).
+        """Return M as the metric of corrections: constant, its diagonal if that is all, or a function of t and (q, v).
 
         None if M is sparse with off-diagonal entries: corrections in that metric would cost more than they gain.
         """

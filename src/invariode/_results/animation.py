@@ -401,7 +401,7 @@ def _move(line: Any, to: Array) -> None:
 
 
 def _frame(ax: Any, points: Array) -> None:
-    """Limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
+    """Set limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
     low, high = _corners(points)
     if len(low) == 2 and ax.has_data():
         low, high = np.minimum(low, ax.dataLim.min), np.maximum(high, ax.dataLim.max)

@@ -158,7 +158,7 @@ def _draw_costs(axes: Any, rows: Sequence[Row], truth: Reference) -> None:
 
 
 def _finish(figure: Any, rows: Sequence[Row], name: str) -> None:
-    """Title and legend."""
+    """Add title and legend."""
     figure.suptitle(drawable(name), fontsize=10.5, color=INK)
     drawn = [row for row in rows for way in WAYS if (run := row.run(way)) and math.isfinite(run.error)]
     keys = _keys(list(dict.fromkeys(row.method for row in drawn)), any(row.projected for row in rows))

@@ -362,7 +362,7 @@ class Equations:
 
     @cached_property
     def mass(self) -> Array | None:
-        """The mass matrix."""
+        """Diagonal mass matrix, (n, n), or None."""
         if not self.matched:
             return None
         return np.diag([0.0 if name in self.matched else 1.0 for name in self.states])

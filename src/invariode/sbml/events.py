@@ -197,7 +197,7 @@ class Machine:
         self.behind: list[tuple[float, Array]] = []
 
     def start(self, t: float, y: Array, p: Array) -> Array:
-        """Begin a run; the state behind the events at its start."""
+        """Begin a run; return the state after the events at its start."""
         self._t0, self._p, self._random = t, p, random.Random(self._seed)
         #: States behind events, by time, for output at these times.
         self.behind = []
@@ -346,7 +346,7 @@ def _near(t: float) -> float:
 
 
 def _sign(d: float) -> int:
-    """-1, 0 or 1; 0 for NaN."""
+    """Return the sign of a number: -1, 0 or 1; 0 for NaN."""
     return 1 if d > 0 else -1 if d < 0 else 0
 
 

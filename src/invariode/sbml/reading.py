@@ -204,7 +204,7 @@ def _convert(L: Any, document: Any, what: str, **options: Any) -> None:
 
 
 def _symbols(model: Any, found: Contents) -> None:
-    """Compartments, species and parameters."""
+    """Read compartments, species and parameters into `found`."""
     for one in model.getListOfCompartments():
         dimensions = one.getSpatialDimensionsAsDouble()
         default = 1.0 if found.level < 3 or dimensions == 0 else math.nan

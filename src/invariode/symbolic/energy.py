@@ -16,7 +16,7 @@ from .vocabulary import Vocabulary
 def energy(
     method: KanesMethod, words: Vocabulary, system: System, positions: Sequence[Any], velocities: Sequence[Any]
 ) -> Any | None:
-    """T + V in the symbols of the code. None: the loads have no potential, or a motion is prescribed.
+    """Return T + V in the symbols of the code. None: the loads have no potential, or a motion is prescribed.
 
     The power of the loads is -dV/dt, which gives ∂V/∂q. T is the quadratic form of the mass matrix where all speeds are
     independent; otherwise that matrix is reduced, and T the sum over the bodies.
@@ -45,7 +45,7 @@ def energy(
 
 
 def potential(gradient: Sequence[Any], q: Sequence[Any], symbols: Sequence[Any]) -> Any | None:
-    """V with this gradient, integrated coordinate by coordinate; None: there is none, or SymPy does not find it."""
+    """Return V with this gradient, integrated by each coordinate; None: there is none, or SymPy does not find it."""
     found = sympy.S.Zero
     for slope, one in zip(gradient, q, strict=True):
         for term in sympy.Add.make_args(sympy.expand(slope - found.diff(one))):

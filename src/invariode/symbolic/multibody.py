@@ -234,7 +234,7 @@ def from_pydy(
 
 
 def _each(specifieds: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Specified quantities and their values, one by one: PyDy also takes several with one array or function."""
+    """Return specified quantities and their values, one by one: PyDy also takes several with one array or function."""
     if {"symbols", "values"} <= specifieds.keys():
         specifieds = {tuple(specifieds["symbols"]): specifieds["values"]}
     values: dict[Any, Any] = {}

@@ -111,7 +111,7 @@ def drawable(name: str) -> str:
 
 
 def legend(ax: Axes, title: str | None = None) -> None:
-    """A legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
+    """Draw a legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
     from matplotlib.lines import Line2D
 
     handles, labels = ax.get_legend_handles_labels()
@@ -171,7 +171,7 @@ def once(ax: Axes, label: str) -> str:
 
 
 def occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
-    """Label and marker of each event that occurred, its times (k,) and states (k, n)."""
+    """Yield label and marker of each event that occurred, its times (k,) and states (k, n)."""
     if sol.t_events is None or sol.y_events is None:
         return
     for k, (name, t, y) in enumerate(zip(sol._names.events, sol.t_events, sol.y_events, strict=True)):
@@ -180,7 +180,7 @@ def occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
 
 
 def mark(ax: Axes, place: Sequence[Array], label: str, marker: str) -> None:
-    """Open marks at points, given by their coordinates."""
+    """Draw open marks at points, given by their coordinates."""
     import matplotlib
 
     size = 4.5 if len(place[0]) <= FEW else 3

@@ -60,7 +60,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
 
 
 def _shade_roundoff(ax: Axes, level: float) -> None:
-    """The residuals that values of this size have by rounding alone, if the axis shows any: nothing drifts there."""
+    """Shade the residuals that values of this size have by rounding alone, if the axis shows any."""
     low = ax.get_ylim()[0]
     if low < level:
         shade = ax.axhspan(low, level, color="0.5", alpha=0.12, lw=0, zorder=0, label=once(ax, "roundoff"))

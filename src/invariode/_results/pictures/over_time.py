@@ -65,7 +65,7 @@ def _piles_up(t: Array) -> bool:
 
 
 def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:
-    """A group of components on each panel, with legends or labels."""
+    """Draw a group of components on each panel, with legends or labels."""
     names = sol._names.components
     look, given = properties(line)
     for panel, group in zip(panels, groups, strict=True):

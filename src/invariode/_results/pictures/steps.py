@@ -91,7 +91,7 @@ def draw_orders(ax: Axes, steps: Steps, paint: dict[str, Any]) -> None:
 
 
 def draw_errors(ax: Axes, steps: Steps, colour: Any, given: str | None) -> None:
-    """The estimated errors, and the corrections by projection if there were any, in units of rtol."""
+    """Draw the estimated errors, and the corrections by projection if there were any, in units of rtol."""
     dots: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 4 if len(steps.t) < 500 else 2}
     if not ax.lines:
         ax.axhline(1, color="0.5", lw=0.9, ls="--", zorder=1)
