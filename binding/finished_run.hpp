@@ -17,7 +17,7 @@ namespace invariode::binding {
 
 /// The result of a run, its continuous solution with the objects that evaluating it needs, and its memory.
 struct FinishedRun {
-  /// Which of its warnings were given while it went on.
+  /// The warnings that were given while the run went on.
   struct Told {
     bool stiffness = false, discontinuities = false, sticking = false;
   };

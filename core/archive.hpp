@@ -37,7 +37,7 @@ class Archive {
     std::uint32_t own = version;
     (*this)(own, whole_);
   }
-  /// To read bytes that belong to the caller and outlive this.
+  /// Makes an archive that reads bytes that belong to the caller and outlive it.
   explicit Archive(std::span<const std::byte> bytes) : reading_(true), source_(bytes) {
     std::uint32_t written = 0;
     (*this)(written, whole_);

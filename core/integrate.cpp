@@ -295,7 +295,7 @@ bool Integration::settle_at_bounds() {
   return start_step_anew(y.data());
 }
 
-/// From y, beside the start of the step.
+/// Restarts the step from y, beside its start.
 bool Integration::start_step_anew(const double* y) {
   reached_ = {t0_, y0_.data()};
   discard_step(y);

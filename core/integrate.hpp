@@ -75,7 +75,7 @@ class Integration {
   [[nodiscard]] const Report& report() const { return report_; }
   [[nodiscard]] const Counts& counts() const { return counts_; }
   [[nodiscard]] const Step& step() const { return *step_; }
-  /// From an explicit method to an implicit one, or back.
+  /// The number of switches from an explicit method to an implicit one, or back.
   [[nodiscard]] std::int64_t switches() const { return composite_ != nullptr ? composite_->switches() : 0; }
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }

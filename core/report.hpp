@@ -37,7 +37,7 @@ enum class State {
 /// The limits that may stop a run early (settings.hpp).
 enum class Limit { steps, time, points, memory };
 
-/// Where and why a run ended, for whoever writes the message.
+/// The place and the reason of a run's end, for whoever writes the message.
 struct Report {
   double t = 0;
   double h = 0;

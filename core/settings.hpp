@@ -31,7 +31,7 @@ class Times {
   [[nodiscard]] bool any_inside(double t0, double tf) const {
     return std::any_of(data(), data() + size(), [&](double t) { return t != t0 && t != tf; });
   }
-  /// From number i on.
+  /// Returns the values from number i on.
   [[nodiscard]] std::span<const double> from(std::size_t i) const { return {data() + i, size() - i}; }
 
  private:

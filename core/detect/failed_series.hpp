@@ -22,7 +22,7 @@ struct SeriesState {
 template <class Build>
 class FailedSeries {
  public:
-  /// How many vectors the points take.
+  /// The number of vectors that the points take.
   static constexpr std::size_t points = 2;
 
   /// An attempt failed that led to t1 by a step of size h.

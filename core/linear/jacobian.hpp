@@ -85,7 +85,7 @@ class Jacobian {
   [[nodiscard]] std::int64_t complex_calls() const { return source_.complex_f.calls(); }
   /// From this t on differences have replaced complex steps; NaN: they have not.
   [[nodiscard]] double abandoned_complex_steps() const { return abandoned_complex_steps_; }
-  /// How often a pattern that was found has grown.
+  /// The number of times that a pattern that was found has grown.
   [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
   [[nodiscard]] double noise() const { return noise_; }

@@ -34,7 +34,7 @@ class PivotedBasis {
   }
   /// Vector i, or in its place the unit vector of the basis.
   [[nodiscard]] auto vector(std::size_t i) { return vectors_.col(index(i)); }
-  /// Which vectors are in the basis, in the order of the pivots.
+  /// The vectors in the basis, in the order of the pivots.
   [[nodiscard]] const std::vector<std::size_t>& members() const { return members_; }
 
   /// Adds pivots from these vectors, the longest one first, until ends(i, length) of what is left of the longest, i.

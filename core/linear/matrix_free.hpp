@@ -61,7 +61,7 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
 
   /// Two vectors (n,) of the caller's, which complex systems overwrite.
   void take_scratch(double* part, double* product);
-  /// Where the preconditioner is set up next; y stays with the caller.
+  /// Sets the point where the preconditioner is set up next; y stays with the caller.
   void reach(double t, const double* y);
   [[nodiscard]] bool preconditioned() const { return static_cast<bool>(preconditioner_); }
   /// Sets up the preconditioner for c.

@@ -17,7 +17,7 @@ constexpr int output_rounds = 4;                  // between steps: as in the st
 
 using Vector = Eigen::Map<const Eigen::VectorXd>;
 
-/// Where y_i is not inside its bounds: at or beyond one.
+/// Returns whether y_i is not inside its bounds: at or beyond one.
 bool at_bound(const Bounds::Interval& one, const double* y) {
   return y[one.component] <= one.lower || y[one.component] >= one.upper;
 }

@@ -29,7 +29,7 @@ class Bounds {
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] const std::vector<Interval>& intervals() const { return intervals_; }
-  /// As they were given.
+  /// The bounds as they were given.
   [[nodiscard]] std::vector<double> lower() const;
   [[nodiscard]] std::vector<double> upper() const;
   [[nodiscard]] bool contain(const double* y) const;

@@ -44,7 +44,7 @@ class Guard {
   /// Projects (t, y) to roundoff, or as far as that goes, evaluates f there and tests again.
   Finding confirm(double t, const double* y, double h);
 
-  /// How one invariant stands at a point.
+  /// The state of one invariant at a point.
   struct Examination {
     double residual;    ///< g − value, as given
     double distance;    ///< of the point from the level set, in units of rtol

@@ -51,7 +51,7 @@ class Invariants {
   Status hold(double t, const double* y);
   /// Fixes the invariants that may only increase or decrease at their values at (t, y) from now on.
   Status hold_one_sided(double t, const double* y);
-  /// From now on what may only rise or fall does not go back behind g (m).
+  /// From now on invariants that may only increase or decrease do not go back behind g (m).
   void tighten(const double* g);
   [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
@@ -80,7 +80,7 @@ class Invariants {
   [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }
   /// Returns whether corrections are sought among the directions that the step is made of.
   [[nodiscard]] bool along_steps() const { return along_steps_; }
-  /// By how much a residual of invariant i violates it.
+  /// Returns by how much a residual of invariant i violates it.
   [[nodiscard]] double excess(std::size_t i, double residual) const {
     return sense_[i] == 0 ? std::abs(residual) : std::max(0.0, -sense_[i] * residual);
   }

@@ -36,7 +36,7 @@ class Levels {
   /// null: none. Returns the rank.
   std::size_t solve(const double* J, const double* r, const double* noise, const double* w, double threshold,
                     const char* idle, double* delta);
-  /// Which rows the last `solve` left out.
+  /// The rows that the last `solve` left out.
   [[nodiscard]] const std::vector<char>& left_out() const { return left_out_; }
 
  private:

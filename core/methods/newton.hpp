@@ -130,7 +130,7 @@ class AgingJacobian {
   /// Residuals say that updates with J are much too small.
   void note_too_large() { too_large_ = true; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
-  /// It is to be taken anew before the next attempt.
+  /// Returns whether J is to be renewed before the next attempt.
   [[nodiscard]] bool renewal_due() const { return renew_; }
   [[nodiscard]] int jacobian_age() const { return age_; }  ///< steps since it was taken
   /// Returns whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted
@@ -151,7 +151,7 @@ class AgingJacobian {
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
   [[nodiscard]] const Extent& extent() const { return extent_; }
-  /// In which iterations for sensitivities converge, where there are any.
+  /// The weights in which iterations for sensitivities converge, where there are any.
   [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
   /// Doubles at the beginning of Y to whose blocks J and M belong; quadratures are behind them, with 0 and the
   /// identity.
@@ -346,7 +346,7 @@ class Newton : public AgingJacobian {
   void state(Archive& archive);
 
  private:
-  /// Where an iteration is: all of this stays with the caller.
+  /// The position of an iteration: all of this stays with the caller.
   struct Place {
     double c, t;
     const double *y, *w;

@@ -41,7 +41,7 @@ struct NystromTableau {
   [[nodiscard]] constexpr bool last_in_error() const { return E_v[Stages - 1] != 0; }
 };
 
-/// Which of the two sums the weights w belong to.
+/// The one of the two sums that the weights w belong to.
 enum class Nystrom { position, velocity };
 
 /// Largest defect in the order conditions of the weights w of a sum over the stages A, c: h² Σ w_j F_j of positions or

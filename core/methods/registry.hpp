@@ -29,7 +29,7 @@ struct MethodOptions {
   const Method* prefer_implicit = nullptr;
 };
 
-/// Which M of M y' = f(t, y) a method takes.
+/// The mass matrices M of M y' = f(t, y) that a method takes.
 enum class MassMatrices { none, constant_regular, any };
 
 /// The functions f that a method takes: any function of (t, y); one whose expression graph is known; f of y'' = f(t,

@@ -198,7 +198,7 @@ class RungeKuttaStep final : public Step {
     return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
   }
 
-  /// As `all_finite`, of which the program has one copy, made for many.
+  /// Returns whether y is finite, as `all_finite`, of which the program has one copy, made for many.
   [[nodiscard]] bool finite(const double* y) const {
     if constexpr (!Small) return all_finite(y, n());
     double sum = 0;

@@ -54,7 +54,7 @@ void Trapezoidal::estimate(double* error) {
   }
 }
 
-/// In the middle.
+/// Evaluates the continuous extension in the middle of the step.
 Status Trapezoidal::extend(double /*theta*/, double* P, double* rise) {
   if (smooth_if_ringing() == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < n(); ++i) {

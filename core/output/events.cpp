@@ -326,7 +326,7 @@ bool Events::leaves_room(std::size_t event) {
   return !std::isfinite(largest) || room_between_points * reach >= apart || reach > room_between_points * across;
 }
 
-/// How large the event is in the step, and how steep.
+/// Notes how large the event is in the step, and how steep.
 void Events::note_size(std::size_t event, double size, double slope) {
   size_[event] = size;
   slope_[event] = std::isfinite(slope) ? slope : 0;

@@ -59,7 +59,7 @@ class Interpolant {
   Status value(const Segment& segment, double t, double* y);
   /// Evaluates with the corrections but without projection: cheap, and equal to `value` at both ends.
   void corrected(const Segment& segment, double t, double* y) const { corrected(segment, {&t, 1}, y); }
-  /// At several t, (count, n).
+  /// Evaluates with the corrections, without projection, at several t, (count, n).
   void corrected(const Segment& segment, std::span<const double> t, double* y) const;
 
  private:
@@ -106,7 +106,7 @@ class StepInterpolant {
   void state(Archive& archive) { archive(g_known_, g_t_, g_end_, tangent_end_); }
 
   Status value(double t, double* y);
-  /// At several t, (count, n).
+  /// Evaluates at several t, (count, n).
   Status values(std::span<const double> t, double* y);
   Status corrected(double t, double* y);
   /// The order up to which `powers` has coefficients. Nothing: the step is not known by powers of θ.
@@ -116,7 +116,7 @@ class StepInterpolant {
   /// Coefficients of θ^0 … of `corrected`, where it is within bounds, (order + 1, n).
   Status powers(std::vector<double>& c);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
-  /// How many invariants there are between steps.
+  /// The number of invariants between steps.
   [[nodiscard]] std::size_t invariants() const { return invariants_ != nullptr ? invariants_->m() : 0; }
   /// Doubles in a segment, at most.
   [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + interpolant_.overhead(); }

@@ -43,7 +43,7 @@ class EnsembleResult {
 
   // Several threads may call these, for different trajectories i.
 
-  /// It cannot start.
+  /// Notes that trajectory i cannot start.
   void refuse(std::size_t i, std::int8_t why, double t0, const double* y0);
   /// Its invariants are held at their present values.
   void hold(std::size_t i, Run& run);

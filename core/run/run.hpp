@@ -101,7 +101,7 @@ class Run {
 
   /// Returns the result of the run when it has ended. Arrays are moved out: once only.
   RunResult take_result();
-  /// How much of the arrays is known already.
+  /// The lengths of the arrays that are known already.
   struct Marks {
     std::size_t points = 0, steps = 0, jumps = 0, knots = 0;
     std::vector<std::size_t> occurrences;

@@ -8,7 +8,7 @@
 
 namespace invariode {
 
-/// Where a part of a run begins.
+/// The start of a part of a run.
 struct Section {
   std::int64_t steps;  ///< accepted before it
   double t;

@@ -93,7 +93,7 @@ class LaneInvariant {
   }
   [[nodiscard]] const P* projected() const { return y1_; }
 
-  /// Which steps `note_harm` is to be told of, after so many before.
+  /// Returns the steps that `note_harm` is to be told of, after so many before.
   [[nodiscard]] M to_be_noted(const M& due, const P& steps) const {
     return invariant().tested ? due & multiple_of(steps, harm_period) : no_lane<W>();
   }
@@ -228,7 +228,7 @@ class LaneInvariant {
     for (std::size_t i = 0; i < job_.n; ++i) S[i] = choose(off, S[i] - delta_[i], S[i]);
     return off;
   }
-  /// At θ: to T = (1−θ) T₀ + θ T₁, by the linearizations that were noted.
+  /// Moves S at θ to T = (1−θ) T₀ + θ T₁, by the linearizations that were noted.
   M follow_between(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* Y) {
     std::swap(row_, last_row_);
     std::swap(jacobian_, last_jacobian_);

@@ -26,7 +26,7 @@ struct Called {
 using SeriesFunction = void(void* context, const double* t, const double* unit, const double* y, double* out,
                             const double* p);
 
-/// That function with its context.
+/// A `SeriesFunction` with its context.
 struct CalledSeries {
   SeriesFunction* function = nullptr;
   void* context = nullptr;

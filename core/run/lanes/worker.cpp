@@ -49,7 +49,7 @@ LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   return form;
 }
 
-/// In which the Jacobians of invariants are compared with differences.
+/// Returns the directions in which the Jacobians of invariants are compared with differences.
 std::vector<double> directions(std::size_t n) {
   std::vector<double> direction(n);
   for (std::size_t j = 0; j < n; ++j) direction[j] = Guard::direction(j);
