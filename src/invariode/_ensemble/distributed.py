@@ -114,7 +114,7 @@ class _Parted:
         self._pilot = y0, args
 
     def length(self) -> int:
-        """Return the size of a part: trajectories for a second, on large clusters longer: their scheduler must keep up."""
+        """Return the size of a part: trajectories for a second, or longer on large clusters, to relieve the scheduler."""
         if self.means.chunk is not None:
             return positive_integer("chunk", self.means.chunk)
         y0, args = self._pilot
