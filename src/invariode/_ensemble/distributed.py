@@ -114,7 +114,7 @@ class _Parted:
         self._pilot = y0, args
 
     def length(self) -> int:
-        """Return the size of a part: trajectories for a second, or longer on large clusters, to relieve the scheduler."""
+        """Return the size of a part: trajectories for a second, or for longer on large clusters (see `_HANDLING`)."""
         if self.means.chunk is not None:
             return positive_integer("chunk", self.means.chunk)
         y0, args = self._pilot
