@@ -32,7 +32,7 @@ using ConstIndices = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::devic
 
 inline std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
 
-/// What a function throws that hands something over, once, when it is called again.
+/// Returns the exception of a function that hands over a value once, and is called again.
 inline std::runtime_error handed_over_already() { return std::runtime_error("this has been handed over already"); }
 
 /// Throws unless the values fill an array of this shape: they do not if they were moved away before.

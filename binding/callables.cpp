@@ -92,7 +92,7 @@ class NativeFunction final : public Callable {
 /// (v, f(t, q)) of f of y'' = f(t, y).
 class FirstOrderForm final : public Callable {
  public:
-  /// Of a state of so many doubles. `acceleration` belongs to the same owner.
+  /// Makes the form for a state of so many doubles. `acceleration` belongs to the same owner.
   FirstOrderForm(const Callback& acceleration, std::size_t size) : acceleration_(acceleration), half_(size / 2) {}
 
   [[nodiscard]] Callback callback() { return {&entry, this}; }
@@ -131,7 +131,7 @@ class NativeSeries final : public Callable {
   const double* p_;
 };
 
-/// What act(), which calls Python, comes to: an exception stays set.
+/// Returns the status of act(), which calls Python: an exception stays set.
 template <class Act>
 Status reported(Act act) noexcept {
   try {
@@ -180,7 +180,7 @@ class PythonPreconditioner final : public Callable {
   int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {function_}); }
 
  private:
-  /// What was made may be given back by a thread that does not hold the interpreter.
+  /// The object that the user's function made; a thread that does not hold the interpreter may give it back.
   struct Made {
     explicit Made(nb::object&& made) : solve(std::move(made)) {}
     Made(const Made&) = delete;

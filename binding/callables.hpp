@@ -49,7 +49,7 @@ int traverse(PyObject* self, visitproc visit, void* arg) {
   Py_VISIT(Py_TYPE(self));
   return nb::inst_ready(self) ? nb::inst_ptr<Holder>(self)->visit(visit, arg) : 0;
 }
-/// Of the Python type of objects that show what they hold.
+/// Slots of the Python type of objects that show the objects they hold.
 template <class Holder>
 PyType_Slot slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse<Holder>)}, {0, nullptr}};
 
@@ -108,7 +108,7 @@ struct SeriesSpec {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
 
-/// What keeps a user function for as long as the core may call it.
+/// An owner that keeps a user function for as long as the core may call it.
 class Callable {
  public:
   Callable() = default;
@@ -120,7 +120,7 @@ class Callable {
   virtual int visit(visitproc visit, void* arg) const = 0;
 };
 
-/// What a Python function is to return: rows × columns numbers; vectors have one column.
+/// The values that a Python function is to return: rows × columns numbers; vectors have one column.
 struct Returns {
   /// `conditions`: values, of which those that are true or false count as 1 or −1.
   enum class Kind { values, truth, conditions } kind = Kind::values;
@@ -132,8 +132,8 @@ struct Returns {
   [[nodiscard]] std::ptrdiff_t size() const { return rows * columns; }
 };
 
-/// What a Python function takes after t: a vector of n numbers, or a matrix with rows of n, or that and a second one, a
-/// vector, one behind the other.
+/// The arguments that a Python function takes after t: a vector of n numbers, or a matrix with rows of n, or that and a
+/// second one, a vector, one behind the other.
 struct Takes {
   std::ptrdiff_t n;
   std::ptrdiff_t rows = 0;  ///< 0: a vector
@@ -198,11 +198,11 @@ class Functions {
 
   /// The motion of a MechanicsSpec: one for all functions of a problem that are parts of it.
   Motion& motion(const nb::object& mechanics);
-  /// Those motions.
+  /// The motions made by `motion`.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return motions_; }
-  /// Whether no function needs the interpreter.
+  /// Returns whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return native_; }
-  /// What native functions read: it may be written between their calls.
+  /// The parameters that native functions read: they may be written between their calls.
   [[nodiscard]] std::span<double> parameters() { return parameters_; }
   /// Shows all that is owned to the garbage collector: a function may well own what owns this.
   int visit(visitproc visit, void* arg) const;
@@ -226,8 +226,8 @@ class Functions {
 
 /// A sparse matrix as compressed columns: where each of them starts, and its end; rows, ascending in each; values.
 using Columns = std::tuple<ConstIndices, ConstIndices, ConstVector>;
-/// Those of a matrix of so many rows, and columns if their number is known. Throws std::invalid_argument unless they
-/// are.
+/// Reads the compressed columns of a matrix of so many rows, and columns if their number is known. Throws
+/// std::invalid_argument unless they are.
 Columns read_columns(nb::handle given, std::size_t rows, std::optional<std::size_t> columns = std::nullopt);
 Eigen::SparseMatrix<double> read_sparse(nb::handle given, std::size_t rows,
                                         std::optional<std::size_t> columns = std::nullopt);

@@ -21,7 +21,7 @@ struct Dense {
   /// y at each t: (len(t), n). Where the mode projects, onto the invariants of `problem`; without it values are
   /// corrected only.
   [[nodiscard]] Table evaluate(const ConstVector& t, const ProblemSpec* problem) const;
-  /// This and then `next`, which starts where this ends.
+  /// Returns this solution followed by `next`, which starts where this ends.
   [[nodiscard]] Dense joined(const Dense& next) const;
   /// Everything, as the arguments of `from_parts`.
   [[nodiscard]] nb::dict parts() const;

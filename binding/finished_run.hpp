@@ -15,9 +15,9 @@ namespace nb = nanobind;
 
 namespace invariode::binding {
 
-/// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
+/// The result of a run, its continuous solution with the objects that evaluating it needs, and its memory.
 struct FinishedRun {
-  /// Which of its warnings were given while it went on.
+  /// The warnings that were given while the run went on.
   struct Told {
     bool stiffness = false, discontinuities = false, sticking = false;
   };

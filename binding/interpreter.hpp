@@ -24,7 +24,7 @@ namespace nb = nanobind;
 
 namespace invariode::binding {
 
-/// Whether the caller's reference to an object is the only one, so that no other thread can take another.
+/// Returns whether the caller's reference to an object is the only one, so that no other thread can take another.
 inline bool is_unique(PyObject* one) {
 #if PY_VERSION_HEX >= 0x030E0000
   return PyUnstable_Object_IsUniquelyReferenced(one) != 0;
@@ -54,7 +54,7 @@ class ListLock {
 #endif
 };
 
-/// What act() gives, which may run Python code or ask for the interpreter.
+/// Returns the value of act(), which may run Python code or ask for the interpreter.
 ///
 /// When the interpreter ends, Python up to 3.13 ends each daemon thread that asks for it, by pthread_exit. With glibc
 /// that unwinds the stack like an exception, through the core, where nothing may throw: the process would abort. Such a
@@ -72,7 +72,7 @@ auto in_python(Act act) {
 #endif
 }
 
-/// What act() gives, on a thread that does not hold the interpreter and needs it for this.
+/// Returns the value of act(), on a thread that does not hold the interpreter and needs it for this.
 template <class Act>
 auto holding_interpreter(Act act) {
   struct Held {  // nanobind's is declared not to throw

@@ -32,7 +32,7 @@
 namespace invariode::binding {
 namespace {
 
-/// What `work` gives with the interpreter held only where the problem's functions need it.
+/// Returns the value of `work` with the interpreter held only where the problem's functions need it.
 template <class Work>
 auto unlocked(const BoundProblem& bound, Work work) {
   auto result = [&] {

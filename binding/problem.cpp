@@ -29,7 +29,7 @@ Value choose(const Named<Value> (&table)[count], const std::string& name, const 
 
 /// By complex steps, until g does not take one.
 constexpr const char* choose_derivative = "complex-step or 3-point";
-/// What may stand in place of a Jacobian of g.
+/// The names that may stand in place of a Jacobian of g.
 constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::complex_step},
                                              {"complex-step", Derivative::complex_step},
                                              {"3-point", Derivative::central},

@@ -71,7 +71,7 @@ struct BreakpointSpec {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {action}); }
 };
 
-/// What is known of ∂f/∂y and M.
+/// ∂f/∂y and M as far as they are known.
 struct LinearSpec {
   Structure structure;
   Jacobian::Kind kind;
@@ -152,13 +152,13 @@ class BoundProblem {
   BoundProblem& operator=(const BoundProblem&) = delete;
 
   [[nodiscard]] const Problem& problem() const { return problem_; }
-  /// Whether no function needs the interpreter.
+  /// Returns whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return functions_.native(); }
   /// The motions that its functions are parts of.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
   /// Puts a Python function in the place of f, which must be one.
   void lend(nb::object f, nb::tuple args) { functions_.lend(std::move(f), std::move(args)); }
-  /// Whether a run has failed because f overflows wherever it goes on: the exception is set then.
+  /// Returns whether a run has failed because f overflows wherever it goes on: the exception is set then.
   [[nodiscard]] bool raise_overflow(const Integration& ended) const;
   void forget_overflows() const { functions_.forget_overflows(); }
   int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }

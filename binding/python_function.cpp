@@ -140,7 +140,7 @@ bool PythonFunction::read(PyObject* result, double* out) {
   return done;
 }
 
-/// What is true for Python; an array of several values is neither true nor false.
+/// Reads a Python value as true or false; an array of several values is neither.
 bool PythonFunction::read_truth(PyObject* result, double* out) const {
   if (PyArray_Check(result) && PyArray_SIZE(reinterpret_cast<PyArrayObject*>(result)) != 1) {
     PyObject* shape = PyObject_GetAttrString(result, "shape");

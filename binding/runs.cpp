@@ -44,7 +44,7 @@
 namespace invariode::binding {
 namespace {
 
-/// How often progress is reported.
+/// The interval between two reports of progress.
 constexpr auto telling = std::chrono::milliseconds(100);
 
 const Method& method_of(const std::string& name) {
@@ -108,7 +108,7 @@ class Progress {
 
   explicit operator bool() const { return !function_.is_none(); }
   [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
-  /// With the interpreter held. False: it raised.
+  /// Tells the progress, with the interpreter held. False: the function raised.
   bool tell(const Integration& integration) {
     if (!*this) return true;
     try {
@@ -136,7 +136,7 @@ class Keeper {
 
   explicit operator bool() const { return !kept_.is_none(); }
   [[nodiscard]] bool due() const { return *this && (!last_ || Clock::now() - *last_ >= every_); }
-  /// With the interpreter held. False: the function raised.
+  /// Keeps the run, with the interpreter held. False: the function raised.
   bool keep(Run& run, const Solver& solver) {
     if (!*this) return true;
     try {
@@ -205,7 +205,7 @@ class Remarks {
   FinishedRun::Told told_;
 };
 
-/// Where a run begins: at a state, or where another one was.
+/// The beginning of a run: at a state, or where another one was.
 struct Beginning {
   const double* y0 = nullptr;
   std::span<const std::byte> memory = {};
@@ -229,7 +229,7 @@ class DrivenRun {
         [&] { return holding_interpreter([&] { return PyErr_CheckSignals() == 0 && tell_if_due(); }); });
   }
 
-  /// The same with the interpreter held; the functions look for signals.
+  /// Runs with the interpreter held; the functions look for signals.
   bool with_interpreter(const Beginning& begin) {
     if (keeper_ && begin(run_) == State::running) {  // its start is kept before the first step
       do
@@ -241,10 +241,10 @@ class DrivenRun {
     return run_watched(run_, [&] { return begin(run_); }, [&] { return tell_if_due(); });
   }
 
-  /// That it has ended.
+  /// Tells that the run has ended.
   bool tell_the_end() { return progress_.tell(run_.integration()) && keeper_.keep(run_, solver_); }
 
-  /// What it had established when it was interrupted; the exception stays the one that is on its way.
+  /// Tells the findings of a run that was interrupted; the exception stays the one that is on its way.
   void tell_the_interruption() {
     const nb::error_scope pending;
     if (!remarks_.tell(run_.integration())) PyErr_Clear();
@@ -434,7 +434,7 @@ class Stepper {
     return to_array<Vector>(std::vector<double>(y, y + n), n);
   }
   [[nodiscard]] Integration& integration() { return run_.integration(); }
-  /// What the run has done so far: it may go on afterwards.
+  /// Returns the result of the run so far: it may continue afterwards.
   [[nodiscard]] FinishedRun result() {
     Run::Marks none;
     return present(run_.result_since(none), solver_);

@@ -74,14 +74,14 @@ class Aim {
   [[nodiscard]] double hmin() const { return hmin_; }
   [[nodiscard]] bool lands() const { return lands_; }  ///< t1 is the target
   [[nodiscard]] double target() const { return target_; }
-  /// Whether there is an attempt, and it leads forward.
+  /// Returns whether there is an attempt, and it leads forward.
   [[nodiscard]] bool defined() const {
     return std::isfinite(t1_) && h_ * forward_ > 0 && std::isfinite(h_) && hmin_ >= 0;
   }
-  /// What bounds the first step of a method that starts at t.
+  /// Returns the limits of the first step of a method that starts at t.
   [[nodiscard]] Step::Span span(double t) const { return {target_, hmax_, smallest(t)}; }
 
-  /// Of the attempt; the target belongs to the run that reads this.
+  /// Archives the attempt; the target belongs to the run that reads this.
   void state(Archive& archive) {
     archive(h_, t1_, hmin_, lands_, ulps_);
     archive.require(ulps_ >= 1 && ulps_ <= hmin_ulps);

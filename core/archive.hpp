@@ -37,7 +37,7 @@ class Archive {
     std::uint32_t own = version;
     (*this)(own, whole_);
   }
-  /// To read bytes that belong to the caller and outlive this.
+  /// Makes an archive that reads bytes that belong to the caller and outlive it.
   explicit Archive(std::span<const std::byte> bytes) : reading_(true), source_(bytes) {
     std::uint32_t written = 0;
     (*this)(written, whole_);
@@ -45,19 +45,19 @@ class Archive {
   }
 
   [[nodiscard]] bool reading() const { return reading_; }
-  /// Whether the matrices are there.
+  /// Returns whether the matrices are there.
   [[nodiscard]] bool whole() const { return whole_; }
   /// A user function has stopped the reading: see `Status::stop`.
   void stop() { stopped_ = true; }
   [[nodiscard]] bool stopped() const { return stopped_; }
-  /// What was read must be so.
+  /// Throws while reading if a value that was read is not as it must be.
   void require(bool right) const {
     if (reading_ && !right) throw damaged();
   }
   /// All has been read.
   [[nodiscard]] bool exhausted() const { return place_ == source_.size(); }
 
-  /// What was written, once.
+  /// Returns the memory that was written, once.
   [[nodiscard]] RunMemory take() {
     assert(!reading_);
     const std::uint8_t whole = whole_ ? 1 : 0;
@@ -158,7 +158,7 @@ class Archive {
   std::size_t place_ = 0;
 };
 
-/// What takes part in the memory of a run.
+/// An object that takes part in the memory of a run.
 class Archived {
  public:
   virtual void state(Archive& archive) = 0;

@@ -51,7 +51,7 @@ class Breaks {
   void resume_piece(double t);
   /// Where the steps of the piece lead: the first breakpoint or landing after its start, or the end of the interval.
   [[nodiscard]] double target() const { return target_; }
-  /// What sensitivities do at a landing.
+  /// The callback that changes sensitivities at a landing.
   [[nodiscard]] Callback& landing_jump() { return landings_.jump; }
 
   [[nodiscard]] Breakpoint& next() {

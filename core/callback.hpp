@@ -7,7 +7,7 @@
 
 namespace invariode {
 
-/// What a user function reports. `stop` ends the run at once: whoever owns the context keeps the reason (an exception,
+/// The result of a user function. `stop` ends the run at once: whoever owns the context keeps the reason (an exception,
 /// an interrupt). 'Cannot be evaluated here' is not a status: such a function writes NaN, and the attempt that asked
 /// fails.
 enum class [[nodiscard]] Status { ok, stop };

@@ -16,7 +16,7 @@ class CompositeInterface {
 
   /// Between two steps: continues with another member if that suits the problem better. The next |h| may change.
   virtual Outcome hand_over(const Step::Span& span) = 0;
-  /// Which member made the last step, and how often they have changed.
+  /// `member` returns which member made the last step, `switches` how often they have changed.
   [[nodiscard]] virtual int member() const = 0;
   [[nodiscard]] virtual std::int64_t switches() const = 0;
 

@@ -17,7 +17,7 @@ class ImplicitInterface {
   ImplicitInterface(const ImplicitInterface&) = delete;
   ImplicitInterface& operator=(const ImplicitInterface&) = delete;
 
-  /// What the linear algebra did so far, and what went wrong with it in the last attempt.
+  /// The work of the linear algebra so far, and the cause of its failure in the last attempt.
   [[nodiscard]] virtual LinearWork linear_work() const = 0;
   /// ∂f/∂y; null: the method knows it by its products, or has none of its own.
   [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
@@ -30,7 +30,7 @@ class ImplicitInterface {
   ~ImplicitInterface() = default;
 };
 
-/// Of an explicit method: nothing.
+/// Returns the linear work of a step; of an explicit method none.
 inline LinearWork linear_work(const Step& step) {
   const auto* implicit = dynamic_cast<const ImplicitInterface*>(&step);
   return implicit != nullptr ? implicit->linear_work() : LinearWork{};

@@ -295,7 +295,7 @@ bool Integration::settle_at_bounds() {
   return start_step_anew(y.data());
 }
 
-/// From y, beside the start of the step.
+/// Restarts the step from y, beside its start.
 bool Integration::start_step_anew(const double* y) {
   reached_ = {t0_, y0_.data()};
   discard_step(y);
@@ -451,7 +451,7 @@ bool Integration::keep_step_before_jump() {
   return last_one_.has_value();
 }
 
-/// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
+/// Discards the step that has ended: the solution continues at (reached t, y), where its data are not valid.
 void Integration::discard_step(const double* y) {
   if (y != y0_.data()) move_start(reached_.t, y);
   interpolant_.restart();

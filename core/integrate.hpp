@@ -75,7 +75,7 @@ class Integration {
   [[nodiscard]] const Report& report() const { return report_; }
   [[nodiscard]] const Counts& counts() const { return counts_; }
   [[nodiscard]] const Step& step() const { return *step_; }
-  /// From an explicit method to an implicit one, or back.
+  /// The number of switches from an explicit method to an implicit one, or back.
   [[nodiscard]] std::int64_t switches() const { return composite_ != nullptr ? composite_->switches() : 0; }
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }
@@ -89,9 +89,10 @@ class Integration {
   void keep_last_step() { keeps_last_ = looks_between_ = true; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
-  /// Of that solution, at most.
+  /// The maximum size, in bytes, of the continuous solution over a step.
   [[nodiscard]] std::size_t most_bytes_of_step() const;
-  /// Whether the method's memory is that of the point reached, and nothing is to happen there before the next step.
+  /// Returns whether the method's history is that of the point reached, and nothing is to happen there before the next
+  /// step.
   [[nodiscard]] bool between_steps() const;
   [[nodiscard]] const Manifold& manifold() const { return manifold_; }
   [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
@@ -100,7 +101,7 @@ class Integration {
 
  private:
   enum class Verdict { accepted, rejected, ended };
-  /// What is known of the attempts of a step, so far.
+  /// The attempts of a step so far.
   struct Attempted {
     double error = 0;
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step

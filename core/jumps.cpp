@@ -112,7 +112,7 @@ State Jumps::ended_by(double t, double* y) {
   return state == State::running ? State::terminal_event : state;
 }
 
-/// Of the event that has waited longest; with it those of its vector that became due by the same jump.
+/// Takes the action of the event that has waited longest, with those of its vector that became due by the same jump.
 State Jumps::take_next(double t, double* Y) {
   const Due first = due_.front();
   EventFunction& function = parts_.events.function(first.event);

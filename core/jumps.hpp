@@ -50,7 +50,7 @@ class Jumps {
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
 
-  /// Of the latest call of `at_events` or `at_breakpoints`: has an action been taken, has Y been moved?
+  /// `acted` and `moved`: the latest call of `at_events` or `at_breakpoints` has taken an action, or changed Y.
   [[nodiscard]] bool acted() const { return acted_; }
   [[nodiscard]] bool moved() const { return moved_; }
   /// Without an action: have invariants other values there?

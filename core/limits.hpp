@@ -43,7 +43,7 @@ class Limits {
   [[nodiscard]] bool out_of_time() const { return timed() && seconds() >= time_limit_; }
 
   [[nodiscard]] double seconds() const { return std::chrono::duration<double>(Clock::now() - started_).count(); }
-  /// Of so many in all, those since `begin`.
+  /// Returns how many of so many steps in all were made since `begin`.
   [[nodiscard]] std::int64_t counted(std::int64_t steps) const { return steps - before_; }
 
  private:

@@ -34,10 +34,10 @@ enum class State {
   events_endless         ///< actions at one time set each other off; see `Report::circle`
 };
 
-/// What may end a run early (settings.hpp).
+/// The limits that may stop a run early (settings.hpp).
 enum class Limit { steps, time, points, memory };
 
-/// Where and why a run ended, for whoever writes the message.
+/// The place and the reason of a run's end, for whoever writes the message.
 struct Report {
   double t = 0;
   double h = 0;
@@ -59,8 +59,8 @@ struct Counts {
   std::int64_t clipped = 0;  ///< steps that ended outside the bounds, by less than the tolerance, or at one (√y)
 };
 
-/// What projection met in the accepted steps: for each invariant the largest residual before it, also as a distance in
-/// units of rtol; for all together the largest correction, in units of rtol.
+/// Largest values in the accepted steps: for each invariant the largest residual before projection, also as a distance
+/// in units of rtol; for all together the largest correction, in units of rtol.
 struct Drift {
   std::vector<double> residual, distance;
   double correction = 0;
@@ -73,7 +73,7 @@ struct Harm {
   double ratio = 0;    ///< of the sum of its corrections to that of its estimated errors
 };
 
-/// Whether stability, not accuracy, has limited the steps of an explicit method, and from which t on.
+/// A finding that stability, not accuracy, has limited the steps of an explicit method, and from which t on.
 struct Stiffness {
   bool found = false;
   double since = 0;

@@ -31,7 +31,7 @@ class Times {
   [[nodiscard]] bool any_inside(double t0, double tf) const {
     return std::any_of(data(), data() + size(), [&](double t) { return t != t0 && t != tf; });
   }
-  /// From number i on.
+  /// Returns the values from number i on.
   [[nodiscard]] std::span<const double> from(std::size_t i) const { return {data() + i, size() - i}; }
 
  private:
@@ -62,7 +62,7 @@ struct Settings {
   std::int64_t max_points = unlimited;                          ///< kept
   std::int64_t max_bytes = unlimited;                           ///< of all that is kept
 
-  /// Whether results have values between steps, and not only at their ends.
+  /// Returns whether results have values between steps, and not only at their ends.
   [[nodiscard]] bool looks_between() const {
     if (dense || sections) return true;
     return save_all && (output_at_times ? times.any_inside(t0, tf) : refine > 1);

@@ -42,7 +42,7 @@ void in_turn(const double* data, std::size_t size, std::size_t n, std::span<cons
 /// interpolable until the next attempt. Steps know nothing of invariants: `accept` receives the value to commit.
 class Step : public StepReport, public Archived {
  public:
-  /// What bounds the first step.
+  /// The limits of the first step.
   struct Span {
     double tf;
     double hmax;
@@ -86,7 +86,7 @@ class Step : public StepReport, public Archived {
   virtual Status extension(double* data) = 0;
   [[nodiscard]] virtual std::size_t extension_size() const = 0;
   [[nodiscard]] virtual std::size_t max_extension_size() const { return extension_size(); }
-  /// Whether these doubles are the coefficients of θ^0 … θ^degree, (degree + 1, n).
+  /// Returns whether these doubles are the coefficients of θ^0 … θ^degree, (degree + 1, n).
   [[nodiscard]] virtual bool extends_by_powers() const { return false; }
   /// Its degree, in this step and at most: the most roots that a linear event function has inside a step.
   [[nodiscard]] virtual int degree() const = 0;

@@ -26,8 +26,8 @@ inline double ulp(double t) {
   return std::bit_cast<double>(std::bit_cast<std::uint64_t>(a) + 1) - a;
 }
 
-/// Whether all n values are finite: 0 · x is 0 for those, NaN for the others. (Four sums, so that none
-/// waits for the one before.)
+/// Returns whether all n values are finite: 0 · x is 0 for those, NaN for the others. (Four sums, so that none waits
+/// for the one before.)
 inline bool all_finite(const double* v, std::size_t n) {
   double sum[4] = {0, 0, 0, 0};
   std::size_t i = 0;

@@ -25,9 +25,9 @@ class JumpSearch {
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
   /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
   Result decided_by_y(double t0);
-  /// Where the jump is: the first of the times with the new f.
+  /// The time of the discontinuity: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }
-  /// Of f, in the latest search.
+  /// Evaluations of f in the latest search.
   [[nodiscard]] std::int64_t evaluations() const { return f_.calls() - calls_before_; }
   /// Evaluations of f in all searches.
   [[nodiscard]] std::int64_t calls() const { return f_.calls(); }
@@ -83,17 +83,17 @@ class DiscontinuityDetector {
   /// than its tolerance with that? For starts whose first step is shorter than t can represent.
   Status changes_at_once(double t, const double* y, const double* slope, double forward, bool& changes);
 
-  /// Where f jumps, as far as it was seen: at most `most` places.
+  /// Times at which f is discontinuous, as far as they were seen: at most `most`.
   [[nodiscard]] const std::vector<double>& found() const { return found_; }
-  /// From when on the solution sticks where f jumps.
+  /// The time from which the solution sticks where f is discontinuous.
   [[nodiscard]] const std::optional<double>& sticks_since() const { return sticks_since_; }
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_ + evaluations_ahead_; }
 
   void state(Archive& archive);
 
   static constexpr std::size_t most = 64;
-  /// Whether there may be another search after so many attempts and evaluations in search of jumps: where f jumps all
-  /// the time, as in sliding friction, these stay few.
+  /// Returns whether there may be another search after so many attempts and evaluations in search of discontinuities:
+  /// where f is discontinuous all the time, as in sliding friction, these stay few.
   static constexpr bool may_search(std::int64_t attempts, std::int64_t evaluations) {
     return evaluations <= 256 + attempts / 4;
   }

@@ -6,7 +6,7 @@
 
 namespace invariode {
 
-/// What is known of a series, apart from the points.
+/// The state of a series of failed attempts, apart from the points.
 struct SeriesState {
   int count;               // failed attempts
   bool failed;             // the latest attempt
@@ -22,7 +22,7 @@ struct SeriesState {
 template <class Build>
 class FailedSeries {
  public:
-  /// How many vectors the points take.
+  /// The number of vectors that the points take.
   static constexpr std::size_t points = 2;
 
   /// An attempt failed that led to t1 by a step of size h.

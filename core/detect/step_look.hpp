@@ -6,8 +6,8 @@
 
 namespace invariode {
 
-/// What an explicit step shows: whether |h λ| is at the limit of the formula's stability, and how far the step has
-/// moved y, in the weights. `known` is false if it cannot tell.
+/// The result of looking at an explicit step: whether |h λ| is at the limit of the formula's stability, and how far the
+/// step has changed y, in the weights. `known` is false if it cannot tell.
 struct StepLook {
   bool known = false;
   bool at_limit = false;

@@ -10,7 +10,7 @@
 
 namespace invariode {
 
-/// Of the step from y0 that the method has just accepted.
+/// Looks at the step from y0 that the method has just accepted.
 StepLook look_at(const Step& method, const Weights& weights, const double* y0);
 
 /// Watches explicit steps. Where |h λ| stays at the limit of the formula while the solution hardly changes in a step, λ

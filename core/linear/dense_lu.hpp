@@ -30,7 +30,7 @@ class Stretches<double> {
   void swap(std::size_t a, std::size_t b) { std::swap(values_[a], values_[b]); }
   [[nodiscard]] bool finite() const { return all_finite(values_.data(), values_.size()); }
 
-  /// What is stored of a pivot, and a number divided by one that is stored.
+  /// `stored` is the form in which a pivot is stored, `divided` a number divided by a stored pivot.
   static double stored(double pivot) { return pivot; }
   static double divided(double a, double pivot) { return a / pivot; }
   void divide(std::size_t from, std::size_t count, double pivot) {

@@ -58,7 +58,7 @@ class KrylovMemory {
   std::vector<Complex> values_;
 };
 
-/// How a solve ended. `undefined`: a product, or b, holds NaN or infinity.
+/// The end of a solve. `undefined`: a product, or b, holds NaN or infinity.
 enum class [[nodiscard]] GmresResult { converged, failed, undefined, stop };
 
 /// Solves A x = b until the largest component of the residual, in units of the weights, is small enough, divided by

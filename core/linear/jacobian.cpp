@@ -125,8 +125,8 @@ bool Jacobian::needs_slope() const {
   return kind_ == Kind::differences || (kind_ == Kind::complex_steps && examination_due());
 }
 
-/// Of complex steps: the evaluations 1, 2, 4, 8, …, so that what is wrong from some t on is seen before it has gone on
-/// for longer than what was right; and those after a failure.
+/// Complex steps are examined at the evaluations 1, 2, 4, 8, …, so that errors that begin at some t are found before
+/// they have lasted longer than the correct part, and after a failure.
 bool Jacobian::examination_due() const {
   return doubtful_now_ || examined_ || std::has_single_bit(static_cast<std::uint64_t>(count_ + 1));
 }
@@ -270,7 +270,7 @@ Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const d
   return Status::ok;
 }
 
-/// Whether an entry is stored.
+/// Returns whether an entry is stored.
 bool Jacobian::holds(std::size_t i, std::size_t j) const {
   const auto& [kind, n, lower, upper] = matrix_.structure;
   if (kind == Structure::Kind::dense) return true;
@@ -279,7 +279,7 @@ bool Jacobian::holds(std::size_t i, std::size_t j) const {
   return std::binary_search(first, last, static_cast<int>(i));
 }
 
-/// What the given structure lacks of what was seen.
+/// Notes which of the entries seen the given structure lacks.
 void Jacobian::note_misfit(double t, const Pattern& seen) {
   if (source_.found_pattern) return;
   const auto& [kind, n, lower, upper] = matrix_.structure;

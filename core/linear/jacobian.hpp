@@ -77,24 +77,25 @@ class Jacobian {
   [[nodiscard]] const std::optional<Misfit>& misfit() const { return misfit_; }
   /// By which increments of component j are scaled: its weight, if that is not too small.
   [[nodiscard]] double scale(std::size_t j, const double* y) const { return defined_scale(weights_.at(j, y[j]), y); }
-  /// Of columns, for differences and complex steps: so many evaluations of f it takes.
+  /// The number of groups of columns for finite differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_.size(); }
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }
-  /// Of f at complex y, so far.
+  /// Evaluations of f at complex y so far.
   [[nodiscard]] std::int64_t complex_calls() const { return source_.complex_f.calls(); }
   /// From this t on differences have replaced complex steps; NaN: they have not.
   [[nodiscard]] double abandoned_complex_steps() const { return abandoned_complex_steps_; }
-  /// How often a pattern that was found has grown.
+  /// The number of times that a pattern that was found has grown.
   [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
   [[nodiscard]] double noise() const { return noise_; }
-  /// Whether columns of the latest differences have increments far from √ε |y_j|, which earlier ones have led to.
+  /// Returns whether columns of the latest differences have increments far from √ε |y_j|, chosen after earlier
+  /// differences.
   [[nodiscard]] bool adapted() const { return adapted_; }
-  /// The same as `evaluate`, with those increments; they are adapted anew afterwards.
+  /// Evaluates as `evaluate` does, with increments √ε |y_j|; they are adapted again afterwards.
   Status evaluate_plainly(Callback& f, double t, const double* y, const double* slope);
-  /// The same as `evaluate` of differences, where entries whose increments have changed f_i by no more than its
-  /// roundoff are formed again with ever larger ones, up to the size of the largest component, or 1.
+  /// Evaluates finite differences as `evaluate` does, where entries whose increments have changed f_i by no more than
+  /// its roundoff are formed again with increasing increments, up to the size of the largest component, or 1.
   Status evaluate_boldly(Callback& f, double t, const double* y, const double* slope);
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();

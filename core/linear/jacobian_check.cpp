@@ -87,7 +87,7 @@ JacobianCheck::Fit JacobianCheck::fit(Callback& f, double t, const double* y, co
   return all_finite(back_.data(), n) ? judge(slope) : Fit::good;
 }
 
-/// Whether f_i changes by something else than J says, Σ J_ij v_j, along that part of v.
+/// Returns whether the change of f_i along that part of v differs from the prediction of J, Σ J_ij v_j.
 bool JacobianCheck::misleads(std::size_t i, double change, double part, const double* slope) const {
   const double allowed = misleading * std::max(part * size_[i], std::abs(change)) + noise(i, slope);
   return std::abs(change - part * product_[i]) > allowed;

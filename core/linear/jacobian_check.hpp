@@ -26,11 +26,11 @@ class JacobianCheck {
   /// Where f is not finite beside y, or beside it is outside of the box, nothing speaks against J.
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
                   std::size_t turn, const Box& box = {});
-  /// The same in the direction in which f leads, of a neighbourhood as wide as `reach`, and with the tolerance of
-  /// Newton's iteration: only what would mislead it counts.
+  /// Examines J in the direction in which f leads, in a neighbourhood as wide as `reach`, with the tolerance of
+  /// Newton's iteration: only errors that would mislead the iteration count.
   Fit fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
           std::size_t turn, const Box& box = {});
-  /// Of the latest `fit`: v; the row in which J v is not the change of f, and both.
+  /// The result of the latest `fit`: the direction v; the row in which J v is not the change of f, and both values.
   [[nodiscard]] const std::vector<double>& direction() const { return direction_; }
   [[nodiscard]] std::size_t row() const { return row_; }
   [[nodiscard]] double change() const { return change_[row_]; }

@@ -23,7 +23,7 @@ class KinkSearch {
   [[nodiscard]] const double* at_end() const { return end_.data(); }
 
  private:
-  /// Of the line, between 0 and 1.
+  /// A point of the line; `theta` is between 0 and 1.
   struct Point {
     double theta = 0;
     std::vector<double> difference;

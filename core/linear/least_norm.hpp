@@ -34,7 +34,7 @@ class PivotedBasis {
   }
   /// Vector i, or in its place the unit vector of the basis.
   [[nodiscard]] auto vector(std::size_t i) { return vectors_.col(index(i)); }
-  /// Which vectors are in the basis, in the order of the pivots.
+  /// The vectors in the basis, in the order of the pivots.
   [[nodiscard]] const std::vector<std::size_t>& members() const { return members_; }
 
   /// Adds pivots from these vectors, the longest one first, until ends(i, length) of what is left of the longest, i.
@@ -87,7 +87,8 @@ class PivotedBasis {
 /// Remembers the pattern for which something was prepared.
 class KnownPattern {
  public:
-  /// Whether A has another pattern than the one before: an equality, since entries move without changing their number.
+  /// Takes the pattern of A; returns whether it differs from the one before: an equality, since entries move without
+  /// changing their number.
   [[nodiscard]] bool renew(const Eigen::SparseMatrix<double>& A);
 
  private:

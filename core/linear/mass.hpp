@@ -37,7 +37,7 @@ class Mass {
 
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
   [[nodiscard]] bool constant() const { return !function_; }
-  /// Of a constant diagonal M its diagonal, else nothing.
+  /// Returns the diagonal of a constant diagonal M, else nothing.
   [[nodiscard]] std::optional<std::vector<double>> diagonal() const;
   [[nodiscard]] bool singular() const { return Z_.cols() > 0; }
   /// r, the number of algebraic equations.
@@ -112,8 +112,8 @@ enum class Consistency { consistent, corrected, not_found, undetermined, index_t
 
 /// Moves y, in its components that M leaves undetermined, until the algebraic equations hold to roundoff.
 Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weights& weights, double t, double* y);
-/// The same for the sensitivities of a consistent y: M δ_j = 0 and Zᵀ (J (S_j + δ_j) + f_pj) = 0. Where something is
-/// not finite or singular they stay as they are.
+/// Makes the sensitivities of a consistent y consistent: M δ_j = 0 and Zᵀ (J (S_j + δ_j) + f_pj) = 0. Where a value is
+/// not finite or a matrix is singular they stay as they are.
 Status make_tangent_consistent(const LinearAlgebra& linear, double t, double* Y);
 
 /// The algebraic equations as constraints that projection imposes together with the invariants.

@@ -12,7 +12,7 @@
 
 namespace invariode {
 
-/// How a matrix is stored.
+/// The structure in which a matrix is stored.
 struct Structure {
   enum class Kind { dense, banded, sparse } kind = Kind::dense;
   std::size_t n = 0;

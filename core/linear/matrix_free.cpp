@@ -193,7 +193,7 @@ Status MatrixFree::multiply(const double* v, double* out) {
   return apply(out);
 }
 
-/// The same, part by part: J and M are real.
+/// Multiplies the real and the imaginary part of v separately: J and M are real.
 Status MatrixFree::multiply(const Complex* v, Complex* out) {
   const std::size_t n = gmres_.n();
   const double re = complex_c_.real(), im = complex_c_.imag();

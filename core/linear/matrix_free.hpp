@@ -18,7 +18,7 @@
 
 namespace invariode {
 
-/// What is known of ∂f/∂y without a matrix.
+/// ∂f/∂y without a matrix: its products and its preconditioner.
 struct KrylovTerms {
   Callback product;  ///< J v of t and (y | v), 2 n numbers; empty: differences of f
   Preconditioner preconditioner;
@@ -34,7 +34,7 @@ class JacobianProduct {
   void at(double t, const double* y, const double* slope);
   Status multiply(const double* v, double* out);
   [[nodiscard]] std::int64_t count() const { return count_; }
-  /// Whether a user's function forms it, and where J is.
+  /// `given` returns whether a user's function forms the product, `t` where J is.
   [[nodiscard]] bool given() const { return static_cast<bool>(product_); }
   [[nodiscard]] double t() const { return t_; }
   void state(Archive& archive);
@@ -61,19 +61,19 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
 
   /// Two vectors (n,) of the caller's, which complex systems overwrite.
   void take_scratch(double* part, double* product);
-  /// Where the preconditioner is set up next; y stays with the caller.
+  /// Sets the point where the preconditioner is set up next; y stays with the caller.
   void reach(double t, const double* y);
   [[nodiscard]] bool preconditioned() const { return static_cast<bool>(preconditioner_); }
   /// Sets up the preconditioner for c.
   Status set_up(double c);
-  /// The same where it was set up last, after `state` has read that.
+  /// Sets up the preconditioner again where it was set up last, after `state` has read that.
   Status set_up_again(double c);
 
   [[nodiscard]] JacobianProduct& product() { return product_; }
   /// b becomes P⁻¹ b, which is about x. `not_finite`: it holds NaN or infinity, or is 0 where b is not; see `unsolved`.
   template <class Scalar>
   Outcome precondition(Scalar* b);
-  /// Whether P⁻¹ b is about an x within the tolerance: see `solve`, which has solved another such system with this P.
+  /// Returns whether P⁻¹ b is below the tolerance: see `solve`, which has solved another such system with this P.
   [[nodiscard]] bool negligible(const double* w, double tolerance, const double* b) const;
   [[nodiscard]] bool negligible(const double* w, double tolerance, const Complex* b) const;
   /// P⁻¹ b becomes x, with J where `product()` is, M null: the identity. About the tolerance is left as its error, in

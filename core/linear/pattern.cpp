@@ -75,7 +75,7 @@ Pattern diagonal(std::size_t n) {
   return pattern;
 }
 
-/// In the direction that leads away from 0, and never across it.
+/// Returns the distance in the direction that leads away from 0, and never across it.
 double outward(double y, double distance) { return y < 0 ? -distance : distance; }
 
 /// Parts between ½ and 1½, of two kinds.

@@ -32,7 +32,7 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
                                     const std::vector<double>& value, const std::vector<double>& displacement,
                                     const PatternSearch& search, bool& stopped);
 
-/// The same around (t, y), at a point beside it in the box, where no term vanishes by chance.
+/// Finds the pattern around a point in the box beside (t, y), where no term vanishes by chance.
 std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y, const Box& box,
                                          const PatternSearch& search, bool& stopped);
 

@@ -18,7 +18,7 @@ class Preconditioner {
   Preconditioner(SetUp* to_set_up, Solve* to_solve, void* context)
       : set_up_(to_set_up), solve_(to_solve), context_(context) {}
 
-  /// For J at (t, y).
+  /// Sets up the preconditioner for J at (t, y).
   Status set_up(double t, const double* y, double c) { return set_up_(context_, t, y, c, made_); }
   /// b becomes x, with what was set up last.
   Status solve(double* b) { return solve_(context_, made_.get(), b); }

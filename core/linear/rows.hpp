@@ -45,7 +45,7 @@ struct RowPattern {
   explicit operator bool() const noexcept { return !starts.empty(); }
 };
 
-/// How gradients stand in one array of values.
+/// The layout of gradients in one array of values.
 class RowLayout {
  public:
   explicit RowLayout(std::size_t n) : n_(n) {}
@@ -62,7 +62,7 @@ class RowLayout {
   }
 
   [[nodiscard]] std::size_t size() const { return starts_.back(); }
-  /// Where gradient i begins.
+  /// Returns where gradient i begins.
   [[nodiscard]] std::size_t start(std::size_t i) const { return starts_[i]; }
   [[nodiscard]] Row row(std::size_t i, const double* values) const {
     assert(i < rows_.size());

@@ -9,8 +9,8 @@ namespace invariode {
 /// becomes X: NaN if A is singular or not finite.
 void solve_in_place(std::int64_t k, std::int64_t m, double* numbers) noexcept;
 
-/// The same with sparse factors. `numbers`: the entries of A at `places` i k + j, ascending, then B, which becomes X.
-/// Each thread keeps the orderings of the latest patterns.
+/// Solves A X = B with sparse factors. `numbers`: the entries of A at `places` i k + j, ascending, then B, which
+/// becomes X. Each thread keeps the orderings of the latest patterns.
 void solve_sparse_in_place(std::int64_t k, std::int64_t m, std::int64_t entries, const std::int64_t* places,
                            double* numbers) noexcept;
 

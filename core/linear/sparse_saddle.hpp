@@ -9,7 +9,7 @@
 
 namespace invariode {
 
-/// Whether M has entries on its diagonal only.
+/// Returns whether M has entries on its diagonal only.
 bool is_diagonal(const Eigen::SparseMatrix<double>& M);
 
 /// Solves the system of `ConstrainedSolution` with sparse M and A: with a diagonal positive M by the Schur complement

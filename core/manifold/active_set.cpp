@@ -17,7 +17,7 @@ constexpr int output_rounds = 4;                  // between steps: as in the st
 
 using Vector = Eigen::Map<const Eigen::VectorXd>;
 
-/// Where y_i is not inside its bounds: at or beyond one.
+/// Returns whether y_i is not inside its bounds: at or beyond one.
 bool at_bound(const Bounds::Interval& one, const double* y) {
   return y[one.component] <= one.lower || y[one.component] >= one.upper;
 }
@@ -106,8 +106,8 @@ void ActiveSet::note_unwilling(const double* y) {
   }
 }
 
-/// Whether the invariants that were left out, some perhaps since the fixed components leave nothing to correct them
-/// with, are nearer than they were `before`; if they are not, `not_finite`.
+/// Checks that the invariants that were left out, some perhaps since the fixed components leave nothing to correct them
+/// with, are nearer than they were `before`; if they are not, returns `not_finite`.
 Outcome ActiveSet::judge_left_out(double t, const double* y, std::span<const double> before) {
   bool any = false;
   for (std::size_t i = 0; i < residual_.size(); ++i) any = any || projector_.left_out(i);

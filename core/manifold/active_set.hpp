@@ -21,7 +21,7 @@ class ActiveSet {
   /// `Projector::project` within the bounds, which the candidate may be off. Not finite where no point within the
   /// bounds was found on the manifold.
   Projected project(double t, const double* from, double* y);
-  /// Whether the latest projection fixed any component: its correction then says nothing about the invariants.
+  /// Returns whether the latest projection fixed any component: its correction then says nothing about the invariants.
   [[nodiscard]] bool active() const { return active_; }
 
  private:
@@ -39,7 +39,8 @@ class ActiveSet {
   bool active_ = false;
 };
 
-/// The same for points between steps: `Projector::onto` within the bounds. What no correction brings inside is clipped.
+/// Projects a point between steps, as `Projector::onto`, within the bounds. Components that no correction brings inside
+/// are clipped.
 Outcome onto_within(Projector& projector, const Bounds& bounds, double t, const double* w, const double* target,
                     double* y, int most);
 

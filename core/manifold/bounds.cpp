@@ -116,7 +116,7 @@ Status BoundedSlope::begin_step(double t, const double* y, bool& changed) {
   return status;
 }
 
-/// What rests at (t, y).
+/// Finds the components that rest at their bounds at (t, y).
 Status BoundedSlope::look(double t, const double* y) {
   bool any = false;
   arrived_ = at_bound_;

@@ -29,7 +29,7 @@ class Bounds {
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] const std::vector<Interval>& intervals() const { return intervals_; }
-  /// As they were given.
+  /// The bounds as they were given.
   [[nodiscard]] std::vector<double> lower() const;
   [[nodiscard]] std::vector<double> upper() const;
   [[nodiscard]] bool contain(const double* y) const;
@@ -45,10 +45,10 @@ class Bounds {
   /// Moves components that have come to a bound, but for roundoff, or for what the slope moves them in `shortest`, the
   /// smallest step, onto it, if the slope leads them there. Returns whether there were any.
   bool settle(const Weights& weights, double forward, const double* slope, double shortest, double* y) const;
-  /// Whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
+  /// Returns whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
-  /// Of a slope at y, takes away what leads out of the bounds where y is at one or beyond. `forward`: +1 or −1, the
-  /// direction of integration. `removed`: takes the components where it did, unless null.
+  /// Removes from a slope at y the components that lead out of the bounds where y is at one or beyond. `forward`: +1 or
+  /// −1, the direction of integration. `removed`: takes the components where it did, unless null.
   void remove_outward(const double* y, double forward, double* slope,
                       std::vector<std::size_t>* removed = nullptr) const;
 
@@ -70,7 +70,7 @@ class BoundedSlope {
   /// and stays. Empty: f is y'.
   BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
                std::vector<double> mass = {});
-  /// Of a constant regular M that is not diagonal: what is not to be led out is a component of y' = M⁻¹ f, and f
+  /// With a constant regular M that is not diagonal, the component that must not lead out is one of y' = M⁻¹ f, and f
   /// without it is M y' with 0 in its place.
   BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method, const Matrix& mass,
                std::unique_ptr<Factorization> factors);
@@ -87,7 +87,7 @@ class BoundedSlope {
 
   /// From now on the components whose slope it sets to 0 are noted.
   void note_held() { notes_held_ = true; }
-  /// Those of the last evaluation.
+  /// The components whose slope the last evaluation set to 0.
   [[nodiscard]] const std::vector<std::size_t>& held() const { return held_; }
 
   /// Refers to this object.

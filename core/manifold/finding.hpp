@@ -3,7 +3,7 @@
 
 namespace invariode {
 
-/// What speaks against the invariants.
+/// Evidence against the invariants.
 struct Finding {
   enum class Kind { none, stop, undefined, off_value, jumps_off, wrong_jacobian, not_conserved };
   Kind kind = Kind::none;

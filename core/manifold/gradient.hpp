@@ -67,8 +67,8 @@ Real bend(const Real& length, const Real& before) {
   return larger(length / before, before / length) - Real(1);
 }
 
-/// Whether gradients that have bent so much, in the step from `from` to y, may change in the correction by as much as
-/// they are.
+/// Returns whether gradients that have bent so much, in the step from `from` to y, may change in the correction by as
+/// much as they are.
 template <class Real>
 auto bends_sharply(const Real& bent, const Real* from, const Real* y, const Real* delta, std::size_t n) {
   auto sharp = Real(sharp_bend) < bent;
@@ -92,14 +92,14 @@ struct Directional {
       terms += absolute(term);
     });
   }
-  /// Whether a difference quotient contradicts it. `increment`: of the differences; `roundoff`: of g.
+  /// Returns whether a difference quotient contradicts the rate. `increment`: of the differences; `roundoff`: of g.
   [[nodiscard]] auto contradicted(const Real& quotient, const Real& roundoff, double increment) const {
     const Real allowed = jacobian_tolerance * larger(terms, absolute(quotient)) + roundoff / Real(increment);
     return allowed < absolute(quotient - expected);
   }
 };
 
-/// Whether a rate of change counts, in a step or in the whole interval. `tolerated`: rtol ‖J W‖.
+/// Returns whether a rate of change counts, in a step or in the whole interval. `tolerated`: rtol ‖J W‖.
 template <class Real>
 auto drifts(const Real& rate, const Real& h, double interval, const Real& tolerated) {
   return (suspicious_drift * tolerated < absolute(h * rate)) | (harmful_drift * tolerated < absolute(interval * rate));

@@ -159,8 +159,8 @@ Finding Guard::worst_entry(double t, const double* y, double factor) {
   return worst;
 }
 
-/// Whether g changes with t alone, seen at a point near y0 (at y0 itself where g is not defined nearby). It may begin
-/// to do so later: `rate` goes on looking.
+/// Finds out whether g changes with t alone, at a point near y0 (at y0 itself where g is not defined nearby). It may
+/// begin to do so later: `rate` continues to test this.
 Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
   const auto look = [&] {
     if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return Outcome::stop;
@@ -384,8 +384,8 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
   return best;
 }
 
-/// Whether invariant i changes at about this rate at the point and at others nearby on the manifold, each time by g
-/// along the flow. Roundoff, of f, g or the projection, would change from one to the other.
+/// Tests whether invariant i changes at about this rate at the point and at others nearby on the manifold, each time by
+/// g along the flow. Roundoff, of f, g or the projection, would change from one to the other.
 Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& persistent) {
   persistent = false;
   const std::size_t n = invariants_.n();
@@ -442,19 +442,19 @@ double Guard::limit(std::size_t i) const {
   return std::max(suspicious_angle, errors_of_derivatives * error);
 }
 
-/// What roundoff of g and of t does to g_t, where g changes with t.
+/// Returns the error in g_t by roundoff of g and of t, where g changes with t.
 double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, double h) const {
   if (!time_dependent_) return 0;
   const double roundoff = invariants_.roundoff(i, at.y.data(), at.jacobian.data());
   return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / invariants_.resolution_in_time(t, h);
 }
 
-/// Whether a rate of invariant i counts, in a step or in the whole interval.
+/// Returns whether a rate of invariant i counts, in a step or in the whole interval.
 bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h) const {
   return invariode::drifts(rate, h, std::isfinite(interval_) ? interval_ : 0, weights_.rtol() * at.row_norm[i]);
 }
 
-/// Whether the derivatives of invariant i hide rates that count, though g itself does not.
+/// Returns whether the derivatives of invariant i hide rates that count, though g itself does not.
 bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
   if (invariants_.untested(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
   const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +

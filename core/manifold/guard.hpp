@@ -33,17 +33,18 @@ class Guard {
   /// The rate of change of the invariants at (t0, y0), where the slope is f and the first step h.
   Finding start_rate(double t, const double* y, const double* f, double h);
 
-  /// The same after accepted step number `steps`, with the linearization of its projection and the method's slope f.
-  /// (Where that is no more than what Newton's iteration left, suspicions are frequent, and rarely looked at.)
+  /// Tests the rate of change after accepted step number `steps`, with the linearization of its projection and the
+  /// method's slope f. (Where that is no more than Newton's iteration left, suspected violations are frequent, and
+  /// rarely examined.)
   Finding rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
-  /// What the size of the correction of that step, (t, y) being its end, says.
+  /// Tests the size of the correction of that step, whose end is (t, y).
   Finding corrected(double correction, double t, const double* y, double h, std::int64_t steps);
   /// A step from (t, y) has violated what may only rise or fall: does f do that?
   Finding violated(double t, const double* y, double h, std::int64_t steps);
   /// Projects (t, y) to roundoff, or as far as that goes, evaluates f there and tests again.
   Finding confirm(double t, const double* y, double h);
 
-  /// How one invariant stands at a point.
+  /// The state of one invariant at a point.
   struct Examination {
     double residual;    ///< g − value, as given
     double distance;    ///< of the point from the level set, in units of rtol

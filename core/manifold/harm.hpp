@@ -20,7 +20,7 @@ namespace invariode {
 /// atol for positions and velocities, it corrects the errors of some at the cost of others that had none.
 class HarmDetector {
  public:
-  /// Of a state of n doubles, in steps of `all`.
+  /// Makes a detector for a state of n doubles, in steps of `all`.
   HarmDetector(std::size_t n, std::size_t all) : error_(all), errors_(n), corrections_(n) {}
 
   /// Step number `step`, from the candidate to y1, is about to be accepted. Looks at one step in eight.
@@ -34,7 +34,7 @@ class HarmDetector {
   }
 
   [[nodiscard]] Harm harm(double rtol) const { return harm(looks_, errors_, corrections_, rtol); }
-  /// The same of sums that so many looks came to.
+  /// Judges sums to which so many looks have added.
   static Harm harm(std::int64_t looks, std::span<const double> errors, std::span<const double> corrections,
                    double rtol) {
     Harm worst;

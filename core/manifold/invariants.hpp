@@ -49,9 +49,9 @@ class Invariants {
   [[nodiscard]] const std::vector<double>& value() const { return value_; }
   /// Holds what is held, not demanded, at its values at (t, y) from now on.
   Status hold(double t, const double* y);
-  /// The same for those that may only rise or fall.
+  /// Fixes the invariants that may only increase or decrease at their values at (t, y) from now on.
   Status hold_one_sided(double t, const double* y);
-  /// From now on what may only rise or fall does not go back behind g (m).
+  /// From now on invariants that may only increase or decrease do not go back behind g (m).
   void tighten(const double* g);
   [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
@@ -64,7 +64,7 @@ class Invariants {
     return increment_[i] != 0;
   }
   [[nodiscard]] bool all_by_differences() const;
-  /// What the worst derivatives are good to, relative to the terms of their row: ε^{2/3}, ε^{1/2}, or 0 without
+  /// Relative error of the worst derivatives, in units of the terms of their row: ε^{2/3}, ε^{1/2}, or 0 without
   /// differences.
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
@@ -75,16 +75,16 @@ class Invariants {
     assert(i < m());
     return untested_[i] != 0;
   }
-  /// Of invariant i: 0, −1 or 1, as of its block.
+  /// The sense of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
   [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }
-  /// Whether corrections are sought among the directions that the step is made of.
+  /// Returns whether corrections are sought among the directions that the step is made of.
   [[nodiscard]] bool along_steps() const { return along_steps_; }
-  /// By how much a residual of invariant i violates it.
+  /// Returns by how much a residual of invariant i violates it.
   [[nodiscard]] double excess(std::size_t i, double residual) const {
     return sense_[i] == 0 ? std::abs(residual) : std::max(0.0, -sense_[i] * residual);
   }
-  /// Whether a rate of invariant i in the direction of integration contradicts it.
+  /// Returns whether a rate of invariant i in the direction of integration contradicts it.
   [[nodiscard]] bool contradicts(std::size_t i, double rate) const {
     return sense_[i] == 0 ? rate != 0 : sense_[i] * rate < 0;
   }
@@ -125,9 +125,9 @@ class Invariants {
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
   /// Its part that is known without J.
   [[nodiscard]] double roundoff_of_value(std::size_t i) const;
-  /// What roundoff of the point, 10 ε s_j in each component, does to invariant i.
+  /// Returns the change of invariant i by roundoff of the point, 10 ε s_j in each component.
   double resolution(std::size_t i, const double* y, const double* J);
-  /// What that does to J_i f, where J_i comes from differences.
+  /// Returns the change of J_i f by roundoff of the point, where J_i comes from differences.
   double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 
  private:

@@ -92,8 +92,8 @@ std::size_t Levels::idle_rows(const Level& level) const {
       std::count_if(level.rows.begin(), level.rows.end(), [this](std::size_t row) { return idle(row); }));
 }
 
-/// The same with sparse factors of the equations (0, …, 0, r_l) of the levels up to l. False: some depend on others, or
-/// a metric is not diagonal, or a part of a level is idle (the order of its factors is that of all its rows).
+/// Solves, with sparse factors, the equations (0, …, 0, r_l) of the levels up to l. False: some depend on others, or a
+/// metric is not diagonal, or a part of a level is idle (the order of its factors is that of all its rows).
 bool Levels::solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta) {
   std::fill(delta, delta + n_, 0);
   std::vector<std::size_t> rows;
@@ -180,8 +180,8 @@ void Levels::apply_metric(const double* J, std::size_t row, Level& level) {
   norm_[row] = basis_.vector(row).stableNorm();
 }
 
-/// What roundoff makes of the combination of rows that is basis vector i: of its own residual, of what it leaves open
-/// in the levels before, and in the combinations before, from member `first` on.
+/// Returns the roundoff of the combination of rows that is basis vector i: of its own residual, of the residual it
+/// leaves in the levels before, and in the combinations before, from member `first` on.
 double Levels::noise_of(std::size_t i, std::size_t first, const double* J, const double* noise) const {
   double sum = noise[i];
   layout_.row(i, J).for_each([&](std::size_t j, double value) { sum += std::abs(value) * open_[j]; });

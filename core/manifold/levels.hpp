@@ -24,7 +24,8 @@ class Levels {
   /// fit.
   explicit Levels(const Invariants& invariants);
 
-  /// Whether the invariants have levels at all; without them the correction is that of the paper, of all together.
+  /// Returns whether the invariants have levels at all; without them the correction is that of the paper, of all
+  /// together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
   /// Takes the metrics at (t, y).
@@ -35,7 +36,7 @@ class Levels {
   /// null: none. Returns the rank.
   std::size_t solve(const double* J, const double* r, const double* noise, const double* w, double threshold,
                     const char* idle, double* delta);
-  /// Which rows the last `solve` left out.
+  /// The rows that the last `solve` left out.
   [[nodiscard]] const std::vector<char>& left_out() const { return left_out_; }
 
  private:

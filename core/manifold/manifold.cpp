@@ -163,13 +163,13 @@ Outcome Manifold::follow_tangent(double t, const double* candidate) {
   return projected_.skipped ? tangent_->settle(t, y1_.data()) : tangent_->follow(*projector_, t, y1_.data());
 }
 
-/// What the step is made of.
+/// Seeks corrections among the directions that the step is made of.
 void Manifold::choose_directions(const Step& step) {
   const std::size_t count = step.directions(directions_.data());
   projector_->seek_along({directions_.data(), count});
 }
 
-/// What roundoff in g does to a correction.
+/// Returns the error of a correction by roundoff in g.
 double Manifold::roundoff_of_correction() const {
   const Linearization at = projector_->linearization();
   double largest = 0;
@@ -197,7 +197,7 @@ void Manifold::note(Counts& counts) {
   counts.clipped += outside_.off_bounds ? 1 : 0;
 }
 
-/// What rises over a step rises at one of its ends, unless its rate changes sign twice within.
+/// A function that increases over a step increases at one of its ends, unless its rate changes sign twice within.
 Finding Manifold::judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break) {
   if (!guard_ || !check_ || projected_.skipped) return {};
   if (one_sided_ && one_sided_->engaged() && !after_break)

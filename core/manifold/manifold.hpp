@@ -25,9 +25,9 @@
 
 namespace invariode {
 
-/// What the solution is kept on: `steps` by projection after each step, `between` in the output between them; `slope`
-/// is y' as a function, with which invariants are tested. Null: no invariants. And within bounds, or null. All belong
-/// to the caller.
+/// The functions that the solution is projected onto: `steps` after each step, `between` in the output between them;
+/// `slope` is y' as a function, with which invariants are tested. Null: no invariants. The solution may also be kept
+/// within bounds, or null. All belong to the caller.
 struct ManifoldTerms {
   Invariants* steps = nullptr;
   Invariants* between = nullptr;
@@ -65,13 +65,14 @@ class Manifold {
   /// The solution starts at (t, y), where the state has been moved onto the manifold: sensitivities are moved to its
   /// tangent.
   Status start(double t, double* y);
-  /// The same after a jump. `rehold`: onto what an impact keeps, with new values of what it does not.
+  /// Restarts after a jump. `rehold`: projects onto the invariants that an impact conserves, with new values of the
+  /// others.
   Finding restart(double t, double* y, bool rehold);
   /// Notes the values of the invariants at (t, y), as functions of the piece that ends there.
   Status note_values(double t, const double* y);
-  /// Whether they are others at (t, y), by more than roundoff, as functions of the piece that begins there.
+  /// Compares the invariants at (t, y), as functions of the piece that begins there; `differ`: by more than roundoff.
   Status compare_values(double t, const double* y, bool& differ);
-  /// What is known of the gradients does not hold where the solution goes on.
+  /// Forgets the gradients, which are not valid where the solution continues.
   void forget();
   /// The start, which is within bounds, onto the manifold within them. Not finite: there is no such point near it.
   Outcome project_start(double t, double* y);

@@ -27,7 +27,7 @@ class MetricFactor {
 
   /// Takes G at (t, y).
   Status update(double t, const double* y);
-  /// Whether G is positive definite there.
+  /// Returns whether G is positive definite there.
   [[nodiscard]] bool regular() const { return regular_; }
   [[nodiscard]] bool diagonal() const { return diagonal_.size() > 0; }
   /// x = L⁻¹ a in the components of G; the other entries are left alone.

@@ -25,7 +25,7 @@ class OneSided {
   Status go_on(double t, const double* y);
   /// `Projector::project`; with `ActiveSet` within the bounds. Not finite as well where a violation remains.
   Projected project(double t, const double* from, double* y);
-  /// Whether the latest projection had to impose any of them.
+  /// Returns whether the latest projection had to impose any of the one-sided invariants.
   [[nodiscard]] bool engaged() const { return engaged_; }
   /// The step was accepted at the point that was projected last: there is no way back behind it.
   void commit();
@@ -45,8 +45,8 @@ class OneSided {
   std::vector<double> g_;                    // at y₁: residuals, then values
 };
 
-/// The same for points between steps: `Projector::onto` (within the bounds, if there are any), and what is one-sided
-/// between its values g0 and g1 at the ends. `target` has residuals to be met by the others.
+/// Projects a point between steps: `Projector::onto` (within the bounds, if there are any), with one-sided invariants
+/// between their values g0 and g1 at the ends. `target` has residuals to be met by the others.
 Outcome onto_between(Projector& projector, const Bounds* bounds, double t, const double* w, const double* g0,
                      const double* g1, std::span<double> target, double* y, int most);
 

@@ -135,7 +135,8 @@ void Projector::keep_to_directions() {
     if (norm_[i] > 0) directions_->cut(basis_.vector(i).data());
 }
 
-/// Whether only `share` of the length of gradient i is left among the directions, too little to correct its residual.
+/// Returns whether only `share` of the length of gradient i is left among the directions, too little to correct its
+/// residual.
 bool Projector::out_of_reach(std::size_t i, double share) const {
   return directions_ && share < least_share && std::abs(r_[i]) > matters * tolerances_.rtol() * norm_[i];
 }
@@ -224,8 +225,8 @@ Outcome Projector::measure(double t, const double* y) {
   return Outcome::ok;
 }
 
-/// Whether g is defined at y₁, and Newton's iteration has led towards the manifold, not away from a pole or to another
-/// branch. The linearization stays the last one.
+/// Checks that g is defined at y₁, and that Newton's iteration has led towards the manifold, not away from a pole or to
+/// another branch. The linearization stays the last one.
 Outcome Projector::measure_after(double t, const double* y) {
   if (invariants_.residual(t, y, residual_after_.data()) == Status::stop) return Outcome::stop;
   if (!defined(residual_after_.data())) return Outcome::not_finite;
@@ -245,7 +246,7 @@ double Projector::largest_before(std::size_t i) const {
   return *std::max_element(distance_before_.begin(), distance_before_.end()) * norm_[i];
 }
 
-/// Whether a residual is of the size of its terms, so that the correction changes some of them by as much.
+/// Returns whether a residual is of the size of its terms, so that the correction changes some of them by as much.
 bool Projector::far_off(const double* y) const {
   for (std::size_t i = 0; i < r_.size(); ++i) {
     if (idle(i)) continue;
@@ -262,13 +263,13 @@ bool Projector::defined(const double* r) {
   return undefined_ < 0;
 }
 
-/// Whether the gradients of the invariants may change in the correction by as much as they are, as near the end of a
-/// domain, judged by how they have changed in the step.
+/// Returns whether the gradients of the invariants may change in the correction by as much as they are, as near the end
+/// of a domain, judged by how they have changed in the step.
 bool Projector::bends(const double* from, const double* y) const {
   return bent_ > slight_bend && bends_sharply(bent_, from, y, delta_.data(), w_.size());
 }
 
-/// Whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
+/// Returns whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
 bool Projector::crossed_zero(const double* y) const {
   for (std::size_t i = 0; i < w_.size(); ++i)
     if (original_[i] * y[i] < 0) return true;
@@ -283,7 +284,7 @@ double Projector::doubt(const double* y) const {
   return factor * factor * factor;
 }
 
-/// Whether the candidate is to be left alone: judged by the gradients of the last linearization.
+/// Returns whether the candidate is to be left alone: judged by the gradients of the last linearization.
 bool Projector::close_enough(const double* y) {
   if (negligible_ == 0 || !linearized_ || any_engaged()) return false;
   const double most = negligible_ / doubt(y);
@@ -345,7 +346,7 @@ double Projector::movable_part(std::size_t i) const {
   return all > 0 ? free / all : 0;
 }
 
-/// Whether nothing but the roundoff of its coefficients is left of invariant i, since components are fixed.
+/// Returns whether only the roundoff of its coefficients is left of invariant i, since components are fixed.
 bool Projector::stuck(std::size_t i) const { return !movable_.empty() && movable_[i] <= roundoff_of_coefficients; }
 
 double Projector::roundoff(std::size_t i, const double* y) {
@@ -523,7 +524,7 @@ void Projector::release_all() {
   fixed_count_ = 0;
 }
 
-/// Whether the latest correction was so small that what it leaves is roundoff.
+/// Returns whether the latest correction was so small that its remainder is roundoff.
 bool Projector::settled() const {
   return max_norm(w_.size(), [this](std::size_t i) { return delta_[i] / w_[i]; }) <= last_correction;
 }

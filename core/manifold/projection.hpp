@@ -32,7 +32,7 @@ struct Linearization {
   }
 };
 
-/// What the projection of a candidate did. The spans are views of the projector's latest.
+/// The result of projecting a candidate. The spans are views of the projector's latest.
 struct Projected {
   Outcome outcome = Outcome::ok;
   bool skipped = false;              ///< the candidate was left alone: there is no linearization at it
@@ -42,7 +42,7 @@ struct Projected {
   std::span<const double> distance;  ///< the same as distances from the level sets, in units of the weights
 };
 
-/// What `impose` or `approach` did to a point.
+/// The result of `impose` or `approach` at a point.
 struct Imposed {
   Outcome outcome;
   bool converged = false;  ///< every residual is roundoff
@@ -70,7 +70,7 @@ class Projector {
   /// Projects to roundoff (at most 50 iterations, the iterate of least residual is kept), with W = max(|y|, thr).
   /// A point where that fails is left unchanged.
   Imposed impose(double t, double* y);
-  /// The same, with the iterate of least residual wherever it is.
+  /// Projects to roundoff as `impose` does, and takes the iterate of least residual wherever it is.
   Imposed approach(double t, double* y);
 
   /// Factors at (t, y), with the weights W = max(|y|, thr), without moving y.
@@ -115,7 +115,7 @@ class Projector {
   /// Size below which the residual of invariant i at y, near the latest linearization, is roundoff: of g, of the point,
   /// and where components are fixed of the coefficients that the others have in it.
   [[nodiscard]] double roundoff(std::size_t i, const double* y);
-  /// Whether the latest correction left out invariant i.
+  /// Returns whether the latest correction left out invariant i.
   [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 
  private:

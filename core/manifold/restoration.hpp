@@ -12,7 +12,7 @@ namespace invariode {
 /// levels. What is held at its own value, such as the energy, is not imposed: it gets a new value.
 class Restoration {
  public:
-  /// Whether there is anything to restore.
+  /// Returns whether there is anything to restore.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
   Restoration(const Invariants& invariants, const Weights& weights);

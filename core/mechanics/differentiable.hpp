@@ -51,7 +51,7 @@ class Differentiable {
   Status slope(double t, const double* x, double dt, const double* dx, double* out);
   /// d²/ds² of the same. `sizes` (m): of the terms that d/ds sums, which may cancel; null: not known.
   Status curvature(double t, const double* x, double dt, const double* dx, double* out, const double* sizes = nullptr);
-  /// What that is good to, relative to its terms; 0: roundoff.
+  /// Relative error of the derivatives, in units of their terms; 0: roundoff.
   [[nodiscard]] double relative_error() const;
   /// ∂/∂x_j for the requested columns, one evaluation of the complex form for each group of them, or four of the
   /// function. `size`: of the components, for increments.

@@ -97,7 +97,8 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
   entries_.resize(most_entries());
 }
 
-/// What the users' functions write at most at once: those of M and of Φ, if they are given.
+/// Returns the maximum number of values that the users' functions write at once: those of M and of Φ, if they are
+/// given.
 std::size_t Motion::most_entries() const {
   std::size_t mass = 0, phi = 0;
   switch (terms_.mass.writes) {

@@ -44,7 +44,7 @@ struct MotionTerms {
   double dependent = 0;  ///< rows that depend on others to this part of their length are left out
 };
 
-/// What the evaluations have cost so far.
+/// The cost of the evaluations so far.
 struct MotionWork {
   std::int64_t mass, force, constraints, velocity_constraints, kinematics, jacobian;  ///< calls of functions
   std::int64_t sparse, dense;                                                         ///< factorisations
@@ -75,9 +75,9 @@ class Motion {
   };
   [[nodiscard]] Callback callback(Part part);
 
-  /// Where the Jacobian of that law can have entries.
+  /// Returns where a Jacobian, one of the parts, can have entries.
   [[nodiscard]] RowPattern pattern(Part jacobian) const;
-  /// That Jacobian as a function of (t, y) that writes these entries.
+  /// Returns a Jacobian as a function of (t, y) that writes the entries of its `pattern`.
   [[nodiscard]] Callback entries(Part jacobian);
 
   Status slope(double t, const double* y, double* out);
@@ -97,15 +97,15 @@ class Motion {
   [[nodiscard]] std::size_t size() const { return terms_.n_q + terms_.n_v; }
   [[nodiscard]] std::size_t n_q() const { return terms_.n_q; }
   [[nodiscard]] std::size_t n_v() const { return terms_.n_v; }
-  /// How many values of φ and of ψ are kept.
+  /// The numbers of values of φ and of ψ that are kept.
   [[nodiscard]] std::size_t m_phi() const { return kept_phi_.size(); }
   [[nodiscard]] std::size_t m_psi() const { return kept_psi_.size(); }
-  /// How many values the mass has as a part.
+  /// Returns the number of values that the mass has as a part.
   [[nodiscard]] std::size_t mass_size() const { return diagonal_mass_ ? n_v() : n_v() * n_v(); }
-  /// Whether sparse factors are tried before dense ones.
+  /// Returns whether sparse factors are tried before dense ones.
   [[nodiscard]] bool sparse() const { return sparse_; }
   [[nodiscard]] MotionWork work() const;
-  /// What v' is good to, relative to its size; 0: roundoff.
+  /// Relative error of v'; 0: roundoff.
   [[nodiscard]] double relative_error() const;
 
  private:

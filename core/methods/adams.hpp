@@ -53,7 +53,7 @@ class Adams final : public Step {
 
   double* phi(int i) { return phi_.data() + at(i); }
   [[nodiscard]] const double* phi(int i) const { return phi_.data() + at(i); }
-  /// Where difference i begins; one past the last is the end.
+  /// Returns where difference i begins; one past the last is the end.
   [[nodiscard]] std::size_t at(int i) const {
     assert(i >= 1 && static_cast<std::size_t>(i - 1) * n() <= phi_.size());
     return static_cast<std::size_t>(i - 1) * n();

@@ -21,7 +21,8 @@ struct NamedExtension {
 [[nodiscard]] const NamedExtension* find_extension(std::string_view name);
 [[nodiscard]] const NamedExtension& find_extension(Interpolate evaluate);
 
-/// That of a method whose steps are made by others: data = [number of the extension in the list | what that reads].
+/// Evaluates the extension of a method whose steps are made by others: data = [number of the extension in the list |
+/// the data of that extension].
 void numbered_extension(const double* data, std::size_t size, std::size_t n, std::span<const double> theta,
                         double* out);
 [[nodiscard]] double number_of_extension(Interpolate evaluate);

@@ -139,7 +139,7 @@ class ImplicitBase : public Step, public ImplicitInterface {
     h_ = std::max(hmin, h);
     return true;
   }
-  /// By which h is divided after a success.
+  /// Returns the divisor of h after a success.
   [[nodiscard]] double divisor_of_order_two() const {
     return std::max(0.2, 1.25 * std::pow(error_ / weights_.rtol(), 1 / third));
   }

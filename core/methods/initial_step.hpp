@@ -53,8 +53,8 @@ inline constexpr double nearest_spacings = 16;   // of t, at least
 inline constexpr double growth_of_look = 100;    // of δ from one look to the next
 inline constexpr double farthest_look = 0.5;     // of that step: beyond, attempts see f themselves
 
-/// Whether the reciprocal from f₀ limits the first step to less than the interval (of an infinite one: is not 0).
-/// Otherwise the start is at rest.
+/// Returns whether the reciprocal from f₀ limits the first step to less than the interval (of an infinite one: is not
+/// 0). Otherwise the start is at rest.
 template <class Real>
 auto gives_scale(const Real& reciprocal, const Real& t, double tf) {
   return Real(1) < absolute(Real(tf) - t) * reciprocal;

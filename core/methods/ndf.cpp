@@ -163,9 +163,9 @@ double Ndf::optimal_h(int k, double error, double safety) const {
   return shrink > 1 / largest_growth ? h_ / shrink : h_ * largest_growth;
 }
 
-/// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in
-/// algebraic equations it may be so large that the updates are too small to show it. There one that is not old is
-/// renewed too, at the second failure of a step.
+/// Returns whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong,
+/// and in algebraic equations it may be so large that the updates are too small to show it. There a J that is not old
+/// is renewed too, at the second failure of a step.
 bool Ndf::misleading_jacobian() {
   const int age = solver_.jacobian_age();
   const bool algebraic = solver_.mass() && solver_.mass()->singular();

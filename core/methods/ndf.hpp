@@ -48,7 +48,7 @@ class Ndf final : public ImplicitBase<Newton> {
 
   double* D(int j) { return differences_.data() + at(j); }
   [[nodiscard]] const double* D(int j) const { return differences_.data() + at(j); }
-  /// Where difference j begins; one past the last is the end.
+  /// Returns where difference j begins; one past the last is the end.
   [[nodiscard]] std::size_t at(int j) const {
     assert(j >= 1 && static_cast<std::size_t>(j - 1) * n() <= differences_.size());
     return static_cast<std::size_t>(j - 1) * n();

@@ -434,7 +434,7 @@ void AgingJacobian::step_accepted() {
   ++age_;
 }
 
-/// Whether the values of M(t) are finite, which are looked at where M is a function.
+/// Returns whether the values of M(t) are finite, which are tested where M is a function.
 bool AgingJacobian::defined_mass() {
   work_.undefined_mass =
       mass_ && !mass_->constant() && !all_finite(mass_->matrix().values.data(), mass_->matrix().values.size());
@@ -803,8 +803,8 @@ Newton::Result Newton::doubt(bool soft) {
   return Result::converged;
 }
 
-/// Whether an update of that size, after a residual of the size `last` and before one of the size `residual`, leaves
-/// little.
+/// Returns whether an update of that size, after a residual of the size `last` and before one of the size `residual`,
+/// leaves little.
 bool Newton::solved(double size, double last, double residual) const {
   return left_by(size, residual / last, residual) <= tolerated_residual();
 }

@@ -81,7 +81,7 @@ class AgingJacobian {
   void forget();
   /// J at (t, y), where f is `slope`.
   Status take_jacobian(double t, const double* y, const double* slope);
-  /// What is due before an attempt from (t, y). What `renew` has asked for: takes J there anew, where f is `slope`.
+  /// Prepares J before an attempt from (t, y). If `renew` has asked for a new J, takes it there, where f is `slope`.
   /// Null: f is evaluated if J comes from differences.
   Status repair(double t, const double* y, const double* slope = nullptr);
   /// J v of the state, with J at (t, y), where f is `slope`; of a matrix, with the J at hand.
@@ -90,7 +90,7 @@ class AgingJacobian {
   /// than the tolerated part of it. `not_finite`: M − c J is singular.
   template <class Factor>
   Outcome prepare(double c, double t1, Factor&& factor, double tolerated = 0);
-  /// The same matrix-free: M at t₁, and a preconditioner for this c or one near it.
+  /// Prepares a matrix-free attempt: M at t₁, and a preconditioner for this c or one near it.
   Outcome prepare_preconditioner(double c, double t1);
   /// factor(c) of `state`, matrix-free.
   bool set_up_again(double c, Archive& archive);
@@ -109,11 +109,12 @@ class AgingJacobian {
   /// J at (t, y), an iterate of the step in work, where f is `slope`: once in a step.
   [[nodiscard]] bool may_take_in_place() const;
   Status take_in_place(double t, const double* y, const double* slope);
-  /// The same as `renew` after an iteration that failed: a J of the point reached cannot be improved, unless it was
-  /// undefined, or is much too large and may be that of a place where f has another derivative. After one of an iterate
-  /// it is renewed, and shorter steps are to be made all the same.
+  /// Renews J after an iteration that failed, as `renew` does: a J of the point reached cannot be improved, unless it
+  /// was undefined, or is much too large and may be that of a place where f has another derivative. After one of an
+  /// iterate it is renewed, and shorter steps are to be made all the same.
   bool renew_if_old();
-  /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
+  /// Renews J before an attempt with c, if it comes from differences and is roundoff in part, where that has begun to
+  /// count.
   void renew_if_noise(double c);
   /// Roundoff in a J of this run has counted: a new one is not better than the old.
   [[nodiscard]] bool noisy() const { return noisy_; }
@@ -129,11 +130,11 @@ class AgingJacobian {
   /// Residuals say that updates with J are much too small.
   void note_too_large() { too_large_ = true; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
-  /// It is to be taken anew before the next attempt.
+  /// Returns whether J is to be renewed before the next attempt.
   [[nodiscard]] bool renewal_due() const { return renew_; }
   [[nodiscard]] int jacobian_age() const { return age_; }  ///< steps since it was taken
-  /// Whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted to
-  /// tell: yes.)
+  /// Returns whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted
+  /// to tell: yes.)
   [[nodiscard]] bool stiff(double c, const double* w);
   /// Leaves out of residuals of the state what may be roundoff of c f, judged by the terms of J y.
   void forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals);
@@ -150,7 +151,7 @@ class AgingJacobian {
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
   [[nodiscard]] const Extent& extent() const { return extent_; }
-  /// In which iterations for sensitivities converge, where there are any.
+  /// The weights in which iterations for sensitivities converge, where there are any.
   [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
   /// Doubles at the beginning of Y to whose blocks J and M belong; quadratures are behind them, with 0 and the
   /// identity.
@@ -168,8 +169,8 @@ class AgingJacobian {
       factors.solve(b + first);
     }
   }
-  /// The same with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
-  /// what y does to the slopes of the sensitivities.
+  /// Solves with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
+  /// the derivatives of the slopes of the sensitivities with respect to y.
   Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b) {
     count_solve();
     factors.solve(b);
@@ -182,7 +183,7 @@ class AgingJacobian {
   /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
   /// until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
-  /// The same of the state alone, and of its sensitivities behind it, which are Y's.
+  /// Evaluate f for the state alone, and for its sensitivities behind it, which are Y's.
   Outcome evaluate_state(double t, const double* y, double* out);
   Outcome evaluate_sensitivities(double t, const double* Y, double* out);
   /// The first of them for a look at J, counted apart.
@@ -300,14 +301,15 @@ class InitialSlopes {
   MassSolver solver_;
 };
 
-/// What an iteration has left, if the last update had that size and residuals fall at that rate: no more than the
-/// residual, in components that f does not drive apart.
+/// Returns the error that an iteration has left, if the last update had that size and residuals decrease at that rate:
+/// no more than the residual, in components that f does not drive apart.
 inline double left_by(double size, double rate, double residual) {
   return rate < 1 ? std::min(size * rate / (1 - rate), residual) : residual;
 }
 inline constexpr double little = 0.5;  // of a residual
-/// Whether the last update, with a J that is much too large, was too small to solve anything: of the residual `before`
-/// it, without what is 0 there, it has moved no more than that part, and leaves more than `least` in the weights.
+/// Returns whether the last update, with a J that is much too large, was too small to solve anything: of the residual
+/// `before` it, without the components that are 0 there, it has changed no more than that part, and leaves more than
+/// `least` in the weights.
 bool unmoved(std::span<const double> before, const double* after, const double* w, double least, double part = little);
 
 /// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
@@ -344,7 +346,7 @@ class Newton : public AgingJacobian {
   void state(Archive& archive);
 
  private:
-  /// Where an iteration is: all of this stays with the caller.
+  /// The position of an iteration: all of this stays with the caller.
   struct Place {
     double c, t;
     const double *y, *w;
@@ -375,7 +377,7 @@ class Newton : public AgingJacobian {
   std::vector<double> sensitivity_weight_;  // of the attempt
 };
 
-/// What an evaluation, or a solve by GMRES, means to the iteration.
+/// Returns the meaning of an evaluation, or of a solve by GMRES, to the iteration.
 inline Newton::Result newton_result(Outcome outcome) {
   if (outcome == Outcome::ok) return Newton::Result::converged;
   return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;

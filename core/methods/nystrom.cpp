@@ -29,7 +29,7 @@ class NystromStep final : public Step {
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
   static constexpr double exponent = 1.0 / (T.error_order + 1);
-  /// Whether v* depends on f(t₁, q*): the extension does then not end at y* with another slope in its place.
+  /// True if v* depends on f(t₁, q*): the extension does then not end at y* with another slope in its place.
   static constexpr bool last_has_weight = T.b[last] != 0;
 
  public:
@@ -122,7 +122,7 @@ class NystromStep final : public Step {
     return Outcome::ok;
   }
 
-  /// Of the stages only the first of the next step is read again.
+  /// Archives, of the stages, only the first of the next step, which is read again.
   void state(Archive& archive) override {
     Step::state(archive);
     if (archive.reading()) accepted_ = false;
@@ -231,7 +231,7 @@ class NystromStep final : public Step {
     });
   }
 
-  /// Whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, q*).
+  /// Returns whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, q*).
   [[nodiscard]] bool evaluates_again(const double* y1) const {
     return (fsal_ == Fsal::evaluate || moved_onto_bounds_) && !std::equal(y1, y1 + n(), candidate_);
   }
@@ -265,7 +265,7 @@ class NystromStep final : public Step {
     return [this](std::size_t i) { return weights_.at(i, start_[i], y_[i]); };
   }
 
-  /// Those of the extension; their slopes may turn out not to be finite, or too large.
+  /// Evaluates the stages of the extension; their slopes may turn out not to be finite, or too large.
   Status further_stages(bool& sound) {
     const auto weight = weight_of_step();
     double most = 0;

@@ -37,11 +37,11 @@ struct NystromTableau {
   std::array<std::array<double, Degree>, all_stages> B_q, B_v;
 
   [[nodiscard]] constexpr std::array<double, all_stages> b_bar() const { return A[Stages - 1]; }
-  /// Whether f(t₁, q*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
+  /// Returns whether f(t₁, q*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E_v[Stages - 1] != 0; }
 };
 
-/// Which of the two sums the weights w belong to.
+/// The one of the two sums that the weights w belong to.
 enum class Nystrom { position, velocity };
 
 /// Largest defect in the order conditions of the weights w of a sum over the stages A, c: h² Σ w_j F_j of positions or

@@ -27,7 +27,7 @@ class OrderTwo : public ImplicitBase<Newton> {
   [[nodiscard]] int order() const final { return formula_order; }
 
  protected:
-  /// What is known of the continuous extension P of an attempt.
+  /// The continuous extension P of an attempt, as far as it is known.
   struct Extension {
     std::span<const double> theta;  ///< where it is tested, each of its polynomials once
     double error;  ///< its error in the smooth part, in units of the estimate of the step before that is damped

@@ -31,7 +31,7 @@ constexpr int steps_before_raise = 10;  // steps at a lower order before it may 
 constexpr double most_growth = 1.5;     // of h, with which the order rises: where h grows faster, no error limits it
 constexpr double seven_stages_from = 1e-7;  // rtol: above it 7 stages cost more than they gain
 
-/// By how much the estimate magnifies errors of the increments.
+/// Returns the factor by which the estimate magnifies errors of the increments.
 double amplification(const RadauFormula& formula) {
   double sum = 0;
   for (std::size_t stage = 0; stage < formula.stages; ++stage) sum += std::abs(formula.initial_slope[stage]);
@@ -320,7 +320,7 @@ std::size_t Radau::directions(const double** vectors) const {
   return stages();
 }
 
-/// By which h is to be multiplied; less where Newton's iteration was long.
+/// Returns the factor of h; it is smaller where Newton's iteration was long.
 double Radau::factor_of_error() const {
   const double most = 2 * most_iterations(*formula_) + 1;
   const double slack = safety * most / (most - 1 + convergence_.iterations());
@@ -403,8 +403,8 @@ Outcome Radau::accept(const double* y1) {
   return Outcome::ok;
 }
 
-/// Of the next step, whose |h| is known. More stages are tried where the iteration converges so fast that longer steps
-/// would not slow it down, and where the error limits h.
+/// Chooses the order of the next step, whose |h| is known. More stages are tried where the iteration converges so fast
+/// that longer steps would not slow it down, and where the error limits h.
 void Radau::choose_order(double h) {
   steps_until_raise_ = std::max(0, steps_until_raise_ - 1);
   const double rate = convergence_.rate(), change = h / h_;

@@ -45,8 +45,8 @@ constexpr Square<s> inverse(Square<s> a) {
   return b;
 }
 
-/// What defines a formula: c, the zeros of d^{s−1}/dx^{s−1} x^{s−1} (x − 1)^s, and the eigenvalues of A⁻¹, to more
-/// digits than a double has.
+/// The numbers that define a formula: c, the zeros of d^{s−1}/dx^{s−1} x^{s−1} (x − 1)^s, and the eigenvalues of A⁻¹,
+/// to more digits than a double has.
 template <std::size_t s>
 struct Numbers {
   Row<s> c;

@@ -7,7 +7,7 @@
 namespace invariode {
 namespace {
 
-/// By how much T magnifies errors.
+/// Returns the factor by which T magnifies errors.
 double magnification(const RadauFormula& formula) {
   double largest = 0;
   for (std::size_t i = 0; i < formula.stages; ++i) {

@@ -55,7 +55,7 @@ std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& w
   return std::make_unique<Implicit>(f, weights, linear);
 }
 
-/// What one Jacobian costs, in evaluations of f.
+/// Returns the cost of one Jacobian, in evaluations of f.
 double calls_per_jacobian(const Jacobian& jacobian) {
   switch (jacobian.kind()) {
     case Jacobian::Kind::constant:
@@ -91,7 +91,7 @@ std::unique_ptr<Step> make_taylor(const Method&, Callback& f, const Weights& wei
   return std::make_unique<Taylor>(f, weights, *series, given.projected);
 }
 
-/// What the tableau of a pair says.
+/// Makes the row of a pair from its tableau.
 template <const auto& T>
 constexpr Method of_pair(const char* family, decltype(Method::make) make) {
   Method method{.name = T.name,
@@ -118,7 +118,7 @@ constexpr Method row() {
   return method;
 }
 
-/// The same of the pair T for second-order systems.
+/// Makes the row of the pair T for second-order systems.
 template <const auto& T, std::size_t I>
 constexpr Method nystrom_row() {
   Method method = of_pair<T>("Runge-Kutta-Nystrom pair, for y'' = f(t, y)", make_nystrom<I>);

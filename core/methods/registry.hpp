@@ -29,10 +29,11 @@ struct MethodOptions {
   const Method* prefer_implicit = nullptr;
 };
 
-/// Which M of M y' = f(t, y) a method takes.
+/// The mass matrices M of M y' = f(t, y) that a method takes.
 enum class MassMatrices { none, constant_regular, any };
 
-/// What a method takes for f: any function of (t, y); one whose expression graph is known; f of y'' = f(t, y).
+/// The functions f that a method takes: any function of (t, y); one whose expression graph is known; f of y'' = f(t,
+/// y).
 enum class Equations { any, graph, second_order };
 
 /// A method as data: what it is called, what it can do, where it comes from, how a step of it is made. (`series`: for
@@ -74,7 +75,7 @@ struct Members {
   const Method& explicit_one;
   const Method& implicit_one;
 };
-/// Those preferred, else ode113 and ode15s, which evaluate f least often (benchmarks/auto.py).
+/// Returns the preferred members, else ode113 and ode15s, which evaluate f least often (benchmarks/auto.py).
 [[nodiscard]] Members members(const MethodOptions& given);
 
 [[nodiscard]] std::span<const Method> methods();

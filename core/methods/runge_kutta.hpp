@@ -15,8 +15,8 @@
 
 namespace invariode::runge_kutta {
 
-/// What the first stage of the step after a projection is: `reuse` takes f(t₁, y*), already computed, which changes the
-/// result by O(h^{q+1}) and saves an evaluation per step (paper, section 4); `evaluate` computes f(t₁, y₁).
+/// The first stage of the step after a projection: `reuse` takes f(t₁, y*), already computed, which changes the result
+/// by O(h^{q+1}) and saves an evaluation per step (paper, section 4); `evaluate` computes f(t₁, y₁).
 enum class Fsal { reuse, evaluate };
 
 /// `nested_polynomial` of output/polynomial.hpp.
@@ -39,7 +39,7 @@ using MakeStep = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, 
 /// just written one number at a time cannot be read two at a time before it has reached the cache
 /// (docs/benchmarks/native.md).
 extern const std::array<MakeStep, Pairs::count> steps_of_small_systems;
-/// The same for any number of equations.
+/// The makers of steps for any number of equations.
 extern const std::array<MakeStep, Pairs::count> steps_of_any_system;
 /// The most equations of a small system.
 inline constexpr std::size_t small_system = 8;

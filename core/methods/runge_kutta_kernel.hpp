@@ -25,12 +25,12 @@ Real grown(const Real& h, const Real& root) {
   return choose(Real(1 / largest_growth) < tau, h / tau, largest_growth * h);
 }
 
-/// What cuts |h| after the first failure of a step, `root` = (rtol / error)^{1/q}.
+/// Returns the factor of |h| after the first failure of a step, `root` = (rtol / error)^{1/q}.
 template <class Real>
 Real cut(const Real& root, double floor) {
   return larger(Real(floor), safety * root);
 }
-/// The same after failures one after the other.
+/// The factor of |h| after further failures of a step.
 inline constexpr double halved = 0.5;
 
 /// `Norm` collects a maximum by `add`. `Build` tells translation units apart that are compiled with different flags:
@@ -62,7 +62,7 @@ struct Kernel {
     }(std::make_index_sequence<last - 1>{});
   }
 
-  /// Those of the extension, of the step of size h from y to t1, alike.
+  /// Evaluates the stages of the extension, of the step of size h from y to t1, alike.
   template <class Evaluate>
   static void further_stages(const Real& t1, const Real* y, const Real& h, const Stages& k, std::size_t n, Real* work,
                              Evaluate evaluate) {

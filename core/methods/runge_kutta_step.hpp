@@ -118,7 +118,7 @@ class RungeKuttaStep final : public Step {
     return Outcome::ok;
   }
 
-  /// Of the stages only the first of the next step is read again.
+  /// Archives, of the stages, only the first of the next step, which is read again.
   void state(Archive& archive) override {
     Step::state(archive);
     if (archive.reading()) accepted_ = false;
@@ -167,7 +167,7 @@ class RungeKuttaStep final : public Step {
 
   void provide_reevaluated() { reevaluated_ = resized(again_, n()); }
 
-  /// Whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
+  /// Returns whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
   [[nodiscard]] bool evaluates_again() const { return projected_ && (fsal_ == Fsal::evaluate || moved_onto_bounds_); }
 
   /// The last stage of the accepted step is the first of the next one (FSAL).
@@ -198,7 +198,7 @@ class RungeKuttaStep final : public Step {
     return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
   }
 
-  /// As `all_finite`, of which the program has one copy, made for many.
+  /// Returns whether y is finite, as `all_finite`, of which the program has one copy, made for many.
   [[nodiscard]] bool finite(const double* y) const {
     if constexpr (!Small) return all_finite(y, n());
     double sum = 0;
@@ -206,7 +206,7 @@ class RungeKuttaStep final : public Step {
     return sum == 0;
   }
 
-  /// Those of the extension; their slopes may turn out not to be finite, or too large.
+  /// Evaluates the stages of the extension; their slopes may turn out not to be finite, or too large.
   Status further_stages(bool& sound) {
     const auto weight = weight_of_step();
     const double most = Kernel::largest_of_extension(k_, n(), weight);

@@ -168,7 +168,7 @@ void Switching::end_attempts() {
   if (algebra_ != nullptr) algebra_->end_attempts();
 }
 
-/// Of both members: where the first step after a hand-over fails, the one before goes on.
+/// Archives both members: where the first step after a hand-over fails, the member before resumes.
 void Switching::state(Archive& archive) {
   Step::state(archive);
   for (Step* member : {explicit_.get(), implicit_.get()})

@@ -63,7 +63,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   [[nodiscard]] std::int64_t switches() const override { return switches_; }
 
  private:
-  /// What the active member has done since it took over, or since the start.
+  /// The work of the active member since it took over, or since the start.
   struct Turn {
     std::int64_t steps = 0;
     std::int64_t calls = 0;  // of f, and what costs as much, before it

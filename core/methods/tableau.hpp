@@ -49,7 +49,7 @@ struct Tableau {
     for (std::size_t k = 0; k < Stages; ++k) w[k] -= estimate[k];
     return w;
   }
-  /// Whether f(t₁, y*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
+  /// Returns whether f(t₁, y*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E[Stages - 1] != 0; }
 };
 

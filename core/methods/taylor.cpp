@@ -116,7 +116,7 @@ int Taylor::first_undefined(const double* v) const {
   return -1;
 }
 
-/// In the weights of the last attempt, at both its ends.
+/// Returns the norm of v in the weights of the last attempt, at both its ends.
 double Taylor::norm(const double* v) const { return taylor::norm(v, n(), inverse_weight_); }
 
 double Taylor::reach(const Expansion& expansion) const {

@@ -73,7 +73,7 @@ class Taylor final : public Step {
   [[nodiscard]] double defect(std::size_t i) const;
   [[nodiscard]] int first_undefined(const double* v) const;
 
-  /// What was not finite in the last attempt.
+  /// The coefficient that was not finite in the last attempt.
   struct Undefined {
     int component = -1;
     std::optional<int> coefficient;  ///< nothing: f

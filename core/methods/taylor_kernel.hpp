@@ -139,7 +139,7 @@ INVARIODE_EACH void evaluate_beside(const Real* c, std::size_t n, std::size_t or
   }
 }
 
-/// The same of all n.
+/// Evaluates the polynomials of all n components.
 template <class Real>
 void evaluate_polynomial(const Real* c, std::size_t n, std::size_t order, const Real& s, Real* rise, Real* slope) {
   std::size_t i = 0;

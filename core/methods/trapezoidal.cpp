@@ -22,7 +22,7 @@ Trapezoidal::Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebr
     v->resize(weights.size());
 }
 
-/// What multiplies `rise_` for the polynomials of degree 1, 2 and 3 through the last y at t₁. 0: too few steps.
+/// Factors of `rise_` for the polynomials of degree 1, 2 and 3 through the last y at t₁. 0: too few steps.
 std::array<double, 3> Trapezoidal::growth() const {
   if (last_h_ == 0) return {};
   const double h = signed_h_, h1 = last_h_;
@@ -54,7 +54,7 @@ void Trapezoidal::estimate(double* error) {
   }
 }
 
-/// In the middle.
+/// Evaluates the continuous extension in the middle of the step.
 Status Trapezoidal::extend(double /*theta*/, double* P, double* rise) {
   if (smooth_if_ringing() == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < n(); ++i) {
@@ -67,8 +67,8 @@ Status Trapezoidal::extend(double /*theta*/, double* P, double* rise) {
 /// Once in a step.
 Status Trapezoidal::smooth_if_ringing() { return !std::exchange(smoothed_, true) && rings() ? smooth() : Status::ok; }
 
-/// Whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the formula
-/// turns what is stiff around in each step, y into nearly −y and y' into nearly −y'.
+/// Returns whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the
+/// formula turns stiff components around in each step, y into nearly −y and y' into nearly −y'.
 bool Trapezoidal::rings() {
   if (last_h_ == 0) return false;
   const double ratio = signed_h_ / last_h_, cube = ratio * ratio * ratio;

@@ -24,7 +24,8 @@ inline void from_powers(const std::vector<double>& a, std::vector<double>& b) {
     for (std::size_t j = p; j >= r; --j) b[j] += b[j - 1];
 }
 
-/// Those on the two halves, by de Casteljau's algorithm: the second ones take the place of b.
+/// Splits the coefficients into those on the two halves, by de Casteljau's algorithm: the second ones take the place of
+/// b.
 inline void halve(double* b, std::size_t count, double* first) {
   for (std::size_t r = 0; r < count; ++r) {
     first[r] = b[0];
@@ -32,7 +33,7 @@ inline void halve(double* b, std::size_t count, double* first) {
   }
 }
 
-/// Whether all are on one side of zero, and farther from it than `margin`.
+/// Returns whether all coefficients are on one side of zero, and farther from it than `margin`.
 inline bool on_one_side(const double* b, std::size_t count, double margin) {
   const auto [low, high] = std::minmax_element(b, b + count);
   return *low > margin || *high < -margin;

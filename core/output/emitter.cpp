@@ -62,7 +62,7 @@ Status Emitter::emit_times(const Reached& reached, bool jumps) {
   return Status::ok;
 }
 
-/// At some times within the step.
+/// Emits the outputs at some times within the step.
 Status Emitter::emit_inside(std::span<const double> times) {
   if (times.empty()) return Status::ok;
   Trajectory& points = output.points;

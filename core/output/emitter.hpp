@@ -24,7 +24,7 @@ struct Kept {
   std::int64_t points, bytes;
 };
 
-/// Where a function returns `stop`, a user function asked to.
+/// Emits the outputs of a run. A function returns `stop` where a user function asked to.
 class Emitter {
  public:
   /// The settings and the interpolant belong to the loop. `dense`: the continuous solution, if it is wanted.

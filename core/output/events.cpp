@@ -175,7 +175,7 @@ Outcome Events::go_on(double t, const double* y) {
   return restart(t, y);
 }
 
-/// What is left of a count is archived: one of the start may have been taken off `terminal`.
+/// Archives the rest of a count: one of the start may have been taken off `terminal`.
 void Events::state(Archive& archive) {
   archive(last_, sign_, touched_, size_, slope_, sign_before_);
   for (std::size_t e = 0; e < count(); ++e) {
@@ -326,13 +326,13 @@ bool Events::leaves_room(std::size_t event) {
   return !std::isfinite(largest) || room_between_points * reach >= apart || reach > room_between_points * across;
 }
 
-/// How large the event is in the step, and how steep.
+/// Notes how large the event is in the step, and how steep.
 void Events::note_size(std::size_t event, double size, double slope) {
   size_[event] = size;
   slope_[event] = std::isfinite(slope) ? slope : 0;
 }
 
-/// The same from the close scan.
+/// Notes the size of an event from the close scan.
 void Events::note_size(std::size_t event) {
   const auto& [times, values] = close_scan_;
   if (functions_[event].samples == 0 && !by_turning_points(event)) return;  // `leaves_room` has
@@ -345,7 +345,7 @@ void Events::note_size(std::size_t event) {
   note_size(event, most, slope);
 }
 
-/// The same with samples of its own, on the values that will be returned.
+/// Scans the step closely for an event, with samples of its own, on the values that will be returned.
 Outcome Events::scan_closely(std::size_t event, int samples) {
   const double t0 = step_.t0, t1 = step_.t1;
   auto& [times, values] = close_scan_;
@@ -394,13 +394,13 @@ Outcome Events::roundoff_of(std::size_t event, double t, const double* y, double
   return Outcome::ok;
 }
 
-/// Whether the step is a polynomial, along which the event is expanded.
+/// Returns whether the step is a polynomial, along which the event is expanded.
 bool Events::by_turning_points(std::size_t event) const {
   const std::optional<Series>& series = functions_[event].series;
   return series && series->order() == step_.interpolant->order_of_powers();
 }
 
-/// The same where the event turns: between these points it is monotonic.
+/// Scans the step where the event turns: between these points it is monotonic.
 Outcome Events::scan_turning_points(std::size_t event) {
   const double t0 = step_.t0, t1 = step_.t1;
   if (!std::exchange(powers_known_, true) && step_.interpolant->powers(powers_) == Status::stop) return Outcome::stop;
@@ -481,7 +481,7 @@ int Events::sign_after(std::size_t j) const {
   return sign;
 }
 
-/// Whether touching zeros are asked for, and this one is not that at the end of the step before.
+/// Returns whether touching zeros are requested, and this one is not that at the end of the step before.
 bool Events::is_new_touching(const Occurrence& root) {
   const double before = std::exchange(touched_[root.event], root.t);
   const bool same = std::abs(root.t - before) <= resolution * std::abs(step_.t1 - step_.t0);

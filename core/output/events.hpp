@@ -101,7 +101,7 @@ class Events {
   /// All that occurs at t has been dealt with; events that no jump has moved away from zero stay asleep.
   void forget_occurrences();
 
-  /// What is known of an event between two steps.
+  /// The state of an event between two steps.
   struct Watch {
     double last;               ///< its value
     int sign;                  ///< where it was last not zero; 0: asleep
@@ -125,16 +125,16 @@ class Events {
   /// starts again.
   Outcome go_on(double t, const double* y);
 
-  /// Of the last search.
+  /// The occurrences of the last search.
   [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }
   [[nodiscard]] bool terminal() const { return terminal_; }
-  /// Whether an action is to be taken at the last occurrence.
+  /// Returns whether an action is to be taken at the last occurrence.
   [[nodiscard]] bool acts() const { return acts_; }
   [[nodiscard]] EventFunction& function(std::size_t event) { return functions_[event]; }
   [[nodiscard]] RootVector& vector(std::size_t number) { return vectors_[number]; }
   /// The first one in the run.
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return accumulation_; }
-  /// Of an outcome `not_finite`: the event that is NaN, and where.
+  /// After an outcome `not_finite`: the event that is NaN, and where.
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
  private:
@@ -156,7 +156,7 @@ class Events {
     std::vector<double> y, values;
   };
 
-  /// What is known of the actions of an event.
+  /// The history of the actions of an event.
   struct Actions {
     double t = 0;  // of the last one
     double interval = std::numeric_limits<double>::infinity();

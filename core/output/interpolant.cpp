@@ -161,7 +161,7 @@ Status StepInterpolant::value(double t, double* y) {
   return s.data ? interpolant_.value(s, t, y) : Status::stop;
 }
 
-/// With e₀ (1−θ)²(1+2θ) + e₁ θ²(3−2θ) = e₀ + 3 (e₁ − e₀) θ² + 2 (e₀ − e₁) θ³.
+/// Adds the corrections as powers: e₀ (1−θ)²(1+2θ) + e₁ θ²(3−2θ) = e₀ + 3 (e₁ − e₀) θ² + 2 (e₀ − e₁) θ³.
 Status StepInterpolant::powers(std::vector<double>& c) {
   const Segment s = segment();
   if (!s.data) return Status::stop;

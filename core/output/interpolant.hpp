@@ -57,9 +57,9 @@ class Interpolant {
 
   /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
   Status value(const Segment& segment, double t, double* y);
-  /// The same without projection: cheap, and equal to `value` at both ends.
+  /// Evaluates with the corrections but without projection: cheap, and equal to `value` at both ends.
   void corrected(const Segment& segment, double t, double* y) const { corrected(segment, {&t, 1}, y); }
-  /// At several t, (count, n).
+  /// Evaluates with the corrections, without projection, at several t, (count, n).
   void corrected(const Segment& segment, std::span<const double> t, double* y) const;
 
  private:
@@ -86,8 +86,8 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  /// Of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has projected the step,
-  /// and knows its weights. Null without invariants.
+  /// Makes the interpolant of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has
+  /// projected the step, and knows its weights. Null without invariants.
   StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between, TangentProjector* tangent,
                   const Projector* steps, const Bounds* bounds = nullptr);
 
@@ -102,11 +102,11 @@ class StepInterpolant {
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
 
-  /// What is known of the start of the next step.
+  /// Archives the data of the start of the next step.
   void state(Archive& archive) { archive(g_known_, g_t_, g_end_, tangent_end_); }
 
   Status value(double t, double* y);
-  /// At several t, (count, n).
+  /// Evaluates at several t, (count, n).
   Status values(std::span<const double> t, double* y);
   Status corrected(double t, double* y);
   /// The order up to which `powers` has coefficients. Nothing: the step is not known by powers of θ.
@@ -116,7 +116,7 @@ class StepInterpolant {
   /// Coefficients of θ^0 … of `corrected`, where it is within bounds, (order + 1, n).
   Status powers(std::vector<double>& c);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
-  /// How many invariants there are between steps.
+  /// The number of invariants between steps.
   [[nodiscard]] std::size_t invariants() const { return invariants_ != nullptr ? invariants_->m() : 0; }
   /// Doubles in a segment, at most.
   [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + interpolant_.overhead(); }

@@ -64,7 +64,7 @@ class DenseOutput {
   /// The part from knot number `first` on, as a separate function.
   [[nodiscard]] DenseOutput from(std::size_t first) const;
 
-  /// What a value consists of, and how many doubles that are.
+  /// `extent` describes the parts of a value, `size` is its number of doubles.
   [[nodiscard]] Extent extent() const { return extent_; }
   [[nodiscard]] std::size_t size() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }

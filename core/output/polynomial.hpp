@@ -31,7 +31,7 @@ void power_series(const Real* data, std::size_t size, std::size_t n, const Real&
   }
 }
 
-/// The same at several θ, as an `Interpolate`.
+/// Evaluates the power series at several θ, as an `Interpolate`.
 void power_series(const double* data, std::size_t size, std::size_t n, std::span<const double> theta, double* out);
 
 /// The part that a correction of the end has at θ ∈ [0, 1]: flat at both.

@@ -19,9 +19,9 @@ class TurningPoints {
   /// c: (order + 1, n), coefficients of θ^k on the step of signed length `length` from t0.
   Status find(Series& series, double t0, double length, const double* c, std::size_t n, std::vector<double>& points);
 
-  /// Of the last search: Σ |coefficients|, the size of the function on the step.
+  /// Σ |coefficients| of the last search, the size of the function on the step.
   [[nodiscard]] double size() const { return size_; }
-  /// Whether its slope vanishes at the end of the step.
+  /// Returns whether its slope vanishes at the end of the step.
   [[nodiscard]] bool turns_at_end() const { return turns_at_end_; }
 
  private:

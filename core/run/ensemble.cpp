@@ -169,7 +169,7 @@ void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   if (m > 0) keep_held(lane, solver.problem().n, solver.weights().rtol());
 }
 
-/// Of the one invariant that was held in a lane, where each step was projected.
+/// Stores the values of the one invariant that was held in a lane, where each step was projected.
 void EnsembleResult::keep_held(const lanes::Lane& lane, std::size_t states, double rtol) {
   using lanes::Rows;
   const std::size_t i = lane.trajectory;

@@ -19,7 +19,7 @@
 
 namespace invariode {
 
-/// What the trajectories came to: one row for each.
+/// The outcomes of the trajectories: one row for each.
 class EnsembleResult {
  public:
   /// Occurrences of one event: in which trajectory, when and where.
@@ -43,7 +43,7 @@ class EnsembleResult {
 
   // Several threads may call these, for different trajectories i.
 
-  /// It cannot start.
+  /// Notes that trajectory i cannot start.
   void refuse(std::size_t i, std::int8_t why, double t0, const double* y0);
   /// Its invariants are held at their present values.
   void hold(std::size_t i, Run& run);
@@ -54,9 +54,9 @@ class EnsembleResult {
     for (std::size_t c = 0; c < n; ++c)
       y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = row[c * stride];
   }
-  /// What one that has ended in a lane did, but for its outputs.
+  /// Stores the results of a trajectory that has ended in a lane, except for its outputs.
   void keep(const lanes::Ended& ended, const Solver& solver);
-  /// Of each event.
+  /// Stores the occurrences of each event.
   void keep_occurrences(std::size_t i, const std::vector<Trajectory>& found);
   /// So many more trajectories were solved one at a time, though others were not.
   void add_alone(const Left& left);
@@ -64,7 +64,7 @@ class EnsembleResult {
   std::size_t size, n, parts, m, n_t;  ///< n: of a state and its sensitivities
   std::vector<double> t, y_end;
   std::vector<double> y;  ///< (size, n / parts, n_t, parts): numbers of one or two reals
-  /// Of each invariant the value held, and the largest residual before and after projection; the largest correction.
+  /// For each invariant the value held, and the largest residual before and after projection; the largest correction.
   std::vector<double> value, before, after, correction;
   std::vector<double> clipped;  ///< what moving steps onto bounds has added to the sum of the components
   /// From when on stability limits the steps, where f jumps for the first time that was seen, and after which t actions
@@ -86,8 +86,8 @@ class EnsembleResult {
   std::mutex shared_;  // for occurrences, failures and alone
 };
 
-/// What is integrated: `size` rows of y0, with its sensitivities (n doubles each), and of parameters (`parameters`
-/// doubles each).
+/// The rows that are integrated: `size` rows of y0, with its sensitivities (n doubles each), and of parameters
+/// (`parameters` doubles each).
 struct Ensemble {
   std::size_t size;
   const double* y0;

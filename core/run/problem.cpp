@@ -14,7 +14,7 @@ void require_settings(const Settings& settings) {
   require(settings.output_at_times || settings.times.empty(), "times are given and not asked for");
 }
 
-/// What sensitivities are there for, and what they need.
+/// Checks that the problem has what its sensitivities need.
 void require_variations(const Problem& problem) {
   const Variations& variations = *problem.variations;
   require(static_cast<bool>(variations.slope), "the sensitivities have no slope");

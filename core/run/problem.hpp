@@ -24,7 +24,7 @@
 
 namespace invariode {
 
-/// What is known of ∂f/∂y and of the mass matrix, which has the structure of `jacobian`.
+/// ∂f/∂y and the mass matrix, which has the structure of `jacobian`, as far as they are known.
 struct LinearTerms {
   Jacobian::Source source;
   Matrix jacobian;  ///< the values of a constant one, else the structure
@@ -53,7 +53,7 @@ struct Problem {
   /// Where the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
 
-  /// What runs integrate: their initial values and results have its size.
+  /// The extent of the values that runs integrate: their initial values and results have its size.
   [[nodiscard]] Extent extent() const { return Extent(n, variations ? variations->k : 0); }
 };
 
@@ -73,19 +73,19 @@ class Solver {
   /// Its next runs cover another interval, with steps up to hmax. Output times and breakpoints stay as they are:
   /// whoever calls this has none. Throws std::invalid_argument where hmax is not positive.
   void cover(double t0, double tf, double hmax);
-  /// The same with other output times and limits too, those of the settings, with other breakpoints and another
-  /// callback.
+  /// Its next runs cover another interval, with other output times and limits, those of the settings, with other
+  /// breakpoints and another callback.
   void cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback);
   /// Its next runs have other absolute tolerances of the sensitivities, (k, n).
   void set_tolerances(std::span<const double> tolerance);
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }
-  /// Of the state.
+  /// The weights of the state.
   [[nodiscard]] const Weights& weights() const { return weights_; }
-  /// Of the state and its sensitivities; the same without them.
+  /// The weights of the state and its sensitivities; those of the state without sensitivities.
   [[nodiscard]] const Weights& augmented_weights() const { return augmented_weights_ ? *augmented_weights_ : weights_; }
-  /// The same, with sensitivities that are not in the error test: Newton's iteration for them converges in these.
+  /// The weights in which Newton's iteration converges, also for sensitivities that are not in the error test.
   [[nodiscard]] const Weights& iteration_weights() const { return iteration_weights_ ? *iteration_weights_ : weights_; }
   [[nodiscard]] const Settings& settings() const { return settings_; }
   [[nodiscard]] const MethodOptions& options() const { return options_; }

@@ -42,9 +42,9 @@ Run::Run(const Solver& solver) : solver_(solver) {
   start_loop();
 }
 
-/// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
-/// signs go on through breakpoints. Within bounds f and its derivatives are called there only; series are expanded at
-/// accepted points, which are within.
+/// Functions that may be discontinuous at a breakpoint, f and g with their derivatives, are called by way of the piece.
+/// Events are not: their signs continue through breakpoints. Within bounds f and its derivatives are called there only;
+/// series are expanded at accepted points, which are within.
 void Run::wrap_functions() {
   const Problem& all = solver_.problem();
   if (!all.breakpoints.empty() || !all.landings.empty()) wrap_in_pieces(wrapped_.emplace(all));
@@ -168,7 +168,7 @@ void Run::bind_invariants() {
   manifold_.between = users_invariants_;
 }
 
-/// What is moved onto bounds has to be projected onto the algebraic equations again.
+/// A point that is moved onto bounds has to be projected onto the algebraic equations again.
 bool Run::moves_off_algebraic_equations() const { return solver_.problem().bounds && mass_ && mass_->singular(); }
 
 /// With a singular mass matrix the invariants are imposed together with the algebraic equations.
@@ -189,7 +189,7 @@ Invariants Run::with_algebraic_equations() {
   return bound(std::move(blocks), std::move(value));
 }
 
-/// What never rises as t grows never falls in a run backwards.
+/// A function that never increases as t grows never decreases in a run backwards.
 Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
   if (solver_.settings().tf < solver_.settings().t0)
     for (InvariantBlock& block : blocks) block.sense = -block.sense;

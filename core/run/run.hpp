@@ -24,7 +24,7 @@
 
 namespace invariode {
 
-/// What a run was, with arrays that have one row per point, counts, and why it ended.
+/// The result of a run, with arrays that have one row per point, counts, and why it ended.
 struct RunResult {
   std::size_t n = 0;  ///< doubles of a point: of the state, and of its sensitivities behind it
   Trajectory points;
@@ -91,7 +91,7 @@ class Run {
   [[nodiscard]] const Integration& integration() const { return *integration_; }
   /// The user's invariants; null without any.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
-  /// The same when the run has ended: as functions of every t, not only of those in the last piece.
+  /// The user's invariants when the run has ended: as functions of every t, not only of those in the last piece.
   [[nodiscard]] Invariants* invariants_everywhere();
   [[nodiscard]] double forward() const;
   /// Evaluations of f by the method; an expansion is one.
@@ -99,19 +99,19 @@ class Run {
     return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->solution.calls() : 0);
   }
 
-  /// What the run did, when it has ended. Arrays are moved out: once only.
+  /// Returns the result of the run when it has ended. Arrays are moved out: once only.
   RunResult take_result();
-  /// How much of the arrays is known already.
+  /// The lengths of the arrays that are known already.
   struct Marks {
     std::size_t points = 0, steps = 0, jumps = 0, knots = 0;
     std::vector<std::size_t> occurrences;
   };
-  /// What the run has done so far, with the arrays from the marks on, which are set to their ends. Rows of jumps count
+  /// Returns the result so far, with the arrays from the marks on, which are set to their ends. Rows of jumps count
   /// from the mark.
   [[nodiscard]] RunResult result_since(Marks& marks) const;
 
-  /// What the run remembers, between two steps or when it has ended, before the result is taken; without matrices of
-  /// more entries than `most_values`.
+  /// Returns the memory of the run, between two steps or when it has ended, before the result is taken; without
+  /// matrices of more entries than `most_values`.
   [[nodiscard]] RunMemory memory(std::size_t most_values);
   /// Instead of `Integration::start`: goes on from what another run of the same problem remembered. `anew`: see
   /// `Integration::resume`. Throws std::invalid_argument where the memory does not fit.

@@ -8,7 +8,7 @@
 
 namespace invariode {
 
-/// Where a part of a run begins.
+/// The start of a part of a run.
 struct Section {
   std::int64_t steps;  ///< accepted before it
   double t;
@@ -22,7 +22,7 @@ class Sections {
   /// Bytes of the continuous solution for each step, at most.
   explicit Sections(std::size_t bytes_of_step) : bytes_of_step_(bytes_of_step) {}
 
-  /// Whether a section begins behind that many steps. The first call, at the start of the run, says yes.
+  /// Returns whether a section begins after that many steps. The first call, at the start of the run, returns true.
   [[nodiscard]] bool due(std::int64_t steps) const { return all_.empty() || steps - last_ >= every_; }
   void add(Section section) {
     last_ = section.steps;

@@ -9,7 +9,7 @@
 
 namespace invariode {
 
-/// How long native code runs between two calls of watch().
+/// The time that native code runs between two calls of watch().
 inline constexpr std::chrono::milliseconds watch_interval(50);
 
 /// Begins the run by begin() and goes on to its end. Whenever `watch_interval` has passed, watch() may stop it

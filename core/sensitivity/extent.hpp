@@ -13,7 +13,7 @@ struct Extent {
 
   Extent() = default;
   explicit Extent(std::size_t n_, std::size_t k_ = 0) : n(n_), k(k_) {}
-  /// Of a state of n doubles in a Y of so many.
+  /// Returns the extent of a state of n doubles in a Y of so many.
   static Extent within(std::size_t n, std::size_t all) { return Extent(n, n == 0 ? 0 : all / n - 1); }
 
   [[nodiscard]] std::size_t size() const { return n * (1 + k); }

@@ -35,9 +35,9 @@ class TangentProjector {
   Status hold(double t, const double* Y);
   /// After `state`, a projector of the same invariants, has moved the state at t: moves S to dc/dp.
   Outcome follow(Projector& state, double t, double* Y) { return onto(state, t, rate_.data(), Y); }
-  /// The same to other values of G S_j + g_pj, (k, m).
+  /// Moves S to other values of G S_j + g_pj, (k, m).
   Outcome onto(Projector& state, double t, const double* target, double* Y);
-  /// The same at a point that was not projected, with the weights max(|y|, thr).
+  /// Moves S at a point that was not projected, with the weights max(|y|, thr).
   Outcome settle(double t, double* Y);
   /// G S_j + g_pj, (k, m).
   Status evaluate(double t, const double* Y, double* out);

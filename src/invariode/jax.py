@@ -120,7 +120,7 @@ def _is_float(one: Any) -> bool:
 
 
 def _called(host: Callable[..., Any], like: Any, *x: Any) -> Any:
-    """What a function of NumPy arrays returns, as arrays of these types; it has no derivative."""
+    """Return the values of a function of NumPy arrays, as arrays of these types; they have no derivative."""
 
     def converted(*x: Any) -> Any:
         return jax.tree.map(lambda one, as_: np.asarray(one, as_.dtype), host(*x), like)

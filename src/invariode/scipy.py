@@ -34,7 +34,8 @@ def _class_of(method: Method, name: str, stands_for: str) -> type[Stepper]:
 
 
 def _classes() -> dict[str, type[Stepper]]:
-    """By our names, then by SciPy's, as in ``method=LSODA``: the same classes, but for BDF, which implies an option."""
+    """Return the classes by invariode's names, then by SciPy's, as in ``method=LSODA``. They are the same except for
+    BDF, which implies an option."""
     ours = {name.upper(): _class_of(method, name.upper(), name) for name, method in METHODS.items()}
     theirs = {
         name: _class_of(method, name, name) if method.scipy_options else ours[method.name.upper()]

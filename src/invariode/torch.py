@@ -124,5 +124,5 @@ _BEFORE = 2
 
 
 def _array(one: Any) -> Any:
-    """A copy for NumPy; floats are in double precision."""
+    """Return a copy for NumPy; floats are in double precision."""
     return one.detach().to("cpu", torch.float64 if one.is_floating_point() else one.dtype, copy=True).numpy()

@@ -141,7 +141,7 @@ class LaneIntegrator {
     for (std::size_t i = 0; i < job_.all; ++i)
       ready_[rows_.thresholds + i].lanes()[l] = i < job_.n ? job_.threshold[i] : threshold(ready_trajectory_[l], i);
   }
-  /// Of sensitivities, as `augmented` has it for single runs.
+  /// Returns the threshold of sensitivities, as `augmented` has it for single runs.
   [[nodiscard]] double threshold(std::uint32_t trajectory, std::size_t i) const {
     if (!job_.varied.counts) return infinity;
     const double threshold = job_.varied.tolerances[trajectory * (job_.all - job_.n) + i - job_.n] / job_.rtol;
@@ -251,7 +251,7 @@ class LaneIntegrator {
     step.y1 = step.reached_y = held_.projected();
   }
 
-  /// Whether steps that are about to be accepted speak against the invariant.
+  /// Judges whether steps that are about to be accepted contradict the invariant.
   INVARIODE_SHARED void judge(M& accepted, const LaneStep<W>& step) {
     if (!any(accepted)) return;
     const M noted = held_.to_be_noted(accepted, row(Rows::steps));

@@ -93,11 +93,11 @@ class LaneInvariant {
   }
   [[nodiscard]] const P* projected() const { return y1_; }
 
-  /// Which steps `note_harm` is to be told of, after so many before.
+  /// Returns the steps that `note_harm` is to be told of, after so many before.
   [[nodiscard]] M to_be_noted(const M& due, const P& steps) const {
     return invariant().tested ? due & multiple_of(steps, harm_period) : no_lane<W>();
   }
-  /// Of accepted steps: the estimated errors of the candidates.
+  /// Notes the estimated errors of the candidates of accepted steps.
   INVARIODE_SHARED void note_harm(const M& noted, const P* error, const P* candidate) {
     P *errors = now_ + Rows::errors, *corrections = errors + job_.n;
     for (std::size_t i = 0; i < job_.n; ++i) {
@@ -124,8 +124,8 @@ class LaneInvariant {
 
   // ------------------------------------------------------------------------------------------------------- the outputs
 
-  /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it, and
-  /// the tangent.
+  /// Looks into some of the accepted steps: takes g at both ends of these, as `StepInterpolant` asks for it, and the
+  /// tangent.
   INVARIODE_SHARED void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
     const M known = P(0) < now_[Rows::known], asked = looked & ~known;
     start_ = now_[Rows::end];
@@ -164,7 +164,7 @@ class LaneInvariant {
     return odd;
   }
 
-  /// What a search for events has cost.
+  /// Counts the cost of a search for events.
   void count_search(int lane, const Found& found) {
     now_[Rows::evaluations].lanes()[lane] += static_cast<double>(found.evaluations);
     now_[Rows::jacobians].lanes()[lane] += static_cast<double>(found.jacobians);
@@ -228,7 +228,7 @@ class LaneInvariant {
     for (std::size_t i = 0; i < job_.n; ++i) S[i] = choose(off, S[i] - delta_[i], S[i]);
     return off;
   }
-  /// At θ: to T = (1−θ) T₀ + θ T₁, by the linearizations that were noted.
+  /// Moves S at θ to T = (1−θ) T₀ + θ T₁, by the linearizations that were noted.
   M follow_between(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* Y) {
     std::swap(row_, last_row_);
     std::swap(jacobian_, last_jacobian_);
@@ -236,7 +236,7 @@ class LaneInvariant {
     for (std::size_t j = 0; j < varied(); ++j) target_[j] = (P(1) - theta) * tangent0_[j] + theta * tangent1_[j];
     return follow(due, t, target_, step.y1, Y, step.p);
   }
-  /// That of each point's last correction.
+  /// Notes the linearization of each point's last correction.
   void note_linearization(const M& where) {
     for (std::size_t i = 0; i < job_.n; ++i) {
       last_row_[i] = choose(where, row_[i], last_row_[i]);
@@ -261,7 +261,8 @@ class LaneInvariant {
     return odd;
   }
 
-  /// Whether the corrections have led away from the manifold: `Projector::measure_after`, but for its last excuse.
+  /// Returns whether the corrections have led away from the manifold: `Projector::measure_after`, except for its last
+  /// excuse.
   M measure_after(const M& looked_at, const LaneStep<W>& step) {
     const P left = absolute(g(step.t1, y1_, step.p) - held_);
     count(Rows::evaluations, looked_at, 1);

@@ -151,8 +151,8 @@ class EventScan {
     return odd;
   }
 
-  /// Of steps that are about to be accepted: where a sign changes, or the values leave room for a pair of changes
-  /// (`Events::leaves_room`), and the odd ones. The others have passed.
+  /// Finds, among steps that are about to be accepted, those where a sign changes, or the values leave room for a pair
+  /// of changes (`Events::leaves_room`), and the odd ones. The others have passed.
   INVARIODE_SHARED M scan(const M& accepted, const LaneStep<W>& step, const LaneInterpolant<W>& between, M& odd) {
     M crossing = no_lane<W>();
     for (std::size_t e = 0; e < job_.count_of_events; ++e) {

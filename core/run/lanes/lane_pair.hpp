@@ -78,7 +78,7 @@ class LanePair {
     return absolute(at.purified) * Kernel::error(k_, job_.all, weight(thresholds_, y_, candidate));
   }
 
-  /// What is left to evaluate at the ends of steps. Returns where that is not defined.
+  /// Evaluates the rest at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     if constexpr (T.last_in_error()) return no_lane<W>();
     evaluate_all(step.t1, step.y1, k_[last], p_);

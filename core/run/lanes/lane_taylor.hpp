@@ -108,7 +108,7 @@ class LaneTaylor {
     return exponent_ * size * P(tested) * error.value();
   }
 
-  /// What is left to evaluate at the ends of steps. Returns where that is not defined.
+  /// Evaluates the rest at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     M undefined = no_lane<W>();
     if (projects()) {

@@ -26,7 +26,7 @@ struct Called {
 using SeriesFunction = void(void* context, const double* t, const double* unit, const double* y, double* out,
                             const double* p);
 
-/// That function with its context.
+/// A `SeriesFunction` with its context.
 struct CalledSeries {
   SeriesFunction* function = nullptr;
   void* context = nullptr;
@@ -52,7 +52,7 @@ struct Sensitivities {
   bool counts;               ///< in the error test
 };
 
-/// What is integrated, without anything that only some runs have: bounds, breakpoints, other limits.
+/// A problem to be integrated in lanes, without parts that only some runs have: bounds, breakpoints, other limits.
 struct Job {
   Called f;
   CalledSeries series;  ///< of methods by series
@@ -84,11 +84,11 @@ struct Job {
   [[nodiscard]] bool looks_inside() const { return output_at_times() || count_of_events > 0; }
 };
 
-/// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
-/// whether it is still at rest at its start, counts of steps, failures, looks at steps that stability limits, steps
-/// that were looked into; y with its sensitivities (all,); what the method remembers, such as f there (all,); its
-/// parameters; its thresholds (all,); of each event its value and sign, how often it has occurred, and its slope; then
-/// what belongs to the invariant.
+/// The data of a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed, whether
+/// it is still at rest at its start, counts of steps, failures, looks at steps that stability limits, steps that were
+/// looked into; y with its sensitivities (all,); the history of the method, such as f there (all,); its parameters; its
+/// thresholds (all,); of each event its value and sign, how often it has occurred, and its slope; then the data of the
+/// invariant.
 struct Rows {
   enum : std::size_t { t, h, retries, rests, steps, failed, limited, looked, y };
   enum : std::size_t { last, sign, occurrences, slope, of_event };
@@ -167,7 +167,7 @@ struct Crossed {
   const double* y1;
 };
 
-/// What a search has found. Unless it is sound the trajectory is to be left. `terminal`: it ends at (t, y), y (n,).
+/// The result of a search. Unless it is sound the trajectory is to be left. `terminal`: it ends at (t, y), y (n,).
 struct Found {
   bool sound = false, terminal = false;
   double t = 0;
@@ -200,14 +200,14 @@ class Host {
   virtual void leave(std::uint32_t trajectory, Why why) = 0;
   /// It has too few neighbours left: it is to go on alone.
   virtual void go_on(const Suspended& suspended) = 0;
-  /// Whether f jumps there; evaluations of f in search of it are added to `checks`.
+  /// Returns whether f is discontinuous there; evaluations of f in search of it are added to `checks`.
   virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
   /// Memory aligned to 64 bytes, until the host ends.
   [[nodiscard]] virtual void* allocate(std::size_t bytes) = 0;
 };
 
-/// What integrates in lanes by one method.
+/// A method's integrator in lanes.
 struct Kernel {
   std::string_view method;
   std::size_t lanes;  ///< trajectories side by side

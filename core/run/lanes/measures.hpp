@@ -33,7 +33,7 @@ INVARIODE_EACH Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size
   return larger(job.scale != nullptr ? job.scale[i] * size : size, Pack<W>(job.threshold[i]));
 }
 
-/// Those of a step from y0 to y1.
+/// Returns the weights of a step from y0 to y1.
 template <int W>
 auto weight_of(const Job& job, const Pack<W>* y0, const Pack<W>* y1) {
   return [&job, y0, y1](std::size_t i) { return weight(job, i, larger(absolute(y0[i]), absolute(y1[i]))); };
@@ -79,7 +79,7 @@ INVARIODE_EACH Mask<W> mend(Pack<W>* v, const Pack<W>* instead, std::size_t n) {
   return odd;
 }
 
-/// Whether whole numbers that are not negative are multiples of a power of two.
+/// Returns whether whole numbers that are not negative are multiples of a power of two.
 template <int W>
 Mask<W> multiple_of(const Pack<W>& x, double power) {
   constexpr double to_integer = 4503599627370496;  // 2⁵²: what is added to it is rounded to an integer

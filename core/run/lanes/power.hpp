@@ -9,7 +9,8 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// Of x in [smallest_ratio, 1]; below it h grows or shrinks as much as it may, with every pair.
+/// The smallest ratio: roots are of x in [smallest_ratio, 1]; below it h changes by the maximum factor, with every
+/// pair.
 inline constexpr double smallest_ratio = 0x1p-28;
 
 // A result is that of pow if it is farther than this from the middle of two doubles, in units of their distance: its
@@ -96,7 +97,7 @@ void split_root(const Pack<W>& x, Pack<W>& short_part, Pack<W>& rest) {
   rest = y * ((1.0 / Q) * u + (u2 * tail + exponent_is_rounded));
 }
 
-/// The same rounded, and where that is in doubt.
+/// Returns the root rounded, and where its rounding is doubtful.
 template <int Q, int W>
 Pack<W> rounded_root(const Pack<W>& x, Mask<W>& doubtful) {
   using P = Pack<W>;

@@ -36,7 +36,7 @@ std::vector<Callback> functions_of(const Problem& problem) {
   return functions;
 }
 
-/// The same, with one lane.
+/// Makes the form of the functions for one lane.
 LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   LaneForm form;
   const auto called = [&functions](std::size_t i) { return lanes::Called{evaluate_alone, &functions[i]}; };
@@ -49,7 +49,7 @@ LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
   return form;
 }
 
-/// In which the Jacobians of invariants are compared with differences.
+/// Returns the directions in which the Jacobians of invariants are compared with differences.
 std::vector<double> directions(std::size_t n) {
   std::vector<double> direction(n);
   for (std::size_t j = 0; j < n; ++j) direction[j] = Guard::direction(j);

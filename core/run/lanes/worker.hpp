@@ -19,7 +19,7 @@
 
 namespace invariode {
 
-/// What keeps trajectories of this solver from being integrated in lanes, in words; null: nothing.
+/// Returns the reason why trajectories of this solver cannot be integrated in lanes, in words; null: there is none.
 [[nodiscard]] const char* obstacle_to_lanes(const Solver& solver);
 
 /// Takes trajectories from a queue and integrates them in lanes, on a thread that has the solver to itself. What the
@@ -45,7 +45,7 @@ class LaneWorker final : public lanes::Host {
  private:
   void set_parameters(std::uint32_t trajectory);
 
-  /// What a kernel receives.
+  /// The data that a kernel receives.
   struct Order {
     Order(const Solver& solver, const Ensemble& ensemble, LaneForm functions, const std::vector<double>& direction);
     Order(const Order&) = delete;

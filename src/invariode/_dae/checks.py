@@ -50,8 +50,8 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
 
 
 def _sizes(arguments: Array, unknowns: Unknowns, reduction: Reduction) -> Array:
-    """The sizes of the arguments of F. The x_j^(d_j) of a block solve one linear system: errors of each are relative to
-    the largest of them."""
+    """Return the sizes of the arguments of F. The x_j^(d_j) of a block solve one linear system: errors of each are
+    relative to the largest of them."""
     sizes = np.abs(arguments)
     _, d, _ = reduction.arrangement.offsets
     places: dict[int, list[int]] = {}

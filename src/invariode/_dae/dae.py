@@ -229,7 +229,7 @@ class Dae:
         self._made: dict[Reduction, _Functions] = {}
 
     def _guess(self, y: Array, yp: Array | None) -> tuple[Array, int]:
-        """Values and derivatives of the unknowns that are left, and how many levels of them were given."""
+        """Return values and derivatives of the unknowns that are left, and how many levels of them were given."""
         m = len(self._kept)
         known = max([1 + (yp is not None)] + [1 + one.order for one in self._of])
         guess = np.zeros((known, m))
@@ -357,13 +357,13 @@ class Dae:
         return Start(at, new[0], new[1], moved)
 
     def _start(self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None) -> Array:
-        """The consistent x_j^(l), l <= d_j, nearest to y and yp."""
+        """Return the consistent x_j^(l), l <= d_j, nearest to y and yp."""
         guess, known = self._guess(y, yp)
         held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
         return starts.nearest(Point(t, guess), known, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
-        """The order and the number of an unknown that is named with primes, or given by its index."""
+        """Return the order and the number of an unknown that is named with primes, or given by its index."""
         if isinstance(given, str):
             order = len(given) - len(given.rstrip("'"))
             name = given.rstrip("'")
@@ -449,7 +449,7 @@ class Dae:
         )
 
     def _tell_move(self, x: Array) -> None:
-        """Warns where given initial values were changed that the equations leave to the user."""
+        """Warn where given initial values were changed that the equations leave to the user."""
         _, d, _ = self._structure.arrangement.offsets
         if not self.freedom:  # all values are determined: those given are guesses
             return
@@ -480,7 +480,7 @@ class Dae:
         return self._reductions[nonlinear]
 
     def _functions(self, reduction: Reduction) -> _Functions:
-        """The functions of the reduced problem, compiled if llvmlite is installed, made once."""
+        """Return the functions of the reduced problem, compiled if llvmlite is installed, made once."""
         if reduction not in self._made:
             slopes = reduction.slopes or [reduction.graph.node(1.0)]
             levels = [self._function(f"level{k}", level.in_states) for k, level in enumerate(reduction.levels)]
@@ -494,7 +494,8 @@ class Dae:
         return GraphFunction(formula) if find_spec("llvmlite") is not None else formula
 
     def _invariants(self, reduction: Reduction, atol: Array | None = None) -> list[Invariants]:
-        """The levels, each in a constant metric: in the weights of the error test rows can be nearly dependent."""
+        """Return the levels, each in a constant metric: in the weights of the error test rows can be nearly
+        dependent."""
         found = []
         for k, (level, fun) in enumerate(zip(reduction.levels, self._functions(reduction).levels, strict=True)):
             order: dict[str, Any] = {}
@@ -564,7 +565,7 @@ class Dae:
         new: tuple[Array, Array],
         args: Sequence[Any],
     ) -> Array:
-        """The consistent state nearest to one in which unknowns, or their derivatives, have changed."""
+        """Return the consistent state nearest to one in which unknowns, or their derivatives, have changed."""
         p = arguments_of(args).values() if args else self._p
         x = point_of(reduction, t, state, p).x
         (before, _), (after, _) = self._guess(*old), self._guess(*new)
@@ -574,7 +575,8 @@ class Dae:
         return np.array([found[one] for one in reduction.states])
 
     def _atol(self, reduction: Reduction, options: Options) -> Array | None:
-        """The tolerances of the states, if there is one for each unknown: derivatives have that of their unknown."""
+        """Return the tolerances of the states, if there is one for each unknown: derivatives have that of their
+        unknown."""
         given = options.get("atol")
         if given is None or np.ndim(given) == 0:
             return None
@@ -614,11 +616,12 @@ class Dae:
     def _again(
         self, reduction: Reduction, before: OnFailure | None, sol: Solution, on_failure: OnFailure | None = None
     ) -> Solution:
-        """Another solution of the reduced problem, which goes on from one that was presented."""
+        """Return another solution of the reduced problem, which resumes one that was presented, in the unknowns of
+        F."""
         return self._presented(sol, reduction, on_failure or before)
 
     def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
-        """A solution of the reduced problem in the unknowns of F; what it does not satisfy is a failure."""
+        """Return a solution of the reduced problem in the unknowns of F; a violated equation is a failure."""
         unknowns = self._functions(reduction).unknowns
         source = sol._origin.source
         p = arguments_of(source.problem.args).values()
@@ -653,7 +656,8 @@ def _names(names: Sequence[str], n: int) -> list[str]:
 
 
 def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
-    """The graph of F. Arguments without which it cannot be traced, such as counts of loops, are constants of it."""
+    """Return the graph of F. Arguments without which it cannot be traced, such as counts of loops, are constants of
+    it."""
     fun = F.fun if isinstance(F, TracedFunction) else F
     if isinstance(F, CompiledFunction) and fun is F:
         raise TypeError("F must be a Python function, or one that compile has traced")
@@ -697,7 +701,7 @@ def _is_variable(entry: Any, rank: int) -> bool:
 
 
 def _size(residuals: Any, args: tuple[Any, ...], n: int, order: int) -> int:
-    """How many values F returns: as many as unknowns, unless a call says otherwise."""
+    """Return the number of values of F: as many as unknowns, unless a call shows otherwise."""
     try:
         with np.errstate(all="ignore"):
             return int(np.size(residuals(0.0, np.ones((order + 1) * n), *args)))
@@ -714,7 +718,7 @@ def _argument_names(fun: Any, count: int, order: int) -> list[str]:
 
 
 def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, Given], set[int]]:
-    """Equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
+    """Find equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
 
     Without them the first-order form of an equation has the structure of the equation itself.
     """

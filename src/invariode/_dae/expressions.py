@@ -21,7 +21,7 @@ def leaves(nodes: Iterable[Node]) -> set[int]:
 
 
 def is_zero(node: Node) -> bool:
-    """Whether the node is the number 0."""
+    """Return whether the node is the number 0."""
     return node.op == "number" and node.value == 0
 
 

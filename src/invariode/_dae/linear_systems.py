@@ -45,7 +45,7 @@ class _Elimination:
         self.left = dict.fromkeys(self.rows)
 
     def run(self) -> None:
-        """Eliminates while a safe pivot makes no more new entries than the system has rows."""
+        """Eliminate while a safe pivot makes no more new entries than the system has rows."""
         candidates = {i: self._best(i) for i in self.left}
         while True:
             found = min((one for one in candidates.values() if one is not None), default=None)
@@ -59,7 +59,7 @@ class _Elimination:
                 candidates[k] = self._best(k)
 
     def _best(self, i: int) -> tuple[int, int, int] | None:
-        """The cheapest safe pivot of a row: (Markowitz's cost, row, column)."""
+        """Return the cheapest safe pivot of a row: (Markowitz's cost, row, column)."""
         row = self.rows[i]
         numbers = {j: abs(x.value) for j, x in row.items() if x.op == "number"}
         largest = max(numbers.values(), default=0.0)
@@ -67,7 +67,7 @@ class _Elimination:
         return min(((len(row) - 1) * (len(self.columns[j]) - 1), i, j) for j in safe) if safe else None
 
     def _eliminate(self, i: int, j: int) -> set[int]:
-        """Takes a pivot; returns the rows that have changed."""
+        """Eliminate with a pivot; return the rows that have changed."""
         pivot = self.rows[i]
         del self.left[i]
         for q in pivot:

@@ -1,4 +1,4 @@
-"""From the structure of a DAE to an ODE with invariants in levels.
+"""Reduction of a DAE, by its structure, to an ODE with invariants in levels.
 
 With the offsets c, d the states are x_j^(l), l < d_j: (x_j^(l))' = x_j^(l + 1), and the last of these, x_j^(d_j), are
 the solutions of f_i^(c_i) = 0, block after block of the system Jacobian. The equations that were differentiated, and
@@ -142,7 +142,7 @@ class Reduction:
         return self.graph.y(order * self.n + j)
 
     def _solve_blocks(self, held: set[int]) -> list[Node]:
-        """Solves f_i^(c_i) = 0 for the x_j^(d_j), block after block; returns the residuals of those that are held."""
+        """Solve f_i^(c_i) = 0 for the x_j^(d_j), block after block; return the residuals of those imposed."""
         structure, graph, c, d = self.structure, self.graph, self._c, self._d
         known, residuals = dict(self._known), []
         for k, (rows, columns, _) in enumerate(self.arrangement.blocks):

@@ -96,7 +96,7 @@ class ResidualForm:
         self.start = self._consistent(t, np.concatenate([self.states(y), self._combined(yp)]), args)
 
     def _own(self, k: int) -> int:
-        """The component in which only vector k of the basis is not 0."""
+        """Return the component in which only vector k of the basis is not 0."""
         alone = (self.V[k] == 1) & (np.count_nonzero(self.V, axis=0) == 1)
         return int(np.flatnonzero(alone)[0])
 
@@ -158,7 +158,7 @@ class ResidualForm:
     def _difference(
         self, t: float, y: Array, yp: Array, args: tuple[Any, ...], j: int, step: float, F: Array, *, of_yp: bool
     ) -> Array:
-        """∂F/∂y_j or ∂F/∂y_j' by a forward difference from the value F."""
+        """Return ∂F/∂y_j or ∂F/∂y_j' by a forward difference from the value F."""
         moved = (yp if of_yp else y).copy()
         moved[j] += step
         exact = moved[j] - (yp if of_yp else y)[j]
@@ -169,7 +169,7 @@ class ResidualForm:
     # Structure
 
     def _slopes(self, t: float, y: Array, yp: Array, args: tuple[Any, ...], of_yp: bool) -> Array:
-        """∂F/∂y' or ∂F/∂y, by central differences."""
+        """Return ∂F/∂y' or ∂F/∂y, by central differences."""
         columns = []
         moved = yp if of_yp else y
         for j in range(self.n):
@@ -183,7 +183,7 @@ class ResidualForm:
         return np.array(columns).T
 
     def _null_space(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
-        """The null space of ∂F/∂y' at several points: a basis by rows."""
+        """Return the null space of ∂F/∂y' at several points: a basis by rows."""
         rng = np.random.default_rng(_SEED)
         parts = []
         for distance in _DISTANCES:
@@ -205,12 +205,13 @@ class ResidualForm:
         return together
 
     def _determining(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
-        """(F_y Vᵀ, F_y' E): how F determines (w_a, z)."""
+        """Return (F_y Vᵀ, F_y' E): how F determines (w_a, z)."""
         of_y, of_yp = (self._slopes(t, y, yp, args, of_yp=which) for which in (False, True))
         return np.hstack([of_y @ self.V.T, of_yp[:, self.bound]])
 
     def _consistent(self, t: float, u: Array, args: tuple[Any, ...]) -> Array:
-        """u with F = 0 and this w_d, by Newton's iteration; u itself, which the run then tests, if none is near."""
+        """Return u with F = 0 and this w_d, by Newton's iteration; u itself, which the run then tests, if none is
+        near."""
         found = u.copy()
         for _ in range(_ITERATIONS):
             y, yp = self.y(found), self.yp(found)
@@ -317,7 +318,7 @@ def _presented(
     sol: Solution,
     on_failure: OnFailure | None = None,
 ) -> Solution:
-    """A solution of the semi-explicit system in the unknowns of F."""
+    """Return a solution of the semi-explicit system in the unknowns of F."""
     on_failure = on_failure or before
     present = partial(_presented, form, unknowns, on_failure)
     found = in_unknowns(sol, unknowns, np.zeros(0), form.names, form, present)

@@ -48,7 +48,7 @@ class Values:
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """The nodes."""
+        """Nodes of the values."""
         return list(self._make())
 
     @cached_property
@@ -121,7 +121,8 @@ class Unknowns:
         self.count = len(reduction.states) or 1
 
     def sensitivities(self, t: Array, states: Array, S: Array, p: Array, places: tuple[int | None, ...]) -> Array:
-        """∂y/∂p, (n, k, n_t), from those of the states, (s, k, n_t); `places` of the parameters among the arguments."""
+        """Return ∂y/∂p, (n, k, n_t), from those of the states, (s, k, n_t); `places` of the parameters among the
+        arguments."""
         if places not in self.sensitive:
             nodes, n = self.y.nodes, self.count
             made = Derived("unknowns", nodes, n, "own").tangents(places).fun.outputs
@@ -172,7 +173,7 @@ class _OnStates(BoundInvariants):
 
     @classmethod
     def of(cls, sol: Solution) -> _OnStates:
-        """Those of a solution of the reduced problem."""
+        """Return the invariants of a solution of the reduced problem."""
         bound = sol._invariants
         fields = {one.name: getattr(bound, one.name) for one in dataclasses.fields(BoundInvariants)}
         return cls(**fields, states=sol.y, tolerances=(sol._rtol, sol._atol))
@@ -185,7 +186,7 @@ class _OnStates(BoundInvariants):
 
 
 class _Origin:
-    """What a solution of a DAE was made from.
+    """Origin of a solution of a DAE: the reduced solution, and the way back to the unknowns.
 
     Parameters
     ----------
@@ -271,7 +272,7 @@ class DaeSolution(Solution):
         return found
 
     def impose(self) -> Solution:
-        """This solution with its values projected to roundoff onto all constraints.
+        """Project the values to roundoff onto all constraints.
 
         Returns
         -------

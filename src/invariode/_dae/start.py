@@ -132,7 +132,7 @@ class Starts:
         return found
 
     def _together(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> Array:
-        """All stages at once: values of an early stage give way to fixed ones of a later one."""
+        """Solve all stages at once: values of an early stage give way to fixed ones of a later one."""
         n, d = self._reduction.n, self._reduction.arrangement.offsets.d
         equations = [one for stage in self._stages for one in stage.equations]
         names = [one for stage in self._stages for one in stage.names]
@@ -147,7 +147,8 @@ class Starts:
         return found
 
     def _overdetermined(self, stage: _Stage, t: float, x: Array, fixed: Collection[Variable]) -> str:
-        """Which fixed values follow from others, and by which equations: rows u with uᵀ A = 0 on what is free."""
+        """Return which fixed values follow from others, and by which equations: rows u with uᵀ A = 0 on what is
+        free."""
         _, A = stage.evaluate(t, x)
         free = [k for k, one in enumerate(stage.moves) if one not in fixed]
         held = [k for k, one in enumerate(stage.moves) if one in fixed]
@@ -180,7 +181,7 @@ class Starts:
 
 
 class BlockCondition(NamedTuple):
-    """How well a block of J determines its unknowns at a point.
+    """Measure of how well a block of J determines its unknowns at a point.
 
     Attributes
     ----------
@@ -280,7 +281,7 @@ class _Stage:
         return found[:m], A
 
     def solve(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> None:
-        """Moves x onto the equations, by the smallest change in the weights, without moving what is fixed."""
+        """Move x onto the equations, by the smallest change in the weights, without moving what is fixed."""
         free = [k for k, one in enumerate(self.moves) if one not in fixed]
         where = tuple(np.array([self.moves[k] for k in free], dtype=int).reshape(-1, 2).T)
         r, A = self.evaluate(t, x)
@@ -324,7 +325,7 @@ class _Stage:
 
 
 def _least_norm(A: Array, r: Array) -> tuple[Array, bool]:
-    """The x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
+    """Return the x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
     if max(A.shape) > _DENSE and (found := _by_factors(A, r)) is not None:
         return found, False
     x, _, rank, _ = np.linalg.lstsq(A, r, rcond=_RANK)
@@ -332,7 +333,8 @@ def _least_norm(A: Array, r: Array) -> tuple[Array, bool]:
 
 
 def _by_factors(A: Array, r: Array) -> Array | None:
-    """The same by sparse factors of (1, Aᵀ; A, 0), or of a square A; None: they do not determine it to roundoff."""
+    """Return the x of least norm with A x = r, from sparse factors of (1, Aᵀ; A, 0) or of a square A; None if
+    inaccurate."""
     from scipy.sparse import block_array, csc_array, eye_array
     from scipy.sparse.linalg import splu
 

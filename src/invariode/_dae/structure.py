@@ -172,7 +172,7 @@ class Structure:
     # Signature and offsets
 
     def _without_cancelled(self, equation: Node) -> Node:
-        """The equation in normal form, if that depends on less."""
+        """Return the equation in normal form, if that depends on less."""
         combined = self._sums([(1.0, equation)])
         return combined if leaves([combined]) != leaves([equation]) else equation
 
@@ -224,11 +224,11 @@ class Structure:
         return Arrangement(found, J, blocks(match, [*J]))
 
     def _is_regular(self, block: Block) -> bool:
-        """Whether the block is regular at one of the generic points."""
+        """Return whether the block is regular at one of the generic points."""
         return any(condition(A) > SINGULAR for A in self._matrices(block))
 
     def _matrices(self, block: Block) -> Iterable[Array]:
-        """The values of a block at the generic points."""
+        """Return the values of a block at the generic points."""
         part = self.arrangement.part(block.rows, block.columns)
         nodes = [node for *_, node in part]
         evaluate = Values(nodes, self.parameters)
@@ -240,7 +240,7 @@ class Structure:
     # Repairs
 
     def _combine(self, block: Block) -> None:
-        """Replaces an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
+        """Replace an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
         uᵀ J = 0 with u_k = 1, and c_k is the smallest offset of the equations in it."""
         rows, columns = block.rows, block.columns
         c, d, _ = self.arrangement.offsets
@@ -272,7 +272,7 @@ class Structure:
         )
 
     def _null_vector(self, block: Block) -> tuple[Array, list[int], list[int]]:
-        """A u with uᵀ J = 0 and few entries, where these are, and the points at which the rank is clearest."""
+        """Return a u with uᵀ J = 0 and few entries, where these are, and the points at which the rank is clearest."""
         parts = []
         for k, A in enumerate(self._matrices(block)):
             if np.isfinite(A).all():
@@ -291,7 +291,7 @@ class Structure:
         return vectors[0], sorted(support), [parts[k][0] for k in best]
 
     def _factors(self, k: int, others: Sequence[int], columns: Sequence[int], clear: Sequence[int]) -> list[Node]:
-        """u_i with J[k] + Σ u_i J[i] = 0, from as many columns as there are factors, chosen by pivoting."""
+        """Return u_i with J[k] + Σ u_i J[i] = 0, from as many columns as there are factors, chosen by pivoting."""
         if not others:
             return []
         from scipy.linalg import qr
@@ -306,7 +306,7 @@ class Structure:
         return solution(self.graph, matrix, right)
 
     def _number(self, node: Node, clear: Sequence[int]) -> float | None:
-        """The number that a node is at the points where the rank is clear; None: it is not the same at all."""
+        """Return the number that a node is at the points where the rank is clear; None: it is not the same at all."""
         values = np.array([one[0] for one in self.points.values([node], self.parameters, clear)])
         if not np.isfinite(values).all() or np.ptp(values) > _EQUAL * np.abs(values).max():
             return None
@@ -317,8 +317,8 @@ class Structure:
     def _cancelling(
         self, k: int, numbers: Sequence[float | None], derived: Sequence[Node], high: dict[int, int]
     ) -> Node | None:
-        """The combination with these numbers, if the highest derivatives are gone from its normal form, which proves
-        that they cancel."""
+        """Return the combination with these numbers, if the highest derivatives are gone from its normal form, which
+        proves that they cancel."""
         known = [x for x in numbers if x is not None]
         if len(known) < len(numbers):
             return None
@@ -356,7 +356,7 @@ class Structure:
         return primed(self.unknowns[j], order)
 
     def _structurally_singular(self) -> str:
-        """The message for equations that have no transversal."""
+        """Return the message for equations that have no transversal."""
         empty = np.flatnonzero((self.sigma == ABSENT).all(axis=1)).tolist()
         if empty:
             return self._dependent(empty)
@@ -369,7 +369,7 @@ class Structure:
         )
 
     def _dependent(self, empty: Sequence[int]) -> str:
-        """The message for equations, or combinations of them, that contain no unknown."""
+        """Return the message for equations, or combinations of them, that contain no unknown."""
         texts = []
         for i in empty:
             rest = self.equations[i]
@@ -397,7 +397,7 @@ class Structure:
         return "the equations do not determine the unknowns: " + "; ".join(texts)
 
     def _is_up_to_a_constant(self, which: Sequence[int]) -> bool:
-        """Whether the equations stay true if the same constant is added to these unknowns."""
+        """Return whether the equations stay true if the same constant is added to these unknowns."""
         n, graph = self.n, self.graph
         for one in self._given:
             row = row_of(one, [j for j in which if j in leaves([one])])
@@ -414,7 +414,7 @@ def _list(names: Sequence[str], which: Iterable[int]) -> str:
 
 
 def _sparsest(space: Array) -> Array:
-    """A vector of a space, given by rows, with few non-zeros: a row of its reduced echelon form."""
+    """Return a vector of a space, given by rows, with few non-zeros: a row of its reduced echelon form."""
     N = space.copy()
     for r in range(len(N)):
         below, column = divmod(int(np.argmax(np.abs(N[r:]))), N.shape[1])

@@ -78,7 +78,7 @@ class Through:
 
 
 def _as_event(fun: Any) -> Event:
-    """A function with SciPy's attributes as an `Event`."""
+    """Return a function with SciPy's attributes as an `Event`."""
     return Event(fun, getattr(fun, "terminal", False), getattr(fun, "direction", 0))
 
 

@@ -1,4 +1,4 @@
-"""What an ensemble came to, as its user sees it: the result, and one warning for all trajectories."""
+"""The result of an ensemble as its user sees it, and one warning of each kind for all trajectories."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
 
 
 def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> EnsembleSolution:
-    """The result, with its warnings."""
+    """Return the result of the ensemble, after its warnings."""
     times = plan.settings.times
     remarks = Remarks()
     remarks.add(found)
@@ -62,7 +62,7 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
 
 
 class Remarks:
-    """What is to be said of trajectories: one warning of a kind for all of them."""
+    """Warnings about trajectories: one of each kind for all of them."""
 
     def __init__(self) -> None:
         self._dropped = self._stiff = self._discontinuous = self._accumulating = 0
@@ -72,7 +72,7 @@ class Remarks:
         self._error: tuple[int, BaseException] | None = None
 
     def add(self, found: Outcomes, start: int = 0) -> None:
-        """Those of some more trajectories, of which the first has the number `start`."""
+        """Add the warnings about some more trajectories, of which the first has the number `start`."""
         self._size += len(found)
         if found.messages:
             self._failed += len(found.messages)
@@ -95,7 +95,7 @@ class Remarks:
         self._harmed.append(harmed[(found.status >= 0) & (harmed > 0)])
 
     def say(self, plan: Plan) -> None:
-        """Of all that were added."""
+        """Issue the warnings about all trajectories that were added."""
         if self._dropped:
             warn(f"invariants were redundant in {self._dropped} trajectories, and were left out there")
         if self._harmed:
@@ -112,7 +112,7 @@ class Remarks:
             warn(f"{plan.method.name}: {accumulating_in(self._accumulating)}", DiscontinuityWarning)
 
     def conclude(self, result: EnsembleSolution | EnsembleStore, on_failure: OnFailure) -> None:
-        """Warns of failed trajectories, or raises an error, according to `on_failure`."""
+        """Warn of failed trajectories, or raise an error, according to `on_failure`."""
         if self._first is None or on_failure == "return":
             return
         i, message = self._first
@@ -123,7 +123,8 @@ class Remarks:
 
 
 def _warn_harmed(plan: Plan, harmed: Array) -> None:
-    """`harmed`: 1 + the component that projection harmed, of each trajectory with one that did not fail."""
+    """Warn of components that projection made less accurate. `harmed`: 1 + such a component, of each successful
+    trajectory."""
     if not harmed.size:
         return
     names = plan.called.components
@@ -133,7 +134,7 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
 
 
 def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
-    """What the results of single trajectories need to know."""
+    """Return names, invariants, arguments and tolerances, which results of single trajectories need."""
     events, points = plan.functions.events, plan.functions.breakpoints
     acting = any(event.action is not None for event in events) or any(point.action is not None for point in points)
     times = np.array([point.t for point in points])

@@ -34,7 +34,7 @@ _PILOTS, _LARGEST = 256, 32 * 2**20
 
 
 class Means(NamedTuple):
-    """Who solves the parts."""
+    """The executor that solves the parts, its threads, and the size of a part."""
 
     executor: Any
     workers: int  # threads for each part
@@ -43,7 +43,7 @@ class Means(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where results go."""
+    """The store that results are written to, and whether to resume it."""
 
     store: Any
     resume: bool
@@ -70,20 +70,20 @@ class _Prepared(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _unpacked(data: bytes) -> _Prepared:
-    """What travelled, with its plans: functions are compiled once in a process."""
+    """Return the ensemble from its pickle, with its plans: functions are compiled once in a process."""
     found: _Packed = pickle.loads(data)
     with quietly():  # where it comes from has said it
         return _Prepared(found.ensemble, found.plans())
 
 
 def _solve_part(what: bytes | _Prepared, y0: Array, args: Any, workers: int) -> Outcomes:
-    """The rows of a part, where an executor solves them."""
+    """Solve the rows of a part where an executor runs this."""
     with quietly():
         return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, workers)
 
 
 def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> float:
-    """How long one of the first trajectories takes."""
+    """Return the seconds that one of the first trajectories takes."""
     solve(y0[:1], rows_of(args, slice(1)))  # the first time functions are compiled
     k = 1
     while True:
@@ -96,7 +96,7 @@ def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> flo
 
 
 def _seconds_of_one(what: bytes | _Prepared, y0: Array, args: Any) -> float:
-    """The same, where an executor solves them."""
+    """Return the seconds that one of the first trajectories takes where an executor solves it."""
     return _seconds(lambda y0, args: _solve_part(what, y0, args, 1), y0, args)
 
 
@@ -114,7 +114,7 @@ class _Parted:
         self._pilot = y0, args
 
     def length(self) -> int:
-        """Trajectories in a part: as many as take a second, on large clusters longer: the scheduler is to keep up."""
+        """Return the size of a part: trajectories for a second, or for longer on large clusters (see `_HANDLING`)."""
         if self.means.chunk is not None:
             return positive_integer("chunk", self.means.chunk)
         y0, args = self._pilot
@@ -140,7 +140,7 @@ class _Parted:
             return attempted(*self._here, y0, args, workers)
 
     def outcomes(self, parts: Iterator[Part]) -> Generator[tuple[Part, Outcomes]]:
-        """Those of each part, as parts are finished."""
+        """Yield each part with its outcomes, as parts are finished."""
         means = self.means
         if means.executor is None:
             for part in parts:
@@ -150,7 +150,7 @@ class _Parted:
 
 
 def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
-    """All rows on an executor, or from an iterator, with their results in memory."""
+    """Solve all rows on an executor, or from an iterator, and return their results in memory."""
     run = _Parted(ensemble, rows, means)
     done: list[tuple[Part, Outcomes]] = []
     with (
@@ -167,7 +167,7 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
 
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
-    """All rows, with their results in a store."""
+    """Solve all rows and return their results in a store."""
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
     with writer:
@@ -179,7 +179,7 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
 
 
 def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Remarks:
-    """Solves the rows that the store lacks. What is remarkable about them."""
+    """Solve the rows that the store lacks, and return their warnings."""
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
     remarks = Remarks()

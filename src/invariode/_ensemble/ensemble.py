@@ -54,7 +54,7 @@ _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(ProblemEnsembleOptions).ke
 
 
 class Wanted(NamedTuple):
-    """The rows of an ensemble as given, and where results go."""
+    """Rows of an ensemble as given, and where results go."""
 
     y0: ArrayLike | Iterator[tuple[ArrayLike, Any]] | None
     args: Iterable[Any] | ArrayLike | None
@@ -92,7 +92,7 @@ def solve_rows(
 
 
 def _at_once(ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: bool) -> EnsembleSolution:
-    """All rows, on this machine."""
+    """Solve all rows on this machine."""
     task = ensemble.task(y0, args)
     first, plan = first_plan(task)
     plans = [plan, *(ensemble.task(y0, args, k).plan(first) for k in range(1, len(ensemble.attempts)))]
@@ -102,7 +102,7 @@ def _at_once(ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: bool
 
 
 def _attempts(method: MethodName, options: Options, retry: Any) -> list[Attempt]:
-    """With which method and options rows are solved, and solved again if they failed."""
+    """Return the methods and options of the first attempt and of the retries of rows that failed."""
     attempts = [Attempt(method, options)]
     for given in [] if retry is None else [retry] if isinstance(retry, Mapping) else items(retry) or [retry]:
         if not isinstance(given, Mapping):
@@ -117,7 +117,7 @@ def _attempts(method: MethodName, options: Options, retry: Any) -> list[Attempt]
 
 
 def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
-    """The options of each trajectory."""
+    """Return the options of each trajectory."""
     for name, value in given.items():
         if name in _OF_SINGLE_RUNS:
             if not (value is None or (np.isscalar(value) and value == TABLE[name].default)):
@@ -150,7 +150,7 @@ def _processors() -> int:
 
 
 def _threads_of_part(executor: Any, workers: int | None) -> int:
-    """An executor has a place for each processor, or should have."""
+    """Return the threads for each part: an executor has a worker slot for each processor, or should have."""
     if workers is None:
         return _processors() if executor is None else 1
     return positive_integer("workers", workers)
@@ -165,8 +165,8 @@ def _source(problem: Description, wanted: Wanted) -> Rows:
 
 
 def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
-    """The initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows; those of
-    the problem for what is not given."""
+    """Return the initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows;
+    those of the problem for what is not given."""
     states = problem.y0 if y0 is None else numbers("y0", y0)
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
@@ -188,7 +188,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
 
 
 def _named(problem: Description, args: Any) -> Any:
-    """args of a problem with parameters by name: columns or rows of them become rows of records."""
+    """Return args of a problem with parameters by name: columns or rows of them become rows of records."""
     if problem.parameters is None or args is None or isinstance(args, tuple):
         return args
     if isinstance(args, Mapping):

@@ -1,4 +1,4 @@
-"""Who solves the parts of an ensemble: executors of other processes, clusters or threads."""
+"""Executors that solve the parts of an ensemble: other processes, clusters or threads."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ ASKING = 1.0
 
 
 class Executor(Protocol):
-    """What of `concurrent.futures.Executor` is needed."""
+    """The method of `concurrent.futures.Executor` that an ensemble needs."""
 
     def submit(self, call: Callable[..., Any], /, *args: Any) -> Future[Any]: ...
 
 
 def executor_of(given: Any) -> Executor:
-    """An executor, from one or from a client of Dask.
+    """Return an executor, from one or from a client of Dask.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def executor_of(given: Any) -> Executor:
 
 
 class _Places:
-    """How many parts an executor solves at once. Those of a cluster come and go: it is asked now and then."""
+    """The number of parts an executor solves at once. A cluster, whose workers come and go, is asked now and then."""
 
     def __init__(self, given: Any, executor: Executor) -> None:
         self._given = given if hasattr(given, "nthreads") else None
@@ -64,17 +64,17 @@ class _Places:
 
 
 def shares_memory(executor: Any) -> bool:
-    """Whether an executor solves in this process: nothing has to travel."""
+    """Return whether an executor solves in this process, so that nothing is pickled."""
     return isinstance(executor, ThreadPoolExecutor)
 
 
 def places_of(given: Any) -> int:
-    """How many parts are solved at once."""
+    """Return the number of parts that are solved at once."""
     return 1 if given is None else _Places(given, executor_of(given)).count()
 
 
 def packed(value: Any) -> bytes:
-    """A pickle with the functions of the user's own script in it, where cloudpickle is there."""
+    """Return a pickle with the functions of the user's own script in it, where cloudpickle is there."""
     try:
         import cloudpickle
     except ImportError:
@@ -89,8 +89,8 @@ def packed(value: Any) -> bytes:
 
 
 def _with_code(cloudpickle: Any, value: Any) -> bytes:
-    """A pickle by cloudpickle. Its own rule, that what `__main__` defines travels with its code, holds for compiled
-    functions too: they are compiled anew where they arrive."""
+    """Return a pickle by cloudpickle. Its own rule, that what `__main__` defines travels with its code, holds for
+    compiled functions too: they are compiled anew where they arrive."""
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # an extra, imported when it is used
         def reducer_override(self, obj: Any) -> Any:
@@ -106,8 +106,8 @@ def _with_code(cloudpickle: Any, value: Any) -> bytes:
 def on_executor(
     given: Any, call: Callable[..., T], arguments: Callable[[Part], tuple[Any, ...]], parts: Iterable[Part]
 ) -> Generator[tuple[Part, T]]:
-    """Each part with ``call(*arguments(part))``, as an executor finishes them. If it is left early, what has not begun
-    is cancelled.
+    """Yield each part with the value of ``call(*arguments(part))``, as an executor finishes them. If the generator is
+    closed early, parts that have not begun are cancelled.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What trajectories came to, as arrays with a row for each: of a whole ensemble or of a part."""
+"""Outcomes of trajectories, as arrays with a row for each: of a whole ensemble or of a part."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .solution import EnsembleEvents
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:
-    """The statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one more."""
+    """Return the statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one
+    more."""
     by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
     del by_name["dropped"], by_name["harmed"]
     return by_name
@@ -54,7 +55,7 @@ class Outcomes:
         return len(self.status)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Counts are sent as small integers, since they are most of the data that a worker returns."""
+        """Return the state, with counts as small integers, since counts are most of the data that a worker returns."""
         largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
         error = None if self.error is None else (self.error[0], picklable(self.error[1]))
         return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1)), "error": error}
@@ -68,7 +69,7 @@ class Outcomes:
         return np.flatnonzero(self.status < 0)
 
     def replace(self, rows: Array, other: Outcomes, attempt: int) -> None:
-        """Puts the outcomes of another attempt in the place of these rows if it did not fail."""
+        """Put the outcomes of another attempt in the place of these rows if it did not fail."""
         better = np.flatnonzero(other.status >= 0)
         if not better.size:
             return
@@ -96,7 +97,7 @@ ROWS = tuple(
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
-    """The outcomes of parts of an ensemble, one after the other."""
+    """Return the outcomes of parts of an ensemble, one after the other."""
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     whole = Outcomes(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ROWS},
@@ -121,13 +122,13 @@ def joined(parts: Sequence[Outcomes]) -> Outcomes:
 
 
 def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
-    """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
+    """Return occurrences as trajectories ended, by trajectory; those of each one are in order."""
     order = np.argsort(trajectory, kind="stable")
     return EnsembleEvents(trajectory[order], t[order], y[order])
 
 
 def picklable(error: BaseException | None) -> BaseException | None:
-    """An exception that can be pickled, with its traceback, which cannot, as a note."""
+    """Return an exception that can be pickled, with its traceback, which cannot, as a note."""
     if error is None or error.__traceback__ is None:
         return error
     try:

@@ -67,7 +67,8 @@ def attempted(
     workers: int,
     report: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """What the rows came to; those that failed are solved again as long as there are other attempts."""
+    """Solve the rows and return their outcomes; rows that failed are solved again as long as there are other
+    attempts."""
     found = _solved(ensemble.task(y0, args), plans[0], workers, report)
     for k, plan in enumerate(plans[1:], 1):
         failed = found.failed
@@ -85,7 +86,7 @@ def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None
 
 
 def _own_to_each(plan: Plan, args: Any) -> str | None:
-    """What each trajectory needs a plan of its own for. None: nothing."""
+    """Return why each trajectory needs a plan of its own. None: all share one."""
     if plan.schedule is not None and plan.schedule.depends_on_args and not isinstance(args, tuple):
         return "f changes its branch at times that depend on args"
     if plan.varied is None:
@@ -97,7 +98,7 @@ def _own_to_each(plan: Plan, args: Any) -> str | None:
 
 
 def _fits_all(task: Task) -> bool:
-    """Whether a problem that fits the method with the arguments of one row does with all."""
+    """Return whether a problem that fits the method with the arguments of one row fits it with all."""
     return isinstance(task.args, tuple) or fits_any_args(task.problem, task.method)
 
 
@@ -154,7 +155,7 @@ def _on_threads(
 
 
 def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array | None]:
-    """The rows that the core starts from, and rows of tolerances of sensitivities, if there are any."""
+    """Return the rows that the core starts from, and rows of tolerances of sensitivities, if there are any."""
     if plan.varied is None:
         return y0, None
     start, size = plan.varied.start.ravel(), len(y0)
@@ -163,13 +164,13 @@ def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array |
 
 
 def _apart(Y: Array, n: int, k: int) -> tuple[Array, Array]:
-    """y (N, n, ...) and S (N, n, k, ...) of rows ((1 + k) n, ...)."""
+    """Return y (N, n, ...) and S (N, n, k, ...) of rows ((1 + k) n, ...)."""
     parts = Y.reshape(len(Y), 1 + k, n, *Y.shape[2:])
     return np.ascontiguousarray(parts[:, 0]), np.ascontiguousarray(np.swapaxes(parts[:, 1:], 1, 2))
 
 
 def _parameters(task: Task, plan: Plan) -> Array:
-    """The parameters of the native functions, one row for each trajectory."""
+    """Return the parameters of the native functions, one row for each trajectory."""
     size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
         same = np.empty((size, len(p)))
@@ -184,7 +185,7 @@ def _parameters(task: Task, plan: Plan) -> Array:
 
 
 def _require_constants(task: Task, p: Array, rows: Array) -> None:
-    """That all trajectories have the arguments that are constants of compiled functions.
+    """Check that all trajectories have the same values of arguments that are constants of compiled functions.
 
     Raises
     ------
@@ -221,7 +222,7 @@ def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError | IndexEr
 def _messages(
     task: Task, plan: Plan, failures: Failures, misshapen: Mapping[int, Exception], states: Array
 ) -> dict[int, str]:
-    """Why trajectories failed, in their order."""
+    """Return the messages of the trajectories that failed, by number, in ascending order."""
     messages: dict[int, str] = {}
     for i, failure in failures:
         exception = misshapen.get(i) or plan.exception(failure)
@@ -259,7 +260,7 @@ class _Outcome:
 
 
 def _solve_one(task: Task, i: int) -> _Outcome:
-    """One trajectory, with whatever goes wrong in it as its status."""
+    """Solve one trajectory; an exception in it becomes its status."""
     try:
         with quietly():  # the first plan has said it
             plan = task.plan(i)
@@ -320,7 +321,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
 
 
 def _unsolved(task: Task, plan: Plan) -> Outcomes:
-    """The rows before they are solved: what stays of those that cannot be."""
+    """Return the rows before they are solved: values that remain for rows that cannot be solved."""
     size, n = task.y0.shape
     times, m = plan.settings.times, len(plan.bound)
     k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
@@ -349,7 +350,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
 
 
 def _keep(found: Outcomes, one: _Outcome) -> None:
-    """Puts what one trajectory came to into its row."""
+    """Store the outcome of one trajectory in its row."""
     i = one.trajectory
     found.status[i] = one.status
     if one.status < 0:

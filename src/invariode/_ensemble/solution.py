@@ -1,4 +1,4 @@
-"""What `solve_ensemble` returns: many trajectories, each of which is a `Solution` too."""
+"""The result of `solve_ensemble`: many trajectories, each of which is a `Solution` too."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ if TYPE_CHECKING:  # extras, imported when they are used
 
 @dataclasses.dataclass
 class Trajectories:
-    """What results of single trajectories need besides the numbers. Pickles leave out functions that cannot travel."""
+    """Names, functions and tolerances for results of single trajectories. Pickles leave out functions that cannot be
+    sent."""
 
     name: str
     events: list[str]
@@ -47,12 +48,12 @@ class Trajectories:
 
     @classmethod
     def unknown(cls, events: int, invariants: int) -> Trajectories:
-        """For a result without its functions."""
+        """Make names for the events and invariants of a result that has no functions."""
         laws = [f"g{i}" for i in range(invariants)]
         return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), RTOL, ATOL)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Functions of a module travel; without the others the invariants are as those of a run with jumps: names."""
+        """Return the state without functions that cannot be pickled; their invariants are then sent as names only."""
         state = dict(self.__dict__)
         for name, without in (("bound", {}), ("args", {"args": ()}), ("error", {"error": None})):
             try:
@@ -65,7 +66,7 @@ class Trajectories:
         return self
 
     def invariants(self, i: int, value: Array) -> BoundInvariants:
-        """The invariants of a trajectory, at its values."""
+        """Return the invariants of a trajectory, at its values."""
         if self.bound is None or not np.isfinite(value).all():
             return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
         args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
@@ -80,13 +81,13 @@ class Trajectories:
 
 
 def final_states(y_end: Array, status: Array) -> Array:
-    """The final states (N, n, 1), NaN for trajectories that failed."""
+    """Return the final states (N, n, 1), NaN for trajectories that failed."""
     return np.where((status >= 0)[:, None], y_end, np.nan)[:, :, None]
 
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleEvents(Record):
-    """All occurrences of one event, those of a trajectory one after the other.
+    """Occurrences of one event, those of a trajectory one after the other.
 
     Attributes
     ----------
@@ -107,7 +108,7 @@ class EnsembleEvents(Record):
 
 
 def none_of(states: Array) -> dict[str, Array]:
-    """The fields of no events of trajectories with such states."""
+    """Return the fields of an event that did not occur, for trajectories with such states."""
     return {"trajectory": np.zeros(0, dtype=np.int64), "t": np.zeros(0), "y": states[:0]}
 
 
@@ -146,12 +147,12 @@ class EnsembleStats(Record):
 
     @property
     def lanes(self) -> str:
-        """How many trajectories were integrated side by side, by which instructions, or why they were not. Not in
+        """Number of trajectories integrated in SIMD lanes, and their instructions, or the reason why none were; not in
         files."""
         return self._lanes
 
     def __repr__(self) -> str:
-        """What is not 0 or NaN in all trajectories, from the least to the largest."""
+        """Return a table of the counts that are not 0 or NaN in all trajectories, with minimum and maximum."""
         rows = [f"EnsembleStats of {len(self.steps)} trajectories"]
         for name, values in self.items():
             known = values[np.isfinite(values)]
@@ -172,7 +173,7 @@ class EnsembleSensitivities(NamedTuple):
 
     @classmethod
     def of(cls, names: list[str], at_times: Array | None, end: Array, status: Array) -> EnsembleSensitivities:
-        """Those at times, or where trajectories ended, unless they failed."""
+        """Make the sensitivities at the output times, or where trajectories ended, NaN for those that failed."""
         if at_times is None:
             at_times = np.where((status >= 0)[:, None, None, None], end[..., None], np.nan)
         return cls(names, at_times, end)
@@ -272,7 +273,7 @@ class EnsembleSolution:
 
     @property
     def failed(self) -> Array:
-        """The numbers of the trajectories that failed; `messages` say why."""
+        """Numbers of the trajectories that failed; `messages` gives the reasons."""
         return np.flatnonzero(~self.success)
 
     @property
@@ -282,7 +283,7 @@ class EnsembleSolution:
         return None if self._trajectories is None else self._trajectories.error
 
     def keys(self) -> list[str]:
-        """The names of the fields."""
+        """Return the names of the fields."""
         return [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
 
     def __contains__(self, name: object) -> bool:
@@ -309,7 +310,8 @@ class EnsembleSolution:
         return self._trajectory(i % len(self))
 
     def _trajectory(self, i: int) -> Solution:
-        """One trajectory as the result of a single solve: without steps and dense output, which are not kept."""
+        """Return one trajectory as the result of a single solve: without steps and dense output, which are not
+        stored."""
         about = _about(self)
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
@@ -352,7 +354,7 @@ class EnsembleSolution:
         )
 
     def _stats_of(self, i: int) -> Stats:
-        """As a single solve has them; of the jumps of f the first."""
+        """Return the counts of one trajectory as a single solve has them, with the first discontinuity of f only."""
         about = {name: values[i].item() for name, values in self.stats.items() if name != "stiff"}
         since, jump, _ = (about.pop(name) for name in ("stiff_since", "discontinuity", "accumulation"))
         return Stats(
@@ -364,7 +366,7 @@ class EnsembleSolution:
         )
 
     def _drift(self, i: int, about: Trajectories, stats: Stats, *, known: bool) -> BeforeProjection:
-        """What was before the projection; where the functions and the values after jumps are not known, all that is."""
+        """Return the drift before projection; where functions and values after jumps are not known, the whole drift."""
         unknown = np.full(self.value.shape[1], np.nan)
         correction = float(self.correction[i])
         if known or not len(unknown):
@@ -390,7 +392,7 @@ class EnsembleSolution:
         components: Any = None,
         **line: Any,
     ) -> Axes:
-        """Draws components of all trajectories over t.
+        """Draw components of all trajectories over t.
 
         Parameters
         ----------
@@ -412,7 +414,7 @@ class EnsembleSolution:
         return draw_ensemble(self, choice("kind", kind, ("bands", "quantiles", "spaghetti")), ax, components, line)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The trajectories as a labelled data set of xarray.
+        """Return the trajectories as a labelled data set of xarray.
 
         Returns
         -------
@@ -428,7 +430,7 @@ class EnsembleSolution:
         return ensemble_to_xarray(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The trajectories as a table of pandas.
+        """Return the trajectories as a table of pandas.
 
         Returns
         -------
@@ -444,7 +446,7 @@ class EnsembleSolution:
         return ensemble_to_dataframe(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes all arrays to one file, from which `EnsembleSolution.load` makes an equal result, with the fields
+        """Write all arrays to one file, from which `EnsembleSolution.load` makes an equal result, with the fields
         that you have added (numbers, text, lists, dicts, arrays); a warning names those that it cannot keep.
 
         Parameters
@@ -461,7 +463,9 @@ class EnsembleSolution:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
-        """The result that `save` wrote to a file. Its trajectories have no invariants: functions are not in files.
+        """Load the result that `save` wrote to a file.
+
+        Its trajectories have no invariants: functions are not in files.
 
         Raises
         ------

@@ -29,12 +29,12 @@ class Part(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """The row behind the last."""
+        """Number of the row after the last one."""
         return self.start + len(self.y0)
 
 
 def rows_of(args: Any, chosen: Any) -> Any:
-    """The args of some rows, given as indices or as a slice."""
+    """Return the args of some rows; the rows are given as indices or as a slice."""
     if isinstance(args, tuple):
         return args
     if isinstance(args, np.ndarray):
@@ -49,7 +49,7 @@ class Rows:
         self._blocks, self.size = blocks, size
 
     def first(self, count: int) -> tuple[Array, Any]:
-        """So many of the first, or all; those are not taken away."""
+        """Return y0 and args of the first `count` rows, or of all if there are fewer; the rows remain to be read."""
         taken: list[tuple[Array, Any]] = []
         while sum(len(y0) for y0, _ in taken) < count and (block := next(self._blocks, None)) is not None:
             taken.append(block)
@@ -60,7 +60,7 @@ class Rows:
         return y0[:count], rows_of(args, slice(count))
 
     def parts(self, length: int) -> Iterator[Part]:
-        """All rows, once, in parts of that length; the last may be shorter."""
+        """Yield all rows, once, in parts of that length; the last may be shorter."""
         left: list[tuple[Array, Any]] = []
         number = start = waiting = 0
         for block in self._blocks:
@@ -137,13 +137,13 @@ def _joined(blocks: list[tuple[Array, Any]]) -> tuple[Array, Any]:
 
 
 def rejoined(parts: list[Part]) -> tuple[Array, Any]:
-    """The rows of all parts, in their order."""
+    """Return the rows of all parts, in their order."""
     y0, args = _joined([(part.y0, part.args) for part in parts])
     return y0, parts[0].args if isinstance(parts[0].args, tuple) else args
 
 
 def digest(part: Part) -> int:
-    """A number that tells the rows of a part from others; never 0."""
+    """Return a number that tells the rows of a part from others; never 0."""
     found = hashlib.blake2b(np.ascontiguousarray(part.y0).tobytes(), digest_size=DIGEST)
     for piece in _pieces(part.args):
         found.update(piece)
@@ -151,7 +151,7 @@ def digest(part: Part) -> int:
 
 
 def _pieces(value: Any) -> Iterator[bytes]:
-    """What is the same in another process; of objects of other types, their type."""
+    """Yield bytes that are the same in every process; of objects of unknown types, only the type's name."""
     if isinstance(value, np.ndarray) and value.dtype != object:
         yield np.ascontiguousarray(value).tobytes()
     elif isinstance(value, (list, tuple, np.ndarray)):

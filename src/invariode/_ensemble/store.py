@@ -81,7 +81,7 @@ _STORE = Kind(
 
 
 class Layout(NamedTuple):
-    """What the arrays of a store are, and what problem they are of."""
+    """Arrays of a store, and the description of the problem that it belongs to."""
 
     about: dict[str, Any]  # what describes the problem, its method and options, in text and numbers
     names: dict[str, list[str]]  # the coordinates 'component', 'parameter', 'invariant', 'event' and 'sensitivity'
@@ -90,7 +90,7 @@ class Layout(NamedTuple):
     times: bool  # `t_eval` was given; otherwise only the final states are kept
 
     def arrays(self) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any], Any]]:
-        """Each array: its name, its shape without the trajectories, its type, its value for unsolved ones."""
+        """Yield the arrays: name, shape without the trajectories, data type and value for unsolved trajectories."""
         sizes = {name: len(these) for name, these in self.names.items()} | {
             "t": len(self.t),
             "count": len(_core.COUNTS),
@@ -153,13 +153,13 @@ class StoreWriter:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Others may go on with the store."""
+        """Release the lock: other processes may resume the store."""
         if self._lock is not None:
             self._lock.release()
 
     def _created_beside(self, folder: Path, length: int, size: int | None, seed: Any) -> Any:
-        """A new store on this machine: it gets its name when it is complete. What a killed process has left there is
-        overwritten."""
+        """Return a new store on this machine: it gets its name when it is complete. What a killed process has left
+        there is overwritten."""
         part = folder.with_name(f".{folder.name}.invariode-part")
         if folder.is_dir() and any(folder.iterdir()):
             raise ValueError(f"the folder {folder} is there, and is not a store of an ensemble: give another name")
@@ -208,7 +208,7 @@ class StoreWriter:
         return group
 
     def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
-        """The parts that are missing.
+        """Yield the parts that are missing.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class StoreWriter:
                 )
 
     def write(self, part: Part, found: Outcomes) -> None:
-        """Keeps the outcomes of a part."""
+        """Store the outcomes of a part."""
         if part.stop > self._arrays["status"].shape[0]:
             self._grow(max(part.stop, 2 * self._arrays["status"].shape[0]))
         here = slice(part.start, part.stop)
@@ -319,21 +319,21 @@ class EnsembleStore:
         return f"EnsembleStore({named(self.path)!r}) of {len(self)} trajectories, {len(self.failed)} failed{left}"
 
     def _of_parts(self, name: str) -> Iterator[tuple[int, Array]]:
-        """An array part by part, with the first row of each: no more than a part is in memory."""
+        """Yield an array part by part, with the first row of each: no more than a part is in memory."""
         length = int(self.attributes["chunk"])
         for start in range(0, len(self), length):
             yield start, self._group[name][start : min(start + length, len(self))]
 
     @property
     def missing(self) -> int:
-        """How many trajectories are not solved yet. Those of a part that was being written are not."""
+        """Number of trajectories that are not solved yet, or whose part was not written completely."""
         length, size = int(self.attributes["chunk"]), len(self)
         digests = self._group["digest"][: -(-size // length)]
         return sum(min(length, size - part * length) for part in np.flatnonzero(digests == 0).tolist())
 
     @property
     def failed(self) -> Array:
-        """The numbers of the trajectories that failed."""
+        """Numbers of the trajectories that failed."""
         found = [
             start + np.flatnonzero((status < 0) & (status != UNSOLVED)) for start, status in self._of_parts("status")
         ]
@@ -341,13 +341,13 @@ class EnsembleStore:
 
     @property
     def messages(self) -> dict[int, str]:
-        """Why they failed."""
+        """Messages of the failed trajectories, by number."""
         texts = (dict(part.attrs["messages"]) for part in self._parts())
         return dict(sorted((int(i), text) for these in texts for i, text in these.items()))
 
     @property
     def events(self) -> list[EnsembleEvents]:
-        """The events, as those of `EnsembleSolution`."""
+        """Occurrences of the events, as those of `EnsembleSolution`."""
         each = [{name: part[name][:] for name in part.array_keys()} for part in self._parts()]
         empty = {"number": np.zeros(0, dtype=np.int64), **none_of(self._group["y_end"])}
         whole = {name: np.concatenate([none, *(one[name] for one in each)]) for name, none in empty.items()}
@@ -360,7 +360,7 @@ class EnsembleStore:
         return [part for _, part in sorted(self._group["parts"].groups(), key=lambda named: int(named[0]))]
 
     def to_xarray(self) -> xarray.Dataset:
-        """The store as a data set of xarray, which reads only what is used.
+        """Return the store as a data set of xarray, which reads only what is used.
 
         Returns
         -------
@@ -381,7 +381,7 @@ class EnsembleStore:
         return data
 
     def load(self) -> EnsembleSolution:
-        """All of it in memory, as `solve_ensemble` without `store` returns it, except for the functions.
+        """Load the whole store into memory, as `solve_ensemble` without `store` returns it, except for the functions.
 
         Returns
         -------
@@ -454,7 +454,7 @@ class EnsembleStore:
 
 
 def _about(path: Any, group: Any) -> dict[str, Any]:
-    """The attributes of a store. Raises ValueError if there is no store at the path."""
+    """Return the attributes of a store. Raises ValueError if there is no store at the path."""
     about = {} if group is None else dict(group.attrs)
     kind_of(path, about, "store")
     with damage_of(path):
@@ -463,7 +463,7 @@ def _about(path: Any, group: Any) -> dict[str, Any]:
 
 
 def _require_same(path: Any, group: Any, layout: Layout, size: int | None, seed: Any) -> None:
-    """Refuses a store that belongs to another problem."""
+    """Raise an error for a store that belongs to another problem."""
     held = _about(path, group)
     theirs, ours = _flat(held["problem"]), _flat(layout.about)
     differing = [key for key in {**theirs, **ours} if theirs.get(key) != ours.get(key)]
@@ -481,7 +481,7 @@ def _require_same(path: Any, group: Any, layout: Layout, size: int | None, seed:
 
 
 def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """All leaves by their paths."""
+    """Return all leaves of nested dictionaries by their dotted paths."""
     leaves: dict[str, Any] = {}
     for name, value in about.items():
         if isinstance(value, list) and any(isinstance(one, dict) for one in value):
@@ -491,8 +491,8 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
-    """Names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one. Empty:
-    they are not numbers."""
+    """Return names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one.
+    Empty: they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)
     except (TypeError, ValueError):
@@ -512,7 +512,7 @@ def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
 
 
 def _compressors() -> list[Any]:
-    """How chunks are stored: compressed, and with a CRC-32C behind, which is tested when they are read."""
+    """Return the codecs of chunks: compression, and a CRC-32C that is checked when they are read."""
     codecs = _zarr().codecs
     return [codecs.ZstdCodec(level=0), codecs.Crc32cCodec()]
 
@@ -543,7 +543,7 @@ def _zarr() -> Any:
 
 
 def _opened(path: Any, mode: str) -> Any:
-    """The group; None if nothing is there."""
+    """Return the group; None if nothing is there."""
     zarr = _zarr()
     if isinstance(path, (str, os.PathLike)):
         arguments.path("store", path)
@@ -558,7 +558,7 @@ def _opened(path: Any, mode: str) -> Any:
 
 
 def _folder(path: Any) -> Path | None:
-    """Where a store is, if that is a folder of this machine."""
+    """Return the local folder of a store; None if it is not in a folder of this machine."""
     if not isinstance(path, (str, os.PathLike)) or "://" in os.fspath(path):
         return None
     folder = Path(os.path.realpath(arguments.path("store", path)))

@@ -1,4 +1,4 @@
-"""What an ensemble solves: one task for all rows, or for some of them."""
+"""The task of an ensemble: a problem, a method and options, for all rows or for some of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .._problem.options import Options
 
 @dataclasses.dataclass
 class Task:
-    """What is to be solved; picklable if the functions are."""
+    """A problem with method, options and rows; picklable if the functions are."""
 
     problem: Description
     method: MethodName
@@ -42,7 +42,7 @@ class Attempt:
 
 @dataclasses.dataclass
 class Ensemble:
-    """What is to be solved, but for the rows; picklable if the functions are."""
+    """A problem with its attempts, without the rows; picklable if the functions are."""
 
     problem: Description
     attempts: list[Attempt]  # the first, and those for rows that failed
@@ -50,13 +50,13 @@ class Ensemble:
     on_failure: OnFailure
 
     def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
-        """These rows, by one of the attempts."""
+        """Return the task of solving these rows by one of the attempts."""
         chosen = self.attempts[attempt]
         return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes)
 
 
 def first_plan(task: Task) -> tuple[int, Plan]:
-    """The first trajectory that has a plan, and the plan. What fails for many is wrong for all, and raised."""
+    """Return the first trajectory that has a plan, and the plan. What fails for many is wrong for all, and raised."""
     many = 100
     first_error = None
     if len(task.y0) == 0:

@@ -50,12 +50,12 @@ NOTHING_SOLVED = (
 
 
 def may_start() -> bool:
-    """Whether this process may start others; a daemonic one may not."""
+    """Return whether this process may start others; a daemonic one may not."""
     return not multiprocessing.current_process().daemon
 
 
 def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callable[[int], T]) -> Generator[list[T]]:
-    """Lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
+    """Yield lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
 
     Parameters
     ----------
@@ -103,15 +103,17 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
 
 
 def _context() -> BaseContext:
-    """How `multiprocessing` starts processes; where a server forks them, which is Linux's default since Python 3.14,
-    this process does: its workers know functions that cannot be pickled, and the script needs no guard."""
+    """Return the context in which `multiprocessing` starts processes. Where a server forks them, which is Linux's
+    default since Python 3.14, this process forks them instead: its workers know functions that cannot be pickled, and
+    the script needs no guard."""
     context = multiprocessing.get_context()
     by_default = sys.version_info >= (3, 14) and context.get_start_method() == "forkserver"
     return multiprocessing.get_context("fork") if by_default else context
 
 
 def _what_is_left(chunk: range, fatal: set[int], hopeless: Sequence[int]) -> list[range]:
-    """What of a lost chunk is still to be solved: the row that its process died at alone, unless it is hopeless."""
+    """Return the rows of a lost chunk that are still to be solved: the one its process died at alone, unless it is
+    hopeless."""
     row = next((i for i in chunk if i in fatal), None)
     if row is None:
         return [chunk]
@@ -154,7 +156,8 @@ class _Workers(Generic[T]):
         self._processes: Mapping[int, BaseProcess] = {}
 
     def outcomes(self) -> Generator[list[T]]:
-        """The outcomes of a chunk at a time. If it is left early, by Ctrl-C for example, the processes are killed."""
+        """Yield the outcomes of a chunk at a time. If it is left early, by Ctrl-C for example, the processes are
+        killed."""
         try:
             executor = self._start()
             while self._given:
@@ -171,7 +174,8 @@ class _Workers(Generic[T]):
             raise
 
     def _solved(self) -> list[Path]:
-        """The outcomes of chunks that are solved, after some waiting; those of an executor that is broken are lost."""
+        """Return the outcomes of chunks that are solved, after some waiting; those of an executor that is broken are
+        lost."""
         files = []
         for future in wait(self._given, LISTENING, FIRST_COMPLETED).done:
             chunk = self._given.pop(future)
@@ -189,7 +193,7 @@ class _Workers(Generic[T]):
                 self._executor.shutdown(cancel_futures=True)
 
     def _start(self) -> ProcessPoolExecutor:
-        """Starts the processes, with their first chunks."""
+        """Start the processes, with their first chunks."""
         forks = self._context.get_start_method() == "fork"
         with _no_compilation() if forks else nullcontext() as lock, _ctrl_c_later(), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
@@ -207,7 +211,7 @@ class _Workers(Generic[T]):
                 self._left.popleft()
 
     def fatal_rows(self) -> set[int]:
-        """The rows at which processes died by themselves: when one does, the executor terminates the others."""
+        """Return the rows at which processes died by themselves: when one does, the executor terminates the others."""
         ended = self._processes.values()
         theirs = {p.pid for p in ended if len(ended) == 1 or p.exitcode != -signal.SIGTERM}
         rows = {i for chunk in self.lost for i in chunk if self._work.at[i] in theirs}
@@ -225,7 +229,7 @@ def _taken_from(file: Path) -> Any:
 
 @contextmanager
 def _no_compilation() -> Iterator[Any]:
-    """While numba compiles in no thread; what it yields is held, and to be released, in a process that is forked here.
+    """Wait until numba compiles in no thread; yield the lock, which is held, and is to be released in forked processes.
 
     A fork in the middle of another thread's compilation inherits locks that nobody there will release.
     """
@@ -239,7 +243,7 @@ def _no_compilation() -> Iterator[Any]:
 
 @contextmanager
 def _ctrl_c_later() -> Iterator[None]:
-    """Ctrl-C is heard when the block is over.
+    """Delay Ctrl-C until the block is over.
 
     A hook that runs in a fork would swallow it, and a new process die of it; an exception in the middle of the executor
     may leave one of its locks locked, for which its thread then waits for ever.
@@ -266,7 +270,7 @@ def _ctrl_c_later() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Work:
-    """What a worker needs.
+    """Data that a worker process needs.
 
     Attributes
     ----------
@@ -291,7 +295,7 @@ _work: _Work  # of this worker
 
 
 def _begin(work: _Work) -> None:
-    """Ctrl-C is for the parent, which kills its workers; a handler of the parent's for SIGTERM is not for them."""
+    """Ignore Ctrl-C, since the parent kills its workers; a handler of SIGTERM is reset to the default."""
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -302,7 +306,7 @@ def _begin(work: _Work) -> None:
 
 
 def _end_with_parent(pid: int, folder: str) -> None:
-    """Ends this process when its parent has died, by whatever cause."""
+    """End this process when its parent has died, by whatever cause."""
     parent = multiprocessing.parent_process()
     assert parent is not None  # this is a worker
     # Other forked processes may keep the sentinel open, but none keeps the parent's id.
@@ -313,7 +317,7 @@ def _end_with_parent(pid: int, folder: str) -> None:
 
 
 def _solve_chunk(chunk: range) -> str:
-    """Solves these rows. Returns the file with the outcomes."""
+    """Solve these rows and return the file with the outcomes."""
     outcomes, me = [], os.getpid()
     for i in chunk:
         _work.at[i] = me

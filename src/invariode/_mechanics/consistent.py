@@ -30,7 +30,7 @@ _FAR = 1e-4
 
 
 def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
-    """The state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
+    """Return the state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
 
     q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
     sense, which is linear. Where q' is not v, or M is not definite, q is the nearest one in the Euclidean sense.
@@ -65,7 +65,7 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
 
 
 def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
-    """The q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
+    """Return the q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
@@ -101,14 +101,14 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
 
 
 def _off(residual: Array, rows: Any, q: Array, q0: Array) -> Array:
-    """Which residuals are more than roundoff."""
+    """Return which residuals are more than roundoff, (m,)."""
     roundoff: Array = _ROUNDOFF * (abs(rows) @ sizes(q) + abs(rows) @ sizes(q0))
     off: Array = ~(np.abs(residual) <= roundoff)
     return off
 
 
 def _least_change(weight: Any, rows: Any, right: Array) -> Array:
-    """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
+    """Return the x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
     n = rows.shape[1]
     if hasattr(weight, "toarray") and hasattr(rows, "toarray"):
         found = _sparse_least_change(weight, rows, right)
@@ -124,7 +124,7 @@ def _least_change(weight: Any, rows: Any, right: Array) -> Array:
 
 
 def _sparse_least_change(weight: Any, rows: Any, right: Array) -> Array | None:
-    """The same by sparse factors of (W, -Aᵀ; A, 0); None: it is not determined, or not to roundoff."""
+    """Return the x of least xᵀ W x with A x = right, from sparse factors of (W, -Aᵀ; A, 0); None if not determined."""
     from scipy.sparse import block_array  # takes longer to import than everything else
     from scipy.sparse.linalg import splu
 
@@ -139,7 +139,7 @@ def _sparse_least_change(weight: Any, rows: Any, right: Array) -> Array | None:
 
 
 def _identity(n: int) -> Any:
-    """As a matrix, sparse if it is large."""
+    """Return the identity matrix (n, n), sparse if it is large."""
     if n < MANY_COLUMNS:
         return np.eye(n)
     from scipy.sparse import eye_array
@@ -152,12 +152,13 @@ def _dense(matrix: Any) -> Array:
 
 
 def _entries(matrix: Any) -> Array:
-    """Those of a sparse matrix that are stored, or all."""
+    """Return the stored entries of a sparse matrix, or a dense matrix."""
     return np.asarray(matrix.data if hasattr(matrix, "toarray") else matrix)
 
 
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
-    """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
+    """Return a consistent state beside a consistent one, where nothing is singular by chance; that one, if none is
+    found."""
     direction = somewhere(at.q)
     for part in _BESIDE:
         try:
@@ -169,7 +170,8 @@ def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
 
 
 def _surely_independent(rows: Any) -> bool:
-    """Whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it, in some order."""
+    """Return whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it, in some
+    order."""
     size = lengths(rows)
     if not size.all():
         return False
@@ -202,7 +204,7 @@ def _surely_independent_sparse(rows: Any, size: Array) -> bool:
 
 
 def dependent_rows(rows: Any, order: Iterable[int] | None = None) -> Array:
-    """Which rows depend on those before them, in the given order."""
+    """Return which rows depend on those before them, in the given order, as truths (m,)."""
     m = rows.shape[0]
     dependent = np.zeros(m, dtype=bool)
     if m >= MANY_COLUMNS and _surely_independent(rows):
@@ -222,7 +224,7 @@ def dependent_rows(rows: Any, order: Iterable[int] | None = None) -> Array:
 
 
 def redundant_rows(here: Any, beside: Any) -> Array:
-    """Which rows depend on others wherever the motion goes: beside, where nothing is singular by chance.
+    """Return which rows depend on others wherever the motion goes: beside, where nothing is singular by chance.
 
     Those that are independent here are taken first: at a singular position a choice among those of beside alone may
     leave out a row that is needed here, and keep one that is 0.

@@ -31,7 +31,7 @@ class OfState(NamedTuple):
 
     @property
     def may_be_traced(self) -> bool:
-        """Whether Python has it: it is not machine code alone."""
+        """Return whether Python can call the function: it is not machine code alone."""
         return isinstance(self.function, CompiledFunction) or not is_native(self.function)
 
 
@@ -54,7 +54,7 @@ class _InOne:
 
 
 def _python(one: OfState) -> Any:
-    """The function as Python has it."""
+    """Return the Python function behind a user's function of the state."""
     inside = one.function.fun if isinstance(one.function, CompiledFunction) else one.function
     if not isinstance(one.function, CompiledFunction) or not one.function.inplace:
         return inside
@@ -91,7 +91,7 @@ class OnTraces(TracedFunction):
 
 
 def of_state(one: OfState, n_q: int) -> TracedFunction | None:
-    """A user's function as one of (t, (q, v), *args); None: it is machine code alone."""
+    """Return a user's function as one of (t, (q, v), *args); None: it is machine code alone."""
     return OnTraces([one], n_q, lambda values: values[0]) if one.may_be_traced else None
 
 
@@ -108,7 +108,7 @@ class MotionNodes(NamedTuple):
     rates: list[Node]
 
     def part(self, name: str) -> list[Node]:
-        """(q', v'), φ, φ' or ψ."""
+        """Return the nodes of (q', v'), φ, φ' or ψ, by the name of the part."""
         if name == "slope":
             return [*self.rates, *self._accelerations()]
         return {"positions": lambda: self.phi, "rates": lambda: self._along(self.phi), "velocities": lambda: self.psi}[
@@ -116,7 +116,7 @@ class MotionNodes(NamedTuple):
         ]()
 
     def _along(self, values: Sequence[Node]) -> list[Node]:
-        """d/ds at (t + s, q + s q'), with v fixed."""
+        """Return d/ds at (t + s, q + s q'), with v fixed, of these nodes."""
         direction = {self.graph.t: self.graph.node(1.0), **dict(zip(self.q, self.rates, strict=True))}
         return tangent(values, direction)
 
@@ -132,7 +132,7 @@ class MotionNodes(NamedTuple):
         return [entry for (entry,) in found[:n]]
 
     def _constrained(self) -> tuple[list[Row], list[Node]]:
-        """A and γ."""
+        """Return the rows A of the imposed constraints, and γ."""
         rows = jacobian(self.phi, self.q)
         if self.rates is not self.v and rows:
             by_v = jacobian(self.rates, self.v)
@@ -185,7 +185,7 @@ class GraphsOfMotion:
         return {**self.__dict__, "_made": {}}
 
     def of(self, part: str, kept: Array) -> OnTraces | None:
-        """A part with the constraints that are `kept`; None: it cannot be traced, or is too large."""
+        """Return a part with the constraints that are `kept`; None: it cannot be traced, or is too large."""
         functions = {name: one for name, one in self._functions.items() if name in _PARTS[part]}
         if part == "slope":
             without_mass = self._mass is None and "mass" not in functions
@@ -221,7 +221,7 @@ class GraphsOfMotion:
 
 
 def _square(values: list[Node], graph: Graph, n: int) -> list[list[Node]]:
-    """A matrix (n, n) of its entries row by row, or of its diagonal."""
+    """Return a matrix (n, n) of its entries row by row, or of its diagonal."""
     if len(values) == n * n:
         return [values[i * n : (i + 1) * n] for i in range(n)]
     return [[values[i] if i == j else graph.node(0.0) for j in range(n)] for i in range(n)]

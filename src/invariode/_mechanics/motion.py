@@ -61,7 +61,7 @@ class Accelerations(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What the user gives: `mass` may be constant, the rest functions or None."""
+    """Functions that the user passes: `mass` may be constant, the rest functions or None."""
 
     mass: Any
     force: Any
@@ -144,7 +144,7 @@ class Motion:
     def _differentiate(
         self, name: str, signature: str, functions: Functions, start: Point, parts: tuple[Array, ...]
     ) -> int:
-        """Takes the function with its derivatives; the number of its values."""
+        """Store the function with its derivatives; return the number of its values."""
         function = getattr(functions, name)
         n = sum(len(part) for part in parts)
         if function is None:
@@ -157,7 +157,7 @@ class Motion:
         return of.m
 
     def _choose_mass(self, mass: Any, start: Point, p: Array) -> tuple[str, Columns]:
-        """What the function of the mass writes, and the matrix or its pattern."""
+        """Return what the function of the mass writes, and the matrix or its pattern."""
         n = self.n_v
         if not callable(mass) and not is_native(mass):
             return "nothing", _columns(_square(mass, n))
@@ -213,7 +213,7 @@ class Motion:
         return GraphsOfMotion(self.n_q, self.n_v, given)
 
     def on_graph(self, part: str) -> TracedFunction | None:
-        """The slope or a law for those who trace it; None: it depends on machine code, or on sparse matrices."""
+        """Return the slope or an invariant for tracing; None: it depends on machine code, or on sparse matrices."""
         return self._graphs.of(part, self.kept)
 
     def _parameters(self, args: tuple[Any, ...]) -> Array:
@@ -228,7 +228,7 @@ class Motion:
         return self.m_phi + self.m_psi
 
     def spec(self, kept: Array | None = None) -> _core.Mechanics:
-        """The system for the core; `kept`: which constraints it imposes."""
+        """Return the system for the core; `kept`: which constraints it imposes."""
         imposed = self.kept if kept is None else kept
         key = imposed.tobytes()
         if key not in self._specs:
@@ -251,7 +251,7 @@ class Motion:
         return self._specs[key]
 
     def part(self, name: str) -> _core.MotionPart:
-        """One of its functions for the core, always the same object."""
+        """Return one of the motion's functions for the core, always the same object."""
         key = (self.kept.tobytes(), name)
         if key not in self._parts:
             self._parts[key] = _core.MotionPart(self.spec(), name)
@@ -259,7 +259,7 @@ class Motion:
 
     @contextmanager
     def bound(self, args: tuple[Any, ...], kept: Array | None = None) -> Iterator[_core.Motion]:
-        """The motion with these arguments, for evaluations here; it is not shared meanwhile."""
+        """Lend the motion with these arguments, for evaluations in Python; it is not shared meanwhile."""
         spec = self.spec(kept)
         key = (self.kept if kept is None else kept).tobytes()
         known = self._idle.pop(key, None)
@@ -269,7 +269,7 @@ class Motion:
         self._idle[key] = known
 
     def choose_factors(self, points: Sequence[Point]) -> None:
-        """Leaves sparse factors out if they are no good at any of these points: none would be later."""
+        """Disable sparse factors if they fail at all of these points."""
         core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).tolist())
         if not core.sparse:
             return
@@ -286,12 +286,12 @@ class Motion:
         return np.ones(self.m, dtype=bool)
 
     def mass(self, at: Point) -> Any:
-        """M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
+        """Return M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
         with self.bound(at.args) as motion:
             return _assembled(motion.mass(at.t, at.x), self.n_v)
 
     def metric(self) -> Any:
-        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
+        """Return M as the metric of corrections: constant, its diagonal if that is all, or a function of t and (q, v).
 
         None if M is sparse with off-diagonal entries: corrections in that metric would cost more than they gain.
         """
@@ -305,11 +305,11 @@ class Motion:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether the core tries sparse factors first."""
+        """Return whether the core tries sparse factors first."""
         return _core.Motion(self.spec(), (), []).sparse
 
     def slope(self, at: Point) -> Array:
-        """(q', v')."""
+        """Return (q', v'), (n_q + n_v,)."""
         with self.bound(at.args) as motion:
             return motion.evaluate("slope", at.t, at.x)
 
@@ -318,11 +318,11 @@ class Motion:
             return motion.evaluate(part, at.t, at.x)
 
     def positions(self, at: Point) -> Array:
-        """φ."""
+        """Return the residuals φ of the constraints of positions."""
         return self._evaluated("positions", at) if self.m_phi else np.zeros(0)
 
     def positions_jacobian(self, at: Point) -> Any:
-        """Φ = ∂φ/∂q."""
+        """Return Φ = ∂φ/∂q."""
         if not self.m_phi:
             return np.zeros((0, self.n_q))
         if not self.has_map and _is_sparse(len(self._patterns["constraints"][1]), self.m_phi, self.n_q):
@@ -330,18 +330,18 @@ class Motion:
         return self._evaluated("positions_jacobian", at).reshape(self.m_phi, -1)[:, : self.n_q]
 
     def rates(self, at: Point) -> Array:
-        """(φ', ψ): what the velocities must make zero."""
+        """Return (φ', ψ), which consistent velocities make zero."""
         parts = [self._evaluated("rates", at)] if self.m_phi else []
         parts += [self._evaluated("velocities", at)] if self.m_psi else []
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def rows(self, at: Point) -> Any:
-        """A = (Φ K_v, ψ_v), of shape (m, n_v)."""
+        """Return A = (Φ K_v, ψ_v), of shape (m, n_v)."""
         with self.bound(at.args, self._all) as motion:
             return _assembled(motion.rows(at.t, at.x)[0], self.m)
 
     def violated(self, at: Point, weights: Array) -> list[int]:
-        """Which constraints that are not imposed are off by many tolerances `weights` of (q, v)."""
+        """Return the constraints that are not imposed and are off by many tolerances `weights` of (q, v)."""
         phi, psi = self.kept[: self.m_phi], self.kept[self.m_phi :]
         off = np.zeros(self.m, dtype=bool)
         if not phi.all():
@@ -353,7 +353,7 @@ class Motion:
         return np.flatnonzero(off).tolist()
 
     def accelerations(self, at: Point, every: bool = False) -> Accelerations:
-        """v' and λ; `every`: with redundant constraints too, λ is then the one of least norm."""
+        """Return v' and λ; `every`: with redundant constraints too, λ is then the one of least norm."""
         with self.bound(at.args, self._all if every else self.kept) as motion:
             return Accelerations(*motion.accelerations(at.t, at.x))
 
@@ -384,7 +384,7 @@ class MotionFunction(CoreFunction):
 
     @property
     def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
-        """How the derivatives of the constraints are formed."""
+        """Methods by which the derivatives of the constraints are formed."""
         return self._motion.derivatives
 
     def on_graph(self) -> TracedFunction | None:
@@ -403,7 +403,7 @@ class MotionFunction(CoreFunction):
 
 
 class LeftOut:
-    """Whether the constraints hold that a motion leaves out, a `Watch`.
+    """Test of the constraints that a motion leaves out, a `Watch`.
 
     It is the callback of a run, which sees each accepted step, kept or not, and ends the run at the first one after
     which a constraint does not hold.
@@ -432,7 +432,7 @@ class LeftOut:
         self._look(start)
 
     def __call__(self, t: float, y: Array) -> bool:
-        """Whether the run is to stop at the end of a step."""
+        """Return whether the run is to stop at the end of a step."""
         stop = self._callback is not None and bool(self._callback(t, y))
         if self.objection is None:
             n = self._motion.n_q
@@ -506,7 +506,7 @@ class _Entries:
 
 
 def _far(residual: Array, rows: Any, x: Array, weights: Array, kept: Array) -> Array:
-    """Which residuals of constraints that are not kept are many tolerances `weights` of x away from 0.
+    """Return which residuals of constraints that are not kept are many tolerances `weights` of x away from 0, (m,).
 
     Where they depend on those that are kept, they are off as far as these are, which may be held only roughly.
     """
@@ -519,7 +519,7 @@ def _far(residual: Array, rows: Any, x: Array, weights: Array, kept: Array) -> A
 
 
 def _square(given: Any, n: int) -> Any:
-    """The mass as given, (n,), (n, n) or sparse, of numbers."""
+    """Return the mass as given, (n,), (n, n) or sparse, of numbers."""
     mass = given if hasattr(given, "toarray") else np.asarray(given, dtype=float)
     if mass.shape not in ((n,), (n, n)):
         raise ValueError(f"mass must have shape ({n},) or ({n}, {n}), as v0 has {n} components, got {mass.shape}")
@@ -527,7 +527,7 @@ def _square(given: Any, n: int) -> Any:
 
 
 def _columns(mass: Any) -> Columns:
-    """A diagonal, a dense matrix or a sparse one as compressed columns."""
+    """Return a diagonal, a dense matrix or a sparse one as compressed columns."""
     if hasattr(mass, "toarray"):
         sparse = mass.tocsc().astype(float)
         sparse.sum_duplicates()
@@ -539,12 +539,12 @@ def _columns(mass: Any) -> Columns:
 
 
 def _is_sparse(entries: int, m: int, n: int) -> bool:
-    """Whether a matrix is to be sparse outside the core."""
+    """Return whether a matrix is to be sparse outside the core."""
     return n >= MANY_COLUMNS and entries <= FEW_ENTRIES * m * n
 
 
 def _assembled(columns: tuple[Any, Any, Any], rows: int) -> Any:
-    """The matrix, dense, or by sparse rows if it is large and few entries are not zero."""
+    """Return the matrix, dense, or by sparse rows if it is large and few entries are not zero."""
     starts, indices, values = columns
     n = len(starts) - 1
     if not _is_sparse(int(np.count_nonzero(values)), rows, n):
@@ -557,12 +557,12 @@ def _assembled(columns: tuple[Any, Any, Any], rows: int) -> Any:
 
 
 def vanishing(rows: Any) -> Array:
-    """Which rows of a matrix, dense or sparse, are 0."""
+    """Return which rows of a matrix, dense or sparse, are 0, (m,)."""
     return np.asarray(abs(rows).sum(axis=1) == 0)
 
 
 def lengths(rows: Any) -> Array:
-    """The Euclidean norms of the rows of a matrix, dense or sparse."""
+    """Return the Euclidean norms of the rows of a matrix, dense or sparse."""
     if not hasattr(rows, "toarray"):
         return np.asarray(np.linalg.norm(rows, axis=1))
     from scipy.sparse.linalg import norm
@@ -578,13 +578,13 @@ def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
 
 
 def _beside(start: Point) -> Iterator[Array]:
-    """Positions near the start, where nothing vanishes by chance."""
+    """Yield positions near the start, where nothing vanishes by chance."""
     for part in _BESIDE:
         yield start.q + part * somewhere(start.q)
 
 
 def _common_pattern(function: Callable[..., Any], at_start: Any, shape: tuple[int, int], start: Point) -> Columns:
-    """All entries that a sparse matrix stores at the start and beside it."""
+    """Return all entries that a sparse matrix stores at the start and beside it."""
     if at_start.shape != shape:
         raise ValueError(f"a sparse matrix of shape {at_start.shape} was returned, expected {shape}")
     stored = abs(at_start) + _ones_where_stored(at_start)
@@ -600,7 +600,7 @@ def _ones_where_stored(matrix: Any) -> Any:
 
 
 def _pattern_of_matrix(function: Callable[..., Any], start: Point, shape: tuple[int, int]) -> Columns:
-    """Where a dense matrix of (t, q) is not always zero: it is not at some points, or it depends on q."""
+    """Return the pattern of a dense matrix of (t, q): entries that are not zero at some points, or that depend on q."""
     entries = np.zeros(shape, dtype=bool)
     for q in (start.q.copy(), *_beside(start), np.full(len(start.q), np.nan)):
         try:

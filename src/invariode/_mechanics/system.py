@@ -160,7 +160,7 @@ class MechanicalSystem(HasPoints):
         consistent: Literal["check", "project"] = "check",
         correction: Literal["levels", "joint", "none"] = "levels",
     ) -> Problem:
-        """The initial value problem of y = (q, v).
+        """Return the initial value problem of y = (q, v).
 
         Parameters
         ----------
@@ -224,10 +224,10 @@ class MechanicalSystem(HasPoints):
         )
 
     def consistent(self, t: float, y: ArrayLike) -> Array:
-        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+        """Return the state nearest to y = (q, v), in the metric of the mass, that satisfies the constraints.
 
-        An event's action that changes velocities should return this: the joints react to an impact with impulses, which
-        change v by the least amount in this metric.
+        Positions are corrected first. An event's action that changes velocities should return this state: the joints
+        react to an impact with impulses, which change v by the least amount in this metric.
 
         Parameters
         ----------
@@ -338,7 +338,7 @@ class MechanicalSystem(HasPoints):
         return [(motion, at) for at in points if motion is not None]
 
     def _positions_of(self, y: Array) -> int:
-        """How many components of y are positions."""
+        """Return the number of components of y that are positions."""
         if self.kinematics is None:
             return len(y) // 2
         if self._n_q is None:
@@ -403,7 +403,7 @@ class MechanicalSystem(HasPoints):
         return positions + [f"v{i + 1}" for i in range(motion.n_v)]
 
     def _look_for_redundancy(self, motion: Motion, known: Point, names: list[str]) -> None:
-        """Leaves out constraints that depend on others beside the start: not those of a singular position."""
+        """Leave out constraints that depend on others beside the start: not those of a singular position."""
         if not motion.m:
             return
         beside = nearby_state(motion, known, names)
@@ -475,7 +475,7 @@ class MechanicalSystem(HasPoints):
 
 
 def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> Invariants:
-    """One of the laws of the motion, = 0, with its Jacobian."""
+    """Return a set of invariants of the motion, prescribed to be 0, with its Jacobian."""
     fun, jacobian = MotionFunction(motion, part), MotionFunction(motion, f"{part}_jacobian")
     return Invariants(fun, jacobian, value=0, names=names, **order)
 

@@ -1,1 +1,1 @@
-"""What comes back from a run: solutions, messages, files, pictures and films."""
+"""Results of runs: solutions, messages, files, pictures and films."""

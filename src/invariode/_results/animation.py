@@ -103,7 +103,7 @@ def animated(
 
 
 def _coordinates(sol: Result, points: Any) -> Array:
-    """Indices of components, (k, 2 or 3), from indices or labels."""
+    """Return indices of components, (k, 2 or 3), from indices or labels."""
     rows = [points] if len(points) and (isinstance(points[0], str) or not np.iterable(points[0])) else list(points)
     sizes = {len(row) for row in rows}
     if sizes not in ({2}, {3}):
@@ -118,7 +118,7 @@ def _motion(
     duration: float | None,
     fps: float,
 ) -> Motion:
-    """What a film of these points shows. `points`: a function, or indices of components (k, 2 or 3)."""
+    """Return the positions in a film of these points. `points`: a function, or indices of components (k, 2 or 3)."""
     times = _frame_times(sol, duration, fps)
     states = _states(sol)
     shown = _positions(states, points, times)
@@ -132,7 +132,7 @@ def _motion(
 
 
 def _film_size(points: Array) -> tuple[float, float]:
-    """Inches of a new figure that has the shape of the motion."""
+    """Return width and height in inches of a new figure that has the shape of the motion."""
     if points.shape[2] == 3:
         return _WIDTH, _WIDTH
     width, height = _extent(*_corners(points))
@@ -140,7 +140,7 @@ def _film_size(points: Array) -> tuple[float, float]:
 
 
 def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
-    """Equally spaced, from the first time of the solution to the last."""
+    """Return equally spaced times, from the first time of the solution to the last."""
     ends = sol.t if sol.sol is None else sol.sol.ts
     if len(ends) < 2:
         raise ValueError("cannot animate a solution with a single point: solve with keep='all' or dense_output=True")
@@ -153,7 +153,7 @@ def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
 
 
 def _states(sol: Result) -> Callable[[Array], Array]:
-    """The solution at any times: (n_t,) to (n, n_t). That of `sol.sol`; else its curve; else the nearest outputs."""
+    """Return the solution as a function of times, (n_t,) to (n, n_t): `sol.sol`, its curve or the nearest outputs."""
     if sol.sol is not None:
         return sol.sol
     forward = np.sign(sol.t[-1] - sol.t[0])
@@ -167,7 +167,7 @@ def _states(sol: Result) -> Callable[[Array], Array]:
 
 
 def _positions(states: Callable[[Array], Array], points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
-    """Where the points are at these times, (n_t, k, 2 or 3)."""
+    """Return the positions of the points at these times, (n_t, k, 2 or 3)."""
     y = states(times)
     if not callable(points):
         shown: Array = np.moveaxis(y[points], -1, 0)
@@ -176,7 +176,7 @@ def _positions(states: Callable[[Array], Array], points: Callable[[float, Array]
 
 
 def _placed(points: Callable[[float, Array], Any], t: float, y: Array) -> Array:
-    """The points at one time, as (k, 2 or 3)."""
+    """Return the points at one time, as (k, 2 or 3)."""
     placed = np.asarray(points(float(t), y.copy()))
     found = placed[None, :] if placed.ndim == 1 else placed
     if found.dtype.kind not in "biuf" or found.ndim != 2 or found.shape[1] not in (2, 3):
@@ -197,7 +197,7 @@ def _checked(shown: Array) -> Array:
 
 
 def _polylines(name: str, groups: Iterable[Any], count: int) -> list[list[int]]:
-    """Groups of points as lists of indices; a single index is a group too."""
+    """Return groups of points as lists of indices; a single index is a group too."""
     listed = [list(one) if np.iterable(one) else [one] for one in groups]
     for group in listed:
         for one in group:
@@ -242,7 +242,7 @@ class Film(FuncAnimation):
         super().__init__(ax.figure, self.show, init_func=lambda: self.show(0), **frames)
 
     def show(self, frame: int) -> Sequence[Any]:
-        """Draws one frame.
+        """Draw one frame.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class Film(FuncAnimation):
         return [*self._joined, *self._paths, self._dots, self._clock]
 
     def save(self, filename: str | os.PathLike[str], writer: Any = None, **options: Any) -> None:  # type: ignore[override]  # theirs in **options
-        """Saves the film in the format given by the ending of the name.
+        """Save the film in the format given by the ending of the name.
 
         Parameters
         ----------
@@ -305,8 +305,8 @@ class Film(FuncAnimation):
 
     @contextmanager
     def _on_a_picture(self, dpi: float | Literal["figure"] | None) -> Iterator[None]:
-        """Meanwhile, the axes and what is around them are one picture behind the rest, since they take most of the time
-        of drawing a frame; and each frame is drawn once, not in the window as well."""
+        """Draw the axes and what is around them once, as a picture behind the rest, since they take most of the time of
+        drawing a frame; and draw each frame once, not in the window as well."""
         ax, canvas = self._dots.axes, self.figure.canvas
         still = _standing(ax)
         with _hidden([one for one in ax.get_children() if one not in still]):
@@ -326,7 +326,7 @@ class Film(FuncAnimation):
                 ax.set_axis_on()
 
     def to_jshtml(self, fps: int | None = None, embed_frames: bool = True, default_mode: str | None = None) -> str:
-        """HTML that shows the film with its controls, and needs no network.
+        """Return HTML that shows the film with its controls, and needs no network.
 
         Parameters
         ----------
@@ -360,7 +360,7 @@ class _Still(Artist):
 
 
 def _pixels(figure: Any, dpi: float | Literal["figure"] | None) -> Array:
-    """The figure as it is, (rows, columns, 4), in the dots in which a film is saved."""
+    """Return the figure as it is, (rows, columns, 4), in the dots in which a film is saved."""
     wanted = matplotlib.rcParams["savefig.dpi"] if dpi is None else dpi
     dots = float(figure.dpi if wanted == "figure" else wanted)
     drawn = io.BytesIO()
@@ -369,7 +369,7 @@ def _pixels(figure: Any, dpi: float | Literal["figure"] | None) -> Array:
 
 
 def _standing(ax: Any) -> list[Any]:
-    """The frame of the axes, and whatever else the figure shows."""
+    """Return the frame of the axes, and whatever else the figure shows."""
     figure = ax.figure
     others = [one for one in figure.get_children() if one not in (ax, figure.patch)]
     axes = [ax.xaxis, ax.yaxis, *([ax.zaxis] if ax.name == "3d" else [])]
@@ -401,7 +401,7 @@ def _move(line: Any, to: Array) -> None:
 
 
 def _frame(ax: Any, points: Array) -> None:
-    """Limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
+    """Set limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
     low, high = _corners(points)
     if len(low) == 2 and ax.has_data():
         low, high = np.minimum(low, ax.dataLim.min), np.maximum(high, ax.dataLim.max)
@@ -422,7 +422,7 @@ def _corners(points: Array) -> tuple[Array, Array]:
 
 
 def _extent(low: Array, high: Array) -> Array:
-    """How far axes reach, with the room around the motion."""
+    """Return the lengths of the axes, with the room around the motion."""
     extent = high - low
     reach: Array = np.maximum(extent, _THINNEST * (extent.max() or 1.0)) * (1 + 2 * _MARGIN)
     return reach

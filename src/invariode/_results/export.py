@@ -37,7 +37,7 @@ class Exports(Result):
     """The data of a `Solution` in other forms, as its methods."""
 
     def to_xarray(self) -> xarray.Dataset:
-        """The solution as a labelled data set of xarray, which can be written as netCDF.
+        """Return the solution as a labelled data set of xarray, which can be written as netCDF.
 
         Returns
         -------
@@ -57,7 +57,7 @@ class Exports(Result):
         return to_xarray(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The outputs as a table of pandas.
+        """Return the outputs as a table of pandas.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class Exports(Result):
         return to_dataframe(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes everything but the functions to one file, from which `invariode.load` makes an equal Solution.
+        """Write everything but the functions to one file, from which `invariode.load` makes an equal Solution.
 
         What the run remembers is in it too: ``load(path, problem).extend(tf)`` goes on to the last bit. The residuals
         of the invariants and their distances are evaluated for it, at all outputs, and f at the start, by which
@@ -207,7 +207,7 @@ def _labels(solution: Result) -> list[str]:
 
 
 def _event_names(solution: Result) -> list[str]:
-    """One distinct name per event, fit for a variable."""
+    """Return one distinct name per event, fit for a variable."""
     names = [_identifier(name) for name in solution._names.events]
     return names if len(set(names)) == len(names) else [f"{name}_{i}" for i, name in enumerate(names)]
 
@@ -217,7 +217,8 @@ def _identifier(name: str) -> str:
 
 
 def _attributes(solution: Result) -> dict[str, Any]:
-    """What is one value for the whole solution; Python's own types, so that netCDF and JSON take them."""
+    """Return the fields that have one value for the whole solution, in Python's own types, which netCDF and JSON
+    take."""
     known = {name: value for name, value in solution.stats.items() if value not in (None, ())}
     return {
         "name": solution._names.problem,
@@ -232,6 +233,6 @@ def _attributes(solution: Result) -> dict[str, Any]:
 
 
 def _tolerance(given: ArrayLike) -> float | list[float]:
-    """A tolerance as a number if it is one, or an array of one, which netCDF cannot distinguish."""
+    """Return a tolerance as a number if it is one, or an array of one, which netCDF cannot distinguish."""
     values = np.asarray(given, dtype=float)
     return float(values.item()) if values.size == 1 else [float(one) for one in values]

@@ -1,4 +1,4 @@
-"""What is said about how a run ended: what, at which t and h, and what to try."""
+"""Messages about how a run ended: the cause, at which t and h, and what to try."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class Laws(NamedTuple):
 
 
 def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message. `events`: their names."""
+    """Return the status of the Solution and its message. `events`: names of the events."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
     return status, remarked(message, run, events)
 
 
 def remarked(message: str, run: Run, events: Sequence[str]) -> str:
-    """The message, and what else is to be said of the run."""
+    """Return the message with remarks on stiffness, discontinuities and accumulating events added."""
     if run.stiff:
         message += f" {_sentence(limited_by_stability(run.stiff_since))}"
     for text in about_jumps(run, events):
@@ -59,7 +59,7 @@ def remarked(message: str, run: Run, events: Sequence[str]) -> str:
 
 
 def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
-    """The warnings about jumps of f, and of the solution where they accumulate."""
+    """Return the warnings about discontinuities of f, and about events whose actions accumulate."""
     texts = [about_jumps_of_fun(run)]
     if run.accumulation is not None:
         event, t, interval, count = run.accumulation
@@ -68,19 +68,20 @@ def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
 
 
 def about_jumps_of_fun(run: Run | Stepper) -> str:
-    """The warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none does."""
+    """Return the warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none
+    does."""
     if (since := run.sticks_since) is not None:
         return sticking(since)
     return discontinuous(run.discontinuities) if run.discontinuities else ""
 
 
 def limited_by_stability(since: float) -> str:
-    """The warning about an explicit method on a stiff problem."""
+    """Return the warning about an explicit method on a stiff problem."""
     return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
 
 
 def discontinuous(times: Sequence[float]) -> str:
-    """The warning about a right-hand side that jumps."""
+    """Return the warning about a right-hand side that jumps."""
     listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
     more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
     return (
@@ -90,7 +91,7 @@ def discontinuous(times: Sequence[float]) -> str:
 
 
 def sticking(since: float) -> str:
-    """The warning about a solution that stays where the right-hand side jumps."""
+    """Return the warning about a solution that stays where the right-hand side jumps."""
     return (
         f"from t = {since:.6g} on the solution sticks where fun jumps, as with dry friction, and steps become tiny; "
         "make the jump a steep but continuous function, such as tanh(v / v_s) for sign(v), or describe sticking as a "
@@ -99,7 +100,7 @@ def sticking(since: float) -> str:
 
 
 def accumulating(event: str, t: float, interval: float, count: int) -> str:
-    """The warning about an event whose actions accumulate."""
+    """Return the warning about an event whose actions accumulate."""
     return (
         f"{event}: its actions came closer and closer, {count} of them until t = {t:.12g} with {interval:.2g} between "
         f"the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
@@ -108,7 +109,7 @@ def accumulating(event: str, t: float, interval: float, count: int) -> str:
 
 
 def accumulating_in(trajectories: int) -> str:
-    """The same of an ensemble."""
+    """Return the warning about events whose actions accumulate, for so many trajectories of an ensemble."""
     return (
         f"in {trajectories} trajectories the actions of an event came closer and closer, and then the solution passed "
         "it without one: infinitely many would follow (Zeno), and what comes after stats['accumulation'], the time of "
@@ -157,13 +158,13 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
 
 
 def out_of_bounds(what: str, component: int, bounds: Bounds | None) -> str:
-    """The text of the ValueError for a start that is outside its bounds."""
+    """Return the text of the ValueError for a start that is outside its bounds."""
     within = "" if bounds is None else f", {bounds.lower[component]} to {bounds.upper[component]},"
     return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
 def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
-    """Which limit, of this value, where, how fast the run was, and what to try."""
+    """Return the message about a limit of this value: where it was reached, how fast the run was, and what to try."""
     what, advice = _LIMITS[run.limit]
     text = f"{what.format(limit)} at t = {run.t!r}: "
     if math.isfinite(tf):
@@ -294,7 +295,7 @@ def _newton_failed(run: Run, pairs: bool) -> str:
 
 
 def inconsistent_start(verdict: str, t0: float) -> str:
-    """The text of the ValueError for a start that does not satisfy the algebraic equations."""
+    """Return the text of the ValueError for a start that does not satisfy the algebraic equations."""
     if verdict == "index_too_high":
         return (
             f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
@@ -382,7 +383,8 @@ def _wrong_jacobian_of(run: Run, names: list[str], pairs: bool) -> str:
 
 
 def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: float, pairs: bool) -> str:
-    """What is wrong with the Jacobian of an invariant. `component`: an index into the reals that make up y."""
+    """Return the message about a wrong Jacobian of an invariant. `component`: an index into the reals that make up
+    y."""
     part = (" (real part)", " (imaginary part)")[component % 2] if pairs else ""
     column = component // 2 if pairs else component
     return (
@@ -392,7 +394,7 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
 
 
 def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
-    """The message of the InvariantError raised at the start of a run."""
+    """Return the message of the InvariantError raised at the start of a run."""
     names = laws.names
     name = names[run.finding_invariant]
     if run.finding == "off_value":
@@ -413,7 +415,7 @@ _FORMED = {"function": "given", "derived": "traced", "complex-step": "complex st
 
 
 def formed(linear: Linear | None, run: Run) -> str | None:
-    """How the Jacobian of f was computed."""
+    """Return how the Jacobian of f was computed, in words; None if there is none."""
     if linear is None:
         return None
     text = _FORMED.get(linear.kind, linear.kind)
@@ -427,7 +429,7 @@ def formed(linear: Linear | None, run: Run) -> str | None:
 
 
 def complex_steps_left(t: float) -> str:
-    """The text of a warning: complex steps were chosen, and f did not take them."""
+    """Return the text of a warning: complex steps were chosen, and f did not take them."""
     return (
         f'jac="complex-step": at t = {t:.6g} fun is not finite for complex y, or drops its imaginary part; differences '
         "are used from there on. Write fun without abs, real, conj, norms and rounding of y, or use "
@@ -436,7 +438,7 @@ def complex_steps_left(t: float) -> str:
 
 
 def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bool) -> str:
-    """The text of a warning: what was said about the Jacobian contradicts fun."""
+    """Return the text of a warning: what was said about the Jacobian contradicts fun."""
     kind, t, row, column, lower, upper, change, predicted = found
     reals = 2 if pairs else 1
     i, j = row // reals, column // reals
@@ -457,7 +459,7 @@ def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bo
 
 
 def harmful_projection(components: str, distance: str) -> str:
-    """The text of an AccuracyWarning: which components projections move, and how far."""
+    """Return the text of an AccuracyWarning: which components projections move, and how far."""
     return (
         f"projection moved {components} by {distance}: it corrects other components at the cost of "
         f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "

@@ -1,4 +1,4 @@
-"""What systems that know their points have in common."""
+"""Base class of systems that know their points."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class HasPoints:
     """A system whose motion can be shown as that of its points."""
 
     def _places(self, sol: Any) -> Callable[[float, Array], Any]:
-        """The points as a function of t and y, shape (k, 2) or (k, 3); a `ValueError` if there are no points."""
+        """Return the points as a function of t and y, shape (k, 2) or (k, 3); a `ValueError` if there are no points."""
         raise NotImplementedError
 
     def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
+        """Show the motion of the `points` of the system as a film.
 
         Parameters
         ----------

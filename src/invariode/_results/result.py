@@ -1,4 +1,4 @@
-"""What comes back from a solve, as data."""
+"""Results of a solve, as data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIMIT_REACHED, NOT_CONSERVED, FAILED, STOPPED = -3, -2, -1, 2
 
 
 def at_events(states: Array) -> Array:
-    """States at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
+    """Return states at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
     return states if len(states) else states.reshape(0)
 
 
@@ -48,7 +48,7 @@ def _none() -> None:
 
 
 def _made(record: Any, attributes: Callable[[Any], Mapping[str, Any]]) -> bool:
-    """Whether there was something to make, and the record has it now as attributes, but for those that it had."""
+    """Make a record's deferred values and set those it lacks as attributes; return whether there were any to make."""
     make = record.__dict__.get("_make")
     if make is None:
         return False
@@ -151,7 +151,7 @@ class Stats(Record):
 
     @classmethod
     def when_needed(cls, make: Callable[[], Stats]) -> Stats:
-        """Counts that are made when one of them is first read."""
+        """Make counts that are computed when one of them is first read."""
         later = cls.__new__(cls)
         later.__dict__["_make"] = make
         return later
@@ -159,7 +159,7 @@ class Stats(Record):
     if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
 
         def __getattr__(self, name: str) -> Any:
-            """Called for what is not there: perhaps not yet."""
+            """Make the deferred attributes, for a name that is not there yet."""
             if not _made(self, vars) and name not in self.__dict__:  # another thread may have made it
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
             return getattr(self, name)
@@ -208,7 +208,7 @@ class Steps(Record):
 
     @cached_property
     def _rows(self) -> Array:
-        """(n_steps, 6)"""
+        """Rows of the accepted steps, (n_steps, 6)."""
         return self._given.record() if isinstance(self._given, Run) else self._given
 
     @cached_property
@@ -359,7 +359,7 @@ class DenseSolution:
         return y[:, 0] if times.ndim == 0 else y
 
     def sensitivities(self, t: ArrayLike) -> Array:
-        """∂y/∂p at t, of a run with `sensitivities`.
+        """Return ∂y/∂p at t, of a run with `sensitivities`.
 
         Parameters
         ----------
@@ -388,7 +388,7 @@ class DenseSolution:
         return found[:, :, 0] if times.ndim == 0 else found
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
-        """The same with its values projected to roundoff."""
+        """Return the continuous solution with its values projected to roundoff."""
         return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
 
 
@@ -408,7 +408,7 @@ class Names:
 
 
 def default_labels(size: int) -> list[str]:
-    """Made on demand: for a large problem they take more memory than the solution."""
+    """Return labels of components, made on demand: for a large problem they take more memory than the solution."""
     return [f"y{i}" for i in range(size)]
 
 
@@ -461,7 +461,7 @@ class Result(dict[str, Any]):
         return self.__dict__
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with other values of some fields, and with what the user has added."""
+        """Return a copy with other values of some fields, and with what the user has added."""
         private = {
             **self.__getstate__(),
             **{name: changes.pop(name) for name in [*changes] if name.startswith("_")},
@@ -519,7 +519,8 @@ class Result(dict[str, Any]):
 
     @property
     def sensitivities_after_events(self) -> list[Array] | Any:
-        """The same behind the action of the event; NaN for an action that was not taken, since the run ended there."""
+        """∂y/∂p after the action of each event, (occurrences, n, k); NaN where the run ended there without the
+        action."""
         return self._at_events("after")
 
     @property
@@ -547,7 +548,7 @@ class Result(dict[str, Any]):
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:
-        """A table with the value of each invariant, and its largest residuals before and after projection.
+        """Return a table with the value of each invariant, and its largest residuals before and after projection.
 
         Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
         Jacobian are evaluated when this is called.
@@ -581,7 +582,7 @@ class Result(dict[str, Any]):
 
 
 def _shape_or_value(value: Any) -> Any:
-    """What stands in the table of a result: of arrays the shape, of a continuous solution its interval."""
+    """Return the table entry of a value: of arrays the shape, of a continuous solution its interval."""
     if isinstance(value, np.ndarray):
         return f"array of shape {value.shape}"
     if isinstance(value, list) and all(isinstance(one, np.ndarray) for one in value):

@@ -22,7 +22,7 @@ OUTCOME = {"nfev": int, "njev": int, "nlu": int, "status": int, "message": str, 
 
 
 class _Identity(TypedDict):
-    """What tells a run from another: see `identity_of_run`. There are arrays too."""
+    """Method, options and problem that identify a run: see `identity_of_run`. There are arrays too."""
 
     method: str
     options: dict[str, Any]
@@ -35,7 +35,7 @@ class _Identity(TypedDict):
 
 
 class _Dense(TypedDict):
-    """Of a continuous solution, what is not an array."""
+    """Fields of a continuous solution that are not arrays."""
 
     m: int
     interpolation: str
@@ -46,7 +46,7 @@ class _Dense(TypedDict):
 
 
 def field_of(part: str, name: str) -> Callable[[Any], Any]:
-    """A field of a part of a result; None without that part."""
+    """Return a field of a part of a result; None without that part."""
     return lambda sol: None if (found := getattr(sol, part)) is None else getattr(found, name)
 
 
@@ -65,7 +65,7 @@ def _dense(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
 
 
 def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> dict[str, Array]:
-    """The occurrences of all events in one array for each field, after `none` of them, with the numbers of the
+    """Return the occurrences of all events in one array for each field, after `none` of them, with the numbers of the
     events."""
     numbered = [{"number": np.full(len(one["t"]), e), **one} for e, one in enumerate(each)]
     empty = {"number": np.zeros(0, dtype=np.int64), **none}
@@ -73,7 +73,7 @@ def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> 
 
 
 def apart(whole: Mapping[str, Array], size: int) -> list[dict[str, Array]]:
-    """The reverse, for this many events."""
+    """Split arrays made by `together` by event, for this many events."""
     own = [whole["number"] == e for e in range(size)]
     return [{name: one[here] for name, one in whole.items() if name != "number"} for here in own]
 
@@ -93,11 +93,11 @@ def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
 
 
 def _of_group(sol: Result) -> None:
-    """What a group has or has not."""
+    """Return None: `events` writes this field with its group, if there are sensitivities."""
 
 
 def _values_after(sol: Result) -> Array:
-    """The values of the invariants after each jump."""
+    """Return the values of the invariants after each jump."""
     g = sol._invariants
     return np.array([jump.value[: len(g)] for jump in g.jumps]).reshape(len(g.jumps), len(g))
 
@@ -161,14 +161,16 @@ OUTPUT = {
 
 
 def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The fields that the user has added."""
+    """Return the fields that the user has added."""
     own = {field.name for field in dataclasses.fields(Result)}
     return kept({name: value for name, value in sol.items() if name not in own})
 
 
 def kept(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Fields that the user has added, by name: the value in JSON's types, or the number of an array. A warning names
-    those that files cannot hold."""
+    """Return the fields that the user has added, by name: the value in JSON's types, or the number of an array.
+
+    A warning lists those that files cannot hold.
+    """
     added: dict[str, Any] = {}
     arrays: dict[str, Array] = {}
     left_out: list[str] = []
@@ -186,13 +188,13 @@ def kept(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def restored(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The reverse, of the fields of a file."""
+    """Return the fields that the user had added, from those of a file."""
     held = fields["added"].items()
     return {name: fields[f"added.{one['array']}"] if "array" in one else one["value"] for name, one in held}
 
 
 def require_whole(sol: Result) -> None:
-    """That the user has neither deleted fields nor given t and y values that are no outputs."""
+    """Check that the user has neither deleted fields nor set t and y to values that are no outputs."""
     missing = {field.name for field in dataclasses.fields(Result) if not field.name.startswith("_")} - sol.keys()
     if missing:
         raise ValueError(f"save: the solution has no {', '.join(sorted(missing))} any more: put back what was deleted")
@@ -204,7 +206,7 @@ def require_whole(sol: Result) -> None:
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:
-    """Whether JSON gives the same value back."""
+    """Return whether JSON gives the same value back."""
     if type(value) is int:
         return value.bit_length() < LONGEST_INT
     if value is None or type(value) in (bool, float, str):

@@ -12,14 +12,14 @@ from .._base.arguments import Array
 
 
 class AtEvents(NamedTuple):
-    """At the occurrences of each event."""
+    """Sensitivities at the occurrences of each event."""
 
     before: list[Array]  # (occurrences, n, k)
     after: list[Array]  # behind the action
     times: list[Array]  # ∂τ/∂p, (occurrences, k)
 
     def joined(self, then: AtEvents) -> AtEvents:
-        """With those of the rest of a run."""
+        """Return these sensitivities followed by those of the rest of a run."""
         return AtEvents(
             *([np.concatenate(pair) for pair in zip(a, b, strict=True)] for a, b in zip(self, then, strict=True))
         )
@@ -47,7 +47,7 @@ class SensitivityData:
     events: AtEvents | None
 
     def joined(self, then: SensitivityData, points: int) -> SensitivityData:
-        """The first outputs, and those of the rest of the run."""
+        """Return the first outputs, and those of the rest of the run."""
         events = None if self.events is None or then.events is None else self.events.joined(then.events)
         return SensitivityData(
             self.names, np.concatenate([self.values[:, :, :points], then.values], axis=2), then.end, events
@@ -55,11 +55,11 @@ class SensitivityData:
 
 
 def states_and_sensitivities(Y: Array, n: int, k: int) -> tuple[Array, Array]:
-    """y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
+    """Return y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
     parts = Y.reshape(1 + k, n, *Y.shape[1:])
     return parts[0], np.swapaxes(parts[1:], 0, 1)
 
 
 def named(names: Sequence[str], labels: Sequence[str]) -> list[str]:
-    """What derivatives are called in tables, component by component."""
+    """Return the names of derivatives in tables, component by component."""
     return [f"d {label} / d {name}" for label in labels for name in names]

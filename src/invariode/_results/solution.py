@@ -1,4 +1,4 @@
-"""What a solve returns."""
+"""The result of a solve."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Solution(Exports):
     """
 
     def impose(self) -> Solution:
-        """This solution with y, the event states and ``sol(t)`` projected to roundoff onto the run's own invariants.
+        """Project y, the event states and ``sol(t)`` to roundoff onto the run's own invariants.
 
         Returns
         -------
@@ -115,7 +115,7 @@ class Solution(Exports):
         return self.changed(y=y, y_events=events, sol=dense, _y_end=y_end, _origin=origin)
 
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
-        """Continues the run to `t_end`: the solution on the old interval and the new one.
+        """Continue the run to `t_end`: the solution on the old interval and the new one.
 
         If the run ended between two steps, the method goes on from its memory; after a limit or Ctrl-C the result is
         bitwise identical to that of an uninterrupted run. If it ended inside a step, at a terminal event, the method
@@ -245,7 +245,7 @@ class Solution(Exports):
     def plot(
         self, *, ax: Axes | None = None, components: Any = None, log: Literal["x", ""] | None = None, **line: Any
     ) -> Axes:
-        """Draws components of the solution over t.
+        """Draw components of the solution over t.
 
         The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
         of f, which is evaluated for them once per point (with implicit methods, monotone cubics). Without output, steps
@@ -294,7 +294,7 @@ class Solution(Exports):
         field: bool = False,
         **line: Any,
     ) -> Axes:
-        """Draws two or three components of the solution against each other, with marks at start (dot) and end (square).
+        """Draw two or three components of the solution against each other, with marks at start (dot) and end (square).
 
         Both axes have the same scale if their extents are similar, as for orbits. Curves, jumps and events are as in
         `plot`.
@@ -330,7 +330,7 @@ class Solution(Exports):
         relative: bool = False,
         **line: Any,
     ) -> Axes:
-        """Draws how far the invariants are from their values, on a logarithmic axis.
+        """Draw how far the invariants are from their values, on a logarithmic axis.
 
         Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection
         (`invariode.Solution.drift`). Shaded: below ε ``|value|``, where rounding alone makes residuals.
@@ -363,7 +363,7 @@ class Solution(Exports):
         return drift.draw(self, ax, invariants, flag("relative", relative), line)
 
     def plot_steps(self, *, axes: Any = None, **line: Any) -> Array:
-        """Draws the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.
+        """Draw the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.
 
         If invariants were imposed, the corrections by projection are drawn with the errors, in the same unit.
 
@@ -400,7 +400,7 @@ class Solution(Exports):
         ax: Axes | None = None,
         **line: Any,
     ) -> Film:
-        """Shows the motion of points in the plane or in space as a film.
+        """Show the motion of points in the plane or in space as a film.
 
         Parameters
         ----------

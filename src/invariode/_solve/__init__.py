@@ -1,1 +1,1 @@
-"""What users call: `Problem`, `solve_ivp`, `odeint`, `ode45` and the others, prepared solvers, steppers, `load`."""
+"""The calls for users: `Problem`, `solve_ivp`, `odeint`, `ode45` and the others, prepared solvers, steppers, `load`."""

@@ -69,15 +69,16 @@ class Bridge:
         self._solver = cache(self._prepared)
 
     def values(self, operands: Operands) -> Array:
-        """The solution."""
+        """Solve the problem for these operands; return y of the shape `shape`."""
         return self.outputs(self._run(operands, ()))
 
     def outputs(self, sol: Solution) -> Array:
-        """The same, of a run."""
+        """Return y of a run, of the shape `shape`; NaN at output times that the run did not reach."""
         return self._outputs(sol, sol.y)
 
     def tangent(self, operands: Operands, wanted: tuple[int, ...]) -> tuple[Array, list[Array]]:
-        """The solution, and its derivatives with respect to the wanted operands: of its shape, then of theirs."""
+        """Return y and its derivatives with respect to the wanted operands, of the shape of y followed by the
+        operand's."""
         if not wanted:
             return self.values(operands), []
         sol = self._run(operands, wanted)
@@ -85,11 +86,11 @@ class Bridge:
         return self.outputs(sol), _parted(S, operands, wanted)
 
     def solution(self, operands: Operands) -> Solution:
-        """The run whose adjoint is wanted."""
+        """Run the problem for these operands and return the solution whose adjoint is wanted."""
         return self._run(operands, None)
 
     def pullback(self, sol: Solution, operands: Operands, wanted: tuple[int, ...], weights: Array) -> list[Array]:
-        """The gradients of Σ weights · solution with respect to the wanted operands, by the adjoint."""
+        """Return the gradients of Σ weights · solution with respect to the wanted operands, by the adjoint."""
         if self._reached(sol):
             found = sol.gradient(weights, wrt=self._selected(wanted), t=self._t)
         else:  # the solution is NaN
@@ -108,18 +109,18 @@ class Bridge:
         return sol
 
     def _reached(self, sol: Solution) -> bool:
-        """Whether the run came to all times."""
+        """Return whether the run reached all output times."""
         return sol.status == 0 if self._t is None else len(sol.t) == len(self._t)
 
     def _outputs(self, sol: Solution, values: Array) -> Array:
-        """As the shape of the solution says, NaN where the run did not come to."""
+        """Return `values` at the output times, or at the end; NaN at times that the run did not reach."""
         if self._t is None:
             return values[..., -1] if self._reached(sol) else np.full(values.shape[:-1], np.nan)
         missing = np.full((*values.shape[:-1], len(self._t) - values.shape[-1]), np.nan)
         return np.concatenate([values, missing], axis=-1)
 
     def _prepared(self, wanted: tuple[int, ...] | None) -> PreparedSolver:
-        """A solver with sensitivities to the wanted operands; None: for the adjoint."""
+        """Return a solver with sensitivities to the wanted operands, or, for the adjoint, with None."""
         options = self._options.copy()
         if wanted is not None:
             options["adjoint"] = False
@@ -133,19 +134,19 @@ class Bridge:
         return PreparedSolver(problem, self._method, options)
 
     def _selected(self, wanted: tuple[int, ...]) -> Sensitivities:
-        """The same settings as in the problem, for these operands."""
+        """Return the problem's settings of sensitivities, for these operands alone."""
         args = [i - 1 for i in _in_order(wanted) if i]
         given = self._problem.sensitivities or Sensitivities()
         return replace(given, args=args or None, y0=0 in wanted, dy0dp=None)
 
 
 def _in_order(wanted: Sequence[int]) -> list[int]:
-    """As sensitivities list them: the arguments, then y0."""
+    """Return the operands in the order in which sensitivities list them: the arguments, then y0."""
     return sorted(wanted, key=lambda i: (i == 0, i))
 
 
 def _parted(found: Array, operands: Operands, wanted: tuple[int, ...]) -> list[Array]:
-    """Derivatives whose last axis is that of all numbers among the wanted operands, for each of them."""
+    """Return, for each of the wanted operands, its part of derivatives whose last axis is that of all their numbers."""
     ordered = _in_order(wanted)
     parts = np.split(found, np.cumsum([np.size(operands[i]) for i in ordered])[:-1], axis=-1)
     return [np.reshape(parts[ordered.index(i)], (*found.shape[:-1], *np.shape(operands[i]))) for i in wanted]

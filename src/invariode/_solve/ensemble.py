@@ -64,7 +64,7 @@ def solve_ensemble(
     store: str | os.PathLike[str] | None = None,
     **options: Unpack[EnsembleOptions],
 ) -> EnsembleSolution | EnsembleStore:
-    """Solves one problem from many initial values, or with many parameter sets, in parallel.
+    """Solve one problem from many initial values, or with many parameter sets, in parallel.
 
     Short for ``Problem(fun, t_span, y0, ...).solve_ensemble(y0, method, ...)``; see `Problem.solve_ensemble`.
 
@@ -110,8 +110,10 @@ def solve_ensemble(
 
 
 def _like_one(y0: Any) -> tuple[Any, Any]:
-    """The rows, of which nothing is lost, and zeros like one of them: trajectories start at the rows alone. What is
-    wrong with rows is found when they are solved."""
+    """Return the rows as given, and zeros like one of them, (n,): trajectories start at the rows alone.
+
+    Errors in rows are found when they are solved.
+    """
     first = y0
     if isinstance(y0, Iterator):
         taken = next(y0, None)

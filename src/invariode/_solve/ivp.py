@@ -48,7 +48,7 @@ def solve_ivp(
     args: Iterable[Any] | None = None,
     **options: Unpack[SolveOptions],
 ) -> Solution:
-    """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
+    """Solve an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
 
     The positional arguments, the fields of the result and the attributes of events are those of
     `scipy.integrate.solve_ivp`. The arguments and options by topic, in the order of the lists below:
@@ -123,7 +123,7 @@ def solve_ivp(
 
 
 def one_column(fun: Any) -> Any:
-    """A function of columns y (n, k) as a function of one y, with its name. Machine code is one already."""
+    """Return a function of columns y (n, k) as a function of one y, with its name. Machine code is one already."""
     if is_native(fun):
         return fun
     if isinstance(fun, SecondOrder):

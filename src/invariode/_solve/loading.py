@@ -161,7 +161,7 @@ def _origin(fields: dict[str, Any]) -> _OriginInFile:
 
 
 def _source(path: PathLike, origin: _OriginInFile, problem: Description, options: Options, trust: str | None) -> Solved:
-    """The run of a file, which the problem and the options are seen to belong to."""
+    """Return the stored run, after a check that the problem and the options belong to it."""
     if origin.memory_version != MEMORY_VERSION:
         raise unreadable(
             path,
@@ -180,7 +180,7 @@ def _source(path: PathLike, origin: _OriginInFile, problem: Description, options
 
 
 class _OriginInFile(NamedTuple):
-    """What a solution was made from, without the functions: to be saved again."""
+    """Identity, state and method history of a stored run, without its functions: needed to save the solution again."""
 
     known: Identity
     y: Array
@@ -219,7 +219,7 @@ class _OriginInFile(NamedTuple):
 
 
 def _solution(fields: dict[str, Any]) -> Solution:
-    """The solution without `sol`."""
+    """Return the stored solution without `sol`."""
     y, names, stats = fields["y"], fields["invariants"], fields["stats"]
     if len(fields["drift.residual"]) < len(names):
         raise ValueError("drifts do not match")
@@ -278,7 +278,7 @@ def _sensitivities(fields: dict[str, Any], each: list[dict[str, Array]] | None) 
 
 
 def _tangents(path: PathLike, solution: Solution, problem: Description | None, bound: BoundInvariants) -> Sequence[Any]:
-    """What sensitivities between the steps are projected with."""
+    """Return the invariants onto whose tangents sensitivities are projected between the steps."""
     if problem is None:
         raise ValueError(
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
@@ -300,7 +300,8 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
 
 
 def _dense(parts: list[dict[str, Any]], n: int, end: float) -> Dense | None:
-    """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
+    """Return the continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few
+    times."""
     wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
     if 0 < len(wholes) < len(parts):
         raise ValueError("not all of its parts have a continuous solution")
@@ -376,7 +377,7 @@ _COMPARED = 16
 
 
 def _start(path: PathLike, solution: Solution, dense: Dense | None) -> tuple[float, Array]:
-    """A point at which invariants can be evaluated."""
+    """Return a point at which the invariants can be evaluated."""
     if len(solution.t):
         return float(solution.t[0]), solution.y[:, 0].copy()
     if dense is None:
@@ -388,7 +389,7 @@ def _start(path: PathLike, solution: Solution, dense: Dense | None) -> tuple[flo
 def _bind_again(
     path: PathLike, solution: Solution, listed: list[Any], start: tuple[float, Array], args: tuple[Any, ...]
 ) -> BoundInvariants:
-    """The invariants of the file with their functions, once these are seen to be the same."""
+    """Return the stored invariants with their functions, after a check that these are unchanged."""
     stored, t, y = solution._invariants, solution.t, solution.y
     if listed and not len(stored):
         raise ValueError(f"invariants are given, but the run in {os.fspath(path)} had none")

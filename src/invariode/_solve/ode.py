@@ -42,7 +42,7 @@ _HINTS = ("method", "with_jacobian", "verbosity")
 
 
 class _Theirs(NamedTuple):
-    """One of SciPy's integrators."""
+    """Description of one of SciPy's integrators."""
 
     methods: Mapping[str, MethodName]  # the equivalents here, by the value of its parameter `method`, if any
     takes: tuple[str, ...]
@@ -82,7 +82,7 @@ _ODEPACK = _Codes(success=2, wrong=-3, too_long=-1, failed=-4, unsolved=-5)
 
 
 class _Integrator(NamedTuple):
-    """The choice made by `set_integrator`."""
+    """Integrator and parameters chosen by `set_integrator`."""
 
     name: str
     method: MethodName
@@ -101,7 +101,7 @@ class _Integrator(NamedTuple):
 
 
 def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
-    """The integrator with this name, SciPy's or invariode's, with its parameters."""
+    """Return the integrator with this name, SciPy's or invariode's, with its parameters."""
     parameters = dict(given)
     found = _scipys(name)
     if found is None:
@@ -134,7 +134,7 @@ def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
 
 
 def _scipys(name: object) -> tuple[str, _Theirs] | None:
-    """SciPy's integrator whose name begins with `name`, as SciPy looks it up; None if there is none."""
+    """Return SciPy's integrator whose name begins with `name`, as SciPy looks it up; None if there is none."""
     if not isinstance(name, str) or (name in METHODS and name not in _SCIPYS):
         return None
     return next(((full, about) for full, about in _SCIPYS.items() if full.startswith(name.lower())), None)
@@ -153,7 +153,7 @@ def _ours(name: Any) -> MethodName:
 
 
 def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
-    """The method that replaces an integrator; like SciPy, abbreviations of vode's `method` are accepted."""
+    """Return the method that replaces an integrator; like SciPy, abbreviations of vode's `method` are accepted."""
     hints = {one: parameters.pop(one, None) for one in _HINTS}
     kind = hints["method"]
     if kind is None or "" in theirs.methods:
@@ -163,7 +163,7 @@ def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
 
 
 def _is_zero(value: object) -> bool:
-    """Whether the value is zero, SciPy's notation for no limit, or for the method's own choice."""
+    """Return whether the value is zero, SciPy's notation for no limit, or for the method's own choice."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
 
 
@@ -182,7 +182,7 @@ class _Calls:
         self.jac_params: tuple[Any, ...] = ()
 
     def jacobian(self) -> Any:
-        """``jac(t, y, *f_params)``, as problems call it."""
+        """Return ``jac(t, y, *f_params)``, as problems call it."""
         jac: Any = self.jac
         if jac is None or is_native(jac):
             return jac
@@ -383,7 +383,7 @@ class ode:  # noqa: N801 - SciPy's name
         return self._y
 
     def successful(self) -> bool:
-        """Whether the last call reached its time or was ended by solout; True before the first call."""
+        """Return whether the last call reached its time or was ended by solout; True before the first call."""
         return self._code is None or self._code > 0
 
     def get_return_code(self) -> int | None:
@@ -402,7 +402,7 @@ class ode:  # noqa: N801 - SciPy's name
     # Implementation
 
     def _chosen(self) -> _Integrator:
-        """The integrator; 'vode', SciPy's default, if none was set."""
+        """Return the integrator; 'vode', SciPy's default, if none was set."""
         if self._integrator is None:
             self._integrator = _integrator("vode", {})
         return self._integrator
@@ -412,7 +412,7 @@ class ode:  # noqa: N801 - SciPy's name
         self._problem = self._plan = self._walk = None
 
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
-        """A run from here to `tf`. If there is a plan, invariants keep its values."""
+        """Return a run from here to `tf`. If there is a plan, invariants keep its values."""
         calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
         if self._plan is None or self._plan.settings.forward != math.copysign(1.0, endless):
             held = None if self._plan is None else self._plan.bound.value
@@ -427,7 +427,7 @@ class ode:  # noqa: N801 - SciPy's name
         return Walk(self._plan._replace(settings=settings._replace(t0=self.t, tf=tf, first_step=first)), self._y)
 
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
-        """From here to `target`, with solout."""
+        """Integrate from the current time to `target`, calling solout at the start and after each step."""
         walk = self._walk_to(target, chosen)
         steps, stopped = 0, self._is_stopped()
         while walk.state == "running" and not stopped and steps != chosen.nsteps:
@@ -438,12 +438,12 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
 
     def _is_stopped(self) -> bool:
-        """Whether solout ends the call here."""
+        """Return whether solout ends the call at the current point."""
         answer = None if self._solout is None else self._solout(self.t, self._y.copy())
         return answer is not None and bool(answer < 0)
 
     def _go_on(self, target: float, chosen: _Integrator, *, step: bool, relax: bool) -> None:
-        """Steps of this run until they pass `target`, or a single step."""
+        """Advance this run until it has passed `target`, or by a single step."""
         walk, ahead = self._walk, math.copysign(1.0, target - self.t)
         if walk is None or not self._leads_to(target, walk) or (step and walk.forward != ahead):
             walk = self._walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
@@ -461,11 +461,11 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=reached, stopped=False)
 
     def _leads_to(self, target: float, walk: Walk) -> bool:
-        """Whether a run will reach that time, or passed it in its last step."""
+        """Return whether a run will reach that time, or passed it in its last step."""
         return walk.forward * (target - self._begun) >= 0
 
     def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
-        """The return code of a call, with a warning if it failed."""
+        """Set the return code of a call, with a warning if it failed."""
         codes = chosen.codes
         if reached or stopped:
             self._code = codes.stopped if stopped else codes.success

@@ -27,8 +27,8 @@ _FUNCTIONS = {
 
 
 def _function_of(method: Method) -> Callable[..., Solution]:
-    """`solve_ivp` with the method, its own largest step, and its own number of points per step unless other options
-    fix the output."""
+    """Return `solve_ivp` with the method, its own largest step, and its own number of points per step unless other
+    options fix the output."""
 
     def solve(fun: Function, t_span: Span, y0: ArrayLike, *more: Any, **options: Unpack[AllOptions]) -> Solution:
         if more:

@@ -116,7 +116,7 @@ def odeint(
     method: MethodName | None = None,
     invariants: InvariantsLike | None = None,
 ) -> Array | tuple[Array, dict[str, Any]]:
-    """Solves y' = f(y, t) with the call of `scipy.integrate.odeint`.
+    """Solve y' = f(y, t) with the call of `scipy.integrate.odeint`.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def odeint(
 
 
 class _Call(NamedTuple):
-    """What the arguments say that are the same in many calls, checked."""
+    """Checked arguments of `odeint` that are the same in many calls."""
 
     tfirst: bool
     transposed: bool
@@ -282,7 +282,7 @@ def _call(
 
 
 def _size(name: str, value: Any) -> float:
-    """Of a step; 0: the method's own choice."""
+    """Return the size of a step as a float; 0: the method's own choice."""
     found = number(name, value)
     if found < 0:
         raise ValueError(f"{name} must be positive, or 0 to leave the choice to the method, got {shown(value)}")
@@ -315,12 +315,12 @@ _call_by_value = functools.lru_cache(maxsize=64, typed=True)(_call)
 
 
 def _switch(name: str, value: object) -> bool:
-    """A flag of ODEPACK's, which may be an integer."""
+    """Return a flag of ODEPACK's, which may be an integer, as a truth."""
     return flag(name, value) if isinstance(value, (bool, np.bool_)) else _integer(name, value) != 0
 
 
 def _count(name: str, value: object) -> int:
-    """A number of steps or diagonals; None and negative ones are 0."""
+    """Return a number of steps or diagonals; None and negative ones are 0."""
     return 0 if value is None else max(_integer(name, value), 0)
 
 
@@ -380,13 +380,13 @@ class _Counter:
         self.after: list[tuple[int, int]] = []  # both, after each step
 
     def step(self, t: float, y: Array) -> bool:
-        """An accepted step; whether it was one too many."""
+        """Count an accepted step; return whether it was one too many."""
         self.after.append((self.calls[0], self.jacobians))
         return self.limit is not None and self.limit(t, y)
 
 
 def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None) -> Any:
-    """A function of (y, t, ...), or of (t, y, ...) already, as one of (t, y, ...), which may count its calls."""
+    """Return a function of (y, t, ...), or of (t, y, ...) already, as one of (t, y, ...), which may count its calls."""
     if is_native(fun):
         if not tfirst:
             raise TypeError(f"{name} is machine code, which takes t first: give tfirst=True")
@@ -428,7 +428,7 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter | Non
 
 
 def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
-    """Where the run starts again: not at its ends, where there is nothing to do."""
+    """Return the points at which the run restarts, without the ends of the interval, where no restart is needed."""
     plain = plain_breakpoints(tcrit, t0, tf, ends=False)
     if plain is not None:  # the common case
         return plain
@@ -438,7 +438,7 @@ def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
 
 
 def _rows(y: Array, asked: _Times) -> Array:
-    """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
+    """Return the solution at the requested times, (n_t, n); NaN behind the end of the run."""
     rows = np.ascontiguousarray(y.T)
     if missing := len(asked.times) - len(rows):
         rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])
@@ -446,7 +446,7 @@ def _rows(y: Array, asked: _Times) -> Array:
 
 
 def _tell(found: Points, call: _Call) -> str:
-    """How the run ended; with a warning if that was not at the last time."""
+    """Return the message on how the run ended; issue a warning if it did not reach the last time."""
     status = found.status
     message = "Integration successful." if status == 0 else found.message
     if status == 2:
@@ -461,7 +461,7 @@ def _tell(found: Points, call: _Call) -> str:
 
 
 def _information(sol: Solution, asked: _Times, counter: _Counter, message: str) -> dict[str, Any]:
-    """What full_output tells of each time but the first."""
+    """Return the dictionary of full_output: counts and step sizes at each time except the first."""
     ends = sol.steps.t
     forward = 1.0 if asked.times[-1] >= asked.times[0] else -1.0
     times = (asked.times if asked.place is None else asked.times[asked.place])[1:]

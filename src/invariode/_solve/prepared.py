@@ -75,7 +75,7 @@ class PreparedSolver:
     def __call__(
         self, *, y0: ArrayLike | None = None, args: Iterable[Any] | None = None, t_span: Span | None = None
     ) -> Solution:
-        """Solves the problem, or one that differs from it.
+        """Solve the problem, or one that differs from it.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class PreparedSolver:
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 
     def _run(self, y0: Array, args: tuple[Any, ...] | None, cover: Cover | None) -> _core.Run | None:
-        """The run of an idle solver. None: y0 is not finite, or the functions take other arguments."""
+        """Return the run of an idle solver. None: y0 is not finite, or the functions take other arguments."""
         try:
             core = self._idle.pop()
         except IndexError:
@@ -131,7 +131,7 @@ class PreparedSolver:
         return run
 
     def _as_run(self, run: _core.Run, args: tuple[Any, ...] | None, cover: Cover | None) -> Plan:
-        """The plan as the run carried it out."""
+        """Return the plan as the run carried it out."""
         plan = self._plan
         if cover is not None:
             t0, tf, max_step = cover
@@ -150,7 +150,7 @@ class PreparedSolver:
 
 
 def _may_vary(problem: Description, plan: Plan) -> bool:
-    """Whether compiled functions take any numbers as arguments."""
+    """Return whether compiled functions take any numbers as arguments."""
     p = plan.functions.parameters
     arguments = count_of(p)
     called = [problem.fun, *(one.fun for one in (*problem.invariants, *problem.events))]
@@ -158,8 +158,9 @@ def _may_vary(problem: Description, plan: Plan) -> bool:
 
 
 def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
-    """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
-    mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
+    """Return whether the plan is valid for every y0. The core can fix native invariants at their values there; the
+    motion of a mechanical system counts its work, and algebraic equations and events at the start need work before the
+    run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
     counts = isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder)
     if alone or counts or not _of_any_parameters(problem, plan, native):
@@ -171,8 +172,9 @@ def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
 
 
 def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
-    """Whether the sensitivities, if there are any, are computed alike for all values of the parameters: their
-    tolerances if their scale is given. Python has derivatives of events, and of what is not native, at one value."""
+    """Return whether the sensitivities, if there are any, are computed alike for all values of the parameters: their
+    tolerances if their scale is given. Python has derivatives of events, and of functions that are not native, at one
+    value."""
     wanted = problem.sensitivities
     if wanted is None:
         return True
@@ -187,7 +189,7 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
-    """y0 as an array, if it is of the same type and shape."""
+    """Return y0 as an array, if it is of the same type and shape."""
     if not isinstance(y0, np.ndarray):
         try:
             y0 = np.array(y0)

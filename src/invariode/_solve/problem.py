@@ -91,7 +91,7 @@ class Problem(Description):
 
     @documented(options=table_of(Options))
     def solve(self, method: MethodName = "ode45", **options: Unpack[Options]) -> Solution:
-        """Solves the problem.
+        """Solve the problem.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class Problem(Description):
 
     @documented(options=table_of(Options))
     def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
-        """A solver for this problem with any y0, args and interval, which checks everything else only once.
+        """Return a solver for this problem with any y0, args and interval, which checks everything else only once.
 
         For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps if all
         functions are native and `keep` is 'end' or 'outputs'. If the problem must be checked again for another
@@ -182,7 +182,7 @@ class Problem(Description):
         store: str | os.PathLike[str] | None = None,
         **options: Unpack[ProblemEnsembleOptions],
     ) -> EnsembleSolution | EnsembleStore:
-        """Solves the problem from many initial values, or with many parameter sets, in parallel.
+        """Solve the problem from many initial values, or with many parameter sets, in parallel.
 
         The result is the same, bit for bit, for any number of workers, and the same as that of single solves. A
         trajectory that fails, also with an exception, gets a status, a message and NaN as its final state; the others

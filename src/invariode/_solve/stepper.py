@@ -1,4 +1,4 @@
-"""One step at a time: the base of the classes in `invariode.scipy`."""
+"""Steppers, which advance a problem one step at a time: the base of the classes in `invariode.scipy`."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ class BelowZero(NamedTuple):
     value: float
 
     def in_words(self, label: str) -> str:
-        """A sentence about it."""
+        """Return a sentence about the component, with this label."""
         return f"{label} falls to {self.value:.1e}, where a more accurate solution stays above 0"
 
 
@@ -37,8 +37,9 @@ class Lowest:
 
 
 def below_zero(y0: Array, lowest: Array, accurate: Array, atol: ArrayLike) -> BelowZero | None:
-    """What falls below zero by more than 100 atol, of the components that start at or above zero and stay there, to
-    within atol, in a more accurate solution. `lowest`, `accurate`: the least values of both. Nothing of complex states.
+    """Return the component that falls lowest, in units of atol, of those that fall below −100 atol although they start
+    at or above zero and, to within atol, stay there in a more accurate solution; None if none does, or y0 is complex.
+    `lowest`, `accurate`: the minima of both solutions, (n,).
     """
     if np.iscomplexobj(y0) or not len(y0):
         return None

@@ -89,11 +89,12 @@ class CheckReport:
     __repr__ = __str__
 
     def verdict(self, i: int) -> str:
-        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
+        """Return the verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for
+        `invariode.Dissipated`."""
         return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def rows(self) -> list[tuple[str, ...]]:
-        """The table: name, value, residual, rate, rate in units of its terms, verdict of each invariant."""
+        """Return the table: name, value, residual, rate, rate in units of its terms, verdict of each invariant."""
         numbers = zip(self.names, self.value, self.residual, self.rate, self.angle, strict=True)
         return [
             (name, f"{value:.6g}", f"{residual:.2e}", f"{rate:.2e}", f"{angle:.1e}", self.verdict(i))
@@ -116,7 +117,7 @@ def check_invariants(
     atol: Numbers = ATOL,
     nearby: bool = True,
 ) -> CheckReport:
-    """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
+    """Check whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def check_invariants(
 def checked_at(
     given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
 ) -> CheckReport:
-    """The report on the invariants of a problem at a point."""
+    """Return the report on the invariants of a problem at a point."""
     extra, listed = given.args, given.invariants
     least, threshold, scale = tolerances(rtol, atol, point)
     bound = bind(listed, at, point, extra, threshold)
@@ -203,7 +204,7 @@ _STEPS, _ALONG = 20, 4
 
 
 def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
-    """Points of a short run, and others around the start, in every direction; the same ones every time."""
+    """Return points of a short run, and others around the start, in every direction; the same ones every time."""
     t, y = problem.t_span[0], problem.y0
     run: list[tuple[float, Array]] = []
 
@@ -225,7 +226,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
 
 
 class _Elsewhere(NamedTuple):
-    """What was found at another point."""
+    """Examination of the invariants at another point."""
 
     t: float
     y: Array
@@ -233,7 +234,7 @@ class _Elsewhere(NamedTuple):
 
 
 def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
-    """The examination; None if something is not defined there."""
+    """Return the examination of the invariants at a point; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)
     except Exception:  # from a user's function, at a point that the user did not choose
@@ -246,7 +247,7 @@ _CONSERVED = ("conserved", "changes")
 
 
 def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
-    """The report, with those refused that are conserved only at its point."""
+    """Return the report, with functions marked as not conserved that are conserved only at its point."""
     conserved, findings = report.conserved.copy(), []
     for i in np.flatnonzero(report.conserved):
         there = [other for other in others if other is not None and not other.found.conserved[i]]
@@ -267,7 +268,7 @@ def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckR
 
 
 def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
-    """`pairs`: the reals that make up y are pairs."""
+    """Make the report of an examination. `pairs`: the reals that make up y are pairs."""
     stationary = found.gradient == 0
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1

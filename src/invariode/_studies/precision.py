@@ -50,7 +50,7 @@ _MARGIN = 0.1
 
 
 class NoReferenceError(Exception):
-    """No two methods agree on the final state."""
+    """Error raised where no two methods agree on the final state."""
 
 
 @dataclass(frozen=True)
@@ -80,22 +80,22 @@ class Reference:
 
     @property
     def floor(self) -> float:
-        """Below it, errors are unknown."""
+        """Error below which errors are unknown."""
         return _FLOOR * max(self.agreement, EPS)
 
     def below_zero(self, y0: Array, lowest: Lowest, atol: float) -> BelowZero | None:
-        """What becomes negative, and does not along the solution."""
+        """Return the component that becomes negative although it does not along the solution; None if there is none."""
         return None if self.lowest is None else below_zero(y0, lowest.values, self.lowest, atol)
 
     def error(self, y: Array) -> float:
-        """The largest error of a component, relative to its largest size along the solution."""
+        """Return the largest error of a component, relative to its largest size along the solution."""
         error = float((np.abs(y - self.y) / self.size).max(initial=0))
         return error if math.isfinite(error) else math.inf
 
 
 @dataclass(frozen=True)
 class Run:
-    """One method at one tolerance: error, evaluations of f (the tests of invariants too), of g, and of its Jacobian.
+    """A run of one method at one tolerance: error, evaluations of f (the invariants' tests too), of g and its Jacobian.
 
     `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed. `below_zero`: what the
     reference does not do.
@@ -126,7 +126,7 @@ class Row:
 
 
 def able(problem: Problem) -> list[Method]:
-    """The methods that can solve the problem."""
+    """Return the methods that can solve the problem."""
     mass = problem.matrices.mass
     if mass is None:
         return [m for m in METHODS.values() if _takes(m, problem)]
@@ -139,7 +139,7 @@ def able(problem: Problem) -> list[Method]:
 
 
 def _takes(method: Method, problem: Problem) -> bool:
-    """Whether f is what the method takes."""
+    """Return whether the method can integrate the problem's f."""
     if method.equations == "second-order":
         return problem.second_order and problem.bounds is None
     return method.equations == "any" or isinstance(problem.fun, OnGraph)
@@ -151,15 +151,15 @@ def _takes(method: Method, problem: Problem) -> bool:
 
 @contextmanager
 def _stiffness_untold() -> Iterator[None]:
-    """Explicit methods are tried on stiff problems on purpose: the figures tell."""
+    """Ignore warnings of stiffness: explicit methods are tried on stiff problems on purpose."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StiffnessWarning)
         yield
 
 
 def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
-    """The final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for stiff
-    problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
+    """Return the final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for
+    stiff problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
     plain = unprojected(problem)
     pairs = [_IMPLICIT] if problem.matrices.mass is not None or _stiff(plain, seconds) else [_EXPLICIT, _IMPLICIT]
     obstacles: list[str] = []
@@ -212,8 +212,8 @@ def _names(pair: Sequence[tuple[MethodName, dict[str, Any]]], rtol: float) -> st
 def compare_runs(
     problem: Problem, methods: Sequence[str], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
 ) -> Iterator[Row]:
-    """All runs, method by method, by names that `solve` takes, from the crudest tolerance on. A method that takes too
-    long is given up.
+    """Yield all runs, method by method, by names that `solve` takes, from the largest tolerance on. A method that takes
+    too long is not run at smaller tolerances.
 
     Raises InvariantError if a run finds that f does not conserve an invariant.
     """
@@ -230,7 +230,7 @@ def compare_runs(
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:
-    """Plain and projected in turn, so that disturbances of the machine affect both."""
+    """Run plain and projected in turn, so that disturbances of the machine affect both."""
     ways = [plain, problem] if problem.invariants else [plain]
     runs: list[tuple[Problem, Solution, float]] = []
     below: list[BelowZero | None] = []
@@ -295,7 +295,7 @@ class _Curve:
         self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
 
     def __call__(self, error: float) -> float:
-        """The cost of at most this error; infinite if no run has it."""
+        """Return the cost of at most this error; infinite if no run has it."""
         if error < self.least * (1 - 1e-12):
             return math.inf
         return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
@@ -328,8 +328,8 @@ class Judgement:
 
 
 def judge(errors: Sequence[float], ratios: Sequence[float]) -> tuple[str, float | None]:
-    """What ratios of costs say: one verdict for all errors, or one that changes at an error, which is the last one of
-    those for which it is worth it."""
+    """Return the verdict that ratios of costs support: one for all errors, or one that changes at an error, which is
+    the last one for which projection is worth its cost."""
     signs = [(e, r < 1) for e, r in zip(errors, ratios, strict=True) if abs(math.log(r)) > -math.log(1 - _MARGIN)]
     if not errors:
         return "unknown", None
@@ -344,7 +344,7 @@ def judge(errors: Sequence[float], ratios: Sequence[float]) -> tuple[str, float 
 
 
 def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
-    """Of each method against itself."""
+    """Judge each method, projected against plain."""
     found = []
     for method, group in groupby(rows, key=lambda row: row.method):
         own = list(group)
@@ -356,7 +356,7 @@ def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
 
 
 def best(rows: Sequence[Row], floor: float) -> Judgement:
-    """Compares, at each error, the cheapest methods that reach it, plain and projected.
+    """Compare, at each error, the cheapest methods that reach it, plain and projected.
 
     Errors are left out that a method which is cheaper so far might reach with a tighter tolerance than those tried.
     """
@@ -377,14 +377,15 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
 
 
 def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
-    """The least cost of the error and the method that has it; infinite if it may be another one's."""
+    """Return the least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
     return (math.inf if open_ended else cost), method
 
 
 def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | None:
-    """Of plain runs: an error in the middle of those that were reached, the method that is cheapest there, its time."""
+    """Return an error in the middle of those that plain runs reach, the method cheapest there, and its time; or
+    None."""
     by_method = {method: list(group) for method, group in groupby(rows, key=lambda row: row.method)}
     curves = {method: _Curve([row.plain for row in own], "seconds", floor) for method, own in by_method.items()}
     errors = _decades(min(c.least for c in curves.values()), max(c.largest for c in curves.values()))
@@ -403,7 +404,7 @@ def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curv
 
 
 def _decades(least: float, largest: float) -> list[float]:
-    """The powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
+    """Return the powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
     if not 0 < least < largest < math.inf:
         return []
     powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
@@ -411,10 +412,10 @@ def _decades(least: float, largest: float) -> list[float]:
 
 
 def unprojected(problem: Problem) -> Problem:
-    """The same problem without its invariants."""
+    """Return the problem without its invariants."""
     return problem.replace(invariants=None)
 
 
 def power(error: float) -> str:
-    """An error in one digit: 1e-4, not 1e-04."""
+    """Return an error in one digit: 1e-4, not 1e-04."""
     return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")

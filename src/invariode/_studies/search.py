@@ -75,7 +75,7 @@ class PolynomialInvariant(Invariants):
         super().__init__(self._value, self._gradient, names=self.formula)
 
     def __call__(self, y: Any) -> Any:
-        """Its value at y (n,), or at points (n, n_t)."""
+        """Return the value at y (n,), or at points (n, n_t)."""
         return self._value(0.0, np.asarray(y))
 
     def _repr_latex_(self) -> str:
@@ -112,7 +112,7 @@ def find_invariants(
     *,
     labels: Sequence[str] | None = None,
 ) -> list[PolynomialInvariant]:
-    """Proposes polynomials that y' = f(t, y) conserves.
+    """Propose polynomials that y' = f(t, y) conserves.
 
     p is an invariant if ∇p · f = 0. At points around several trajectories this is a linear system for the coefficients
     of the monomials; for each degree, its null space is used if its dimension is numerically unambiguous. The
@@ -226,7 +226,8 @@ class _Search:
         return near
 
     def _trajectory(self, y0: Array, rtol: float) -> tuple[Array, Array] | None:
-        """(t, y) of a run, by the code for stiff problems if the other one struggles; None if f is not defined."""
+        """Return (t, y) of a run, by the code for stiff problems if the other one struggles; None if f is not
+        defined."""
         options: dict[str, Any] = {
             "args": self._args,
             "rtol": rtol,
@@ -243,13 +244,13 @@ class _Search:
         return (sol.t, sol.y) if len(sol.t) > 1 else None
 
     def _note(self, error: Exception) -> None:
-        """Keeps the first reason why there is no run; what f must never return is an error at once."""
+        """Store the first reason why there is no run; what f must never return is an error at once."""
         if error is self._wrong:
             raise error
         self._without_run = self._without_run or error
 
     def _samples(self, count: int) -> tuple[Array, Array]:
-        """Points y (n, count) around the trajectories, and y' there, (n, count)."""
+        """Return points y (n, count) around the trajectories, and y' there, (n, count)."""
         points: list[Array] = []
         slopes: list[Array] = []
         for _ in range(4 * count):
@@ -272,7 +273,7 @@ class _Search:
         return np.array(points).reshape(-1, n).T, np.array(slopes).reshape(-1, n).T
 
     def null_polynomials(self, monomials: list[Exponents]) -> list[dict[Exponents, Number]]:
-        """A sparse basis of the polynomials with ∇p · f = 0, empty if the rank is in doubt."""
+        """Return a sparse basis of the polynomials with ∇p · f = 0, empty if the rank is in doubt."""
         y, slope = self._samples(2 * len(monomials) + 20)
         if y.shape[1] < len(monomials) + 10:
             return []
@@ -287,13 +288,13 @@ class _Search:
         return sorted(filter(None, polynomials), key=lambda p: (max(map(sum, p)), len(p)))
 
     def in_units(self, coefficients: dict[Exponents, Number]) -> dict[Exponents, Number]:
-        """A polynomial of the user's y as one of y in units, with the same first coefficient."""
+        """Return a polynomial of the user's y as one of y in units, with the same first coefficient."""
         first = sum(next(iter(coefficients)))
         return {e: math.ldexp(float(c), self._exponent * (sum(e) - first)) for e, c in coefficients.items()}
 
     def _tidy(self, row: Array, monomials: list[Exponents], scale: Array) -> dict[Exponents, Number]:
-        """Coefficients for the user's y, the first one 1, fractions if all of them are simple ones. Empty: some are
-        beyond doubles."""
+        """Return coefficients for the user's y, the first one 1, fractions if all of them are simple ones. Empty: some
+        are beyond doubles."""
         row = np.where(np.abs(row) <= _NEGLIGIBLE * np.abs(row).max(), 0, row)
         kept = np.flatnonzero(row)
         degrees = np.array([sum(monomials[k]) for k in kept])
@@ -311,7 +312,7 @@ class _Search:
         return {monomials[k]: number for k, number in zip(kept, numbers, strict=True)}
 
     def independent(self, polynomials: list[PolynomialInvariant]) -> bool:
-        """Whether their gradients are linearly independent at some point."""
+        """Return whether the gradients of the polynomials are linearly independent at some point."""
         for _ in range(3):
             y = self._near(self._y0)
             rows = np.array([p._gradient(0.0, y) * self._size for p in polynomials])
@@ -320,7 +321,7 @@ class _Search:
         return False
 
     def verified(self, p: PolynomialInvariant) -> bool:
-        """Whether it is conserved at fresh points, to roundoff, and along fresh trajectories."""
+        """Return whether the polynomial is conserved at fresh points, to roundoff, and along fresh trajectories."""
         y, slope = self._samples(50)
         if y.shape[1] < 20:
             return False
@@ -339,7 +340,7 @@ class _Search:
 
 
 def _monomials(n: int, degree: int) -> list[Exponents]:
-    """Exponents of total degree 1 to `degree`, by degree."""
+    """Return exponents of total degree 1 to `degree`, by degree."""
     found = []
     for d in range(1, degree + 1):
         for chosen in itertools.combinations_with_replacement(range(n), d):
@@ -348,7 +349,7 @@ def _monomials(n: int, degree: int) -> list[Exponents]:
 
 
 def _rate(exponents: Array, x: Array, v: Array) -> Array:
-    """d/dt of a monomial along v."""
+    """Return d/dt of a monomial along v."""
     total = np.zeros(x.shape[1])
     for j in np.flatnonzero(exponents):
         lowered = exponents.copy()

@@ -121,7 +121,7 @@ def check_sensitivities(
 
 
 def _columns(function: Directional, at: Point, k: int, names: Any) -> Array:
-    """∂F/∂p of the parameters in args, (m, k)."""
+    """Return ∂F/∂p of the parameters in args, (m, k)."""
     own = np.array([one.kind == "args" for one in names], dtype=bool)
     rows: Array = function.columns(at.t, at.y, np.zeros(k), np.zeros((k, function.n)), np.eye(k))[own]
     return rows.T

@@ -85,12 +85,12 @@ class Found(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """Whether no small change grows."""
+        """True if no small change of the state grows."""
         return is_stable(self.eigenvalues)
 
 
 class NotFound(NamedTuple):
-    """No steady state was reached, and why."""
+    """Failure of the search for a steady state, with the reason."""
 
     reason: str
     y: Array
@@ -273,7 +273,7 @@ class SteadyStates:
         self.totals = self._conserved(totals, problem)
 
     def _at_start(self, problem: Problem) -> tuple[Any, Derived | None]:
-        """f(t0, y, *args) as a function that does not depend on t, and its graph."""
+        """Return f(t0, y, *args) as a function that does not depend on t, and its graph."""
         fun, t0 = problem.fun, self._t
         if problem.inputs:
             fun = _Frozen(fun, t0, problem.inputs)
@@ -298,7 +298,7 @@ class SteadyStates:
         return (traced if has_llvm() else getattr(traced, "fun", traced)), exact
 
     def _conserved(self, totals: Totals, problem: Problem) -> Array:
-        """The rows of the totals."""
+        """Return the rows of the totals."""
         if isinstance(totals, str):
             if totals != "auto":
                 raise ValueError(f"totals must be 'auto' or rows of coefficients, got {totals!r}")
@@ -325,7 +325,7 @@ class SteadyStates:
         return row
 
     def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None = None) -> Found | NotFound:
-        """The steady state for these arguments and this initial value.
+        """Return the steady state for these arguments and this initial value.
 
         `S0`: the derivatives of y0 for the parameters, (n, k); None: no derivatives are wanted.
         """
@@ -346,7 +346,7 @@ class SteadyStates:
         return found._replace(slopes=slopes)
 
     def _adding(self, args: tuple[Any, ...], y0: Array, S0: Array, zero: Array, still: Array) -> list[int]:
-        """The parameters that add what is absent, so that fewer components stay constant."""
+        """Return the parameters that add what is absent, so that fewer components stay constant."""
         found = []
         for j in np.flatnonzero(S0[zero].any(axis=0)).tolist():
             _, then = self._staying(args, np.where(S0[:, j] != 0, 1.0, y0))
@@ -355,7 +355,7 @@ class SteadyStates:
         return found
 
     def _staying(self, args: tuple[Any, ...], y0: Array) -> tuple[Array, Array]:
-        """The components that stay zero, and those that stay constant because of that, as truths."""
+        """Return the components that stay zero, and those that stay constant because of that, as truths."""
         zero, still = np.zeros((2, self._n), dtype=bool)
         if self._exact is not None:
             moving = {place_of(args, one.index, one.item) for _, one in self._own}
@@ -367,7 +367,7 @@ class SteadyStates:
         return zero, still
 
     def rates(self, J: Array, moving: Array) -> Array:
-        """The eigenvalues of the Jacobian of these components."""
+        """Return the eigenvalues of the Jacobian of these components."""
         block = np.ix_(moving, moving)
         if self._mass is None:
             return np.linalg.eigvals(J[block])
@@ -377,7 +377,8 @@ class SteadyStates:
         return np.asarray(found[np.isfinite(found)])
 
     def system(self, J: Array, D: Array, still: Array) -> tuple[Array, Array]:
-        """[J; W M] for changes of the components in units of D, its rows divided by their sizes; and these sizes."""
+        """Return [J; W M] for changes of the components in units of D, its rows divided by their sizes; and these
+        sizes."""
         W = self.totals if self._mass is None else self.totals @ self._mass
         A = np.vstack([J, W]) * D
         A[:, still] = A[np.flatnonzero(still)] = 0.0  # of the rows of constant components roundoff is left
@@ -386,7 +387,7 @@ class SteadyStates:
         return A / lengths[:, None], lengths
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
-        """S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
+        """Return S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
         _, _, fp = self._values(y, args, with_parameters=True)
         D = sizes(y, y0)
         A, lengths = self.system(J, D, still)
@@ -407,12 +408,12 @@ class SteadyStates:
 
 
 def is_stable(rates: Array) -> bool:
-    """Whether no eigenvalue has a positive real part, beyond roundoff."""
+    """Return whether no eigenvalue has a positive real part, beyond roundoff."""
     return not len(rates) or bool(rates.real.max() <= _GROWS * np.abs(rates).max())
 
 
 def sizes(y: Array, y0: Array) -> Array:
-    """The sizes of components: those far below the largest, now or at the start, count as of a part of that."""
+    """Return the sizes of components: those far below the largest, now or at the start, count as of a part of that."""
     largest = max(np.abs(y).max(initial=0.0), np.abs(y0).max(initial=0.0)) or 1.0
     return np.maximum(np.abs(y), _FLOOR * largest)
 
@@ -449,7 +450,7 @@ class _Approach:
                 self.f = states._values.value(self.y, self._args)
 
     def _step(self, t: float, y: Array) -> bool:
-        """Whether the run has arrived."""
+        """Return whether the run has arrived."""
         T = t - self._t0
         if self._next > T:
             return False
@@ -509,7 +510,7 @@ class _OfGraph:
         self._made: dict[Any, Any] = {}
 
     def _called(self, key: Any, made: Any, n: int, size: int, p: Parameters) -> Any:
-        """A derivative as a Python function, made once."""
+        """Return a derivative as a Python function, made once."""
         if key not in self._made:
             machine = has_llvm()
             self._made[key] = (
@@ -518,7 +519,7 @@ class _OfGraph:
         return self._made[key]
 
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """f."""
+        """Return f at y, (n,)."""
         p, n = Parameters.of(args), self._n
         if "f" not in self._made:
             machine = has_llvm()
@@ -528,7 +529,7 @@ class _OfGraph:
         return found
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
+        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
         n, p, fp = self._n, Parameters.of(args), np.zeros((self._n, len(self._own)))
         flat = np.asarray(p)
         J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
@@ -559,11 +560,11 @@ class _OfPython:
         return self._last[1]
 
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """f."""
+        """Return f at y, (n,)."""
         return self._at(args).value(self._t, y)
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """f, ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
+        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
         of, n, k = self._at(args), self._n, self._at(args).k
         none = np.zeros((k, n))
         fp = of.columns(self._t, y, np.zeros(k), none, np.eye(k)).T if with_parameters and k else none.T
@@ -571,7 +572,7 @@ class _OfPython:
 
 
 def _floats(args: tuple[Any, ...], own: Sequence[tuple[int, ParameterName]]) -> dict[int, dict[int, float]]:
-    """The parameters among the arguments as floats: an integer may be an index, a parameter may not."""
+    """Return the parameters among the arguments as floats: an integer may be an index, a parameter may not."""
     names = [one for _, one in own]
     values = values_of(args, np.zeros(0), names)
     changes: dict[int, dict[int, float]] = {}

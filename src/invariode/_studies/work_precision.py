@@ -46,7 +46,7 @@ def plot_work_precision(
     limit: float = 5.0,
     axes: Any = None,
 ) -> Array:
-    """Draws the error of the final state against its cost, for several methods and tolerances.
+    """Draw the error of the final state against its cost, for several methods and tolerances.
 
     Plain runs are solid; where the problem has invariants, projected ones are dashed.
 
@@ -118,7 +118,7 @@ def plot_work_precision(
 
 
 def _named(name: str) -> str:
-    """The method's own name; SciPy's where that implies options, as 'BDF' does."""
+    """Return the method's own name; SciPy's where that implies options, as 'BDF' does."""
     method, implied = find_method(name)
     return str(method.scipy_name) if implied else method.name
 
@@ -139,7 +139,7 @@ def _truth(problem: Problem, given: Any, ratio: float, limit: float) -> Referenc
 
 
 def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
-    """Writes the figure to a file, in the style of the paper's."""
+    """Write the figure to a file, in the style of the paper's."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -158,7 +158,7 @@ def _draw_costs(axes: Any, rows: Sequence[Row], truth: Reference) -> None:
 
 
 def _finish(figure: Any, rows: Sequence[Row], name: str) -> None:
-    """Title and legend."""
+    """Add title and legend."""
     figure.suptitle(drawable(name), fontsize=10.5, color=INK)
     drawn = [row for row in rows for way in WAYS if (run := row.run(way)) and math.isfinite(run.error)]
     keys = _keys(list(dict.fromkeys(row.method for row in drawn)), any(row.projected for row in rows))
@@ -200,7 +200,7 @@ def _style(method: str, way: str) -> dict[str, Any]:
 
 
 def _keys(methods: Sequence[str], both: bool) -> list[Line2D]:
-    """A key for each method, and for the two ways."""
+    """Return a key for each method, and for the two ways."""
     from matplotlib.lines import Line2D
 
     keys = [Line2D([], [], label=method, **_style(method, "plain")) for method in methods]

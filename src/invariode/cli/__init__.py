@@ -14,7 +14,7 @@ _EXTRA = ("typer", "rich")
 
 
 def main() -> None:
-    """Runs the command line; one line says what is missing from the installation, with exit code 1."""
+    """Run the command line; one line says what is missing from the installation, with exit code 1."""
     try:
         from .app import app
     except ModuleNotFoundError as missing:

@@ -84,7 +84,7 @@ def check(
 def _print_below_zero(
     console: Console, problem: Problem, method: MethodName, accurate: Lowest, rtol: float, atol: float
 ) -> None:
-    """What becomes negative at the tolerances given, and not in the solution that was checked."""
+    """Print which component becomes negative at the given tolerances, and not in the solution that was checked."""
     lowest = Lowest(problem.y0)
     unprojected(problem).solve(method, rtol=rtol, atol=atol, callback=lowest, keep="end")
     found = below_zero(problem.y0, lowest.values, accurate.values, atol)
@@ -128,7 +128,7 @@ def _print_report(console: Console, problem: Problem, report: CheckReport) -> No
 
 
 def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]) -> list[str]:
-    """The worst of each invariant, and each finding with where it was first made."""
+    """Print the worst of each invariant, and each finding with where it was first made."""
     console.print(Text.assemble(("along a solution", "bold"), f", at {len(reports)} points to t = {times[-1]:g}"))
     table = numbers("invariant", ("largest rate", "of its terms", "conserved at"))
     for i, name in enumerate(reports[0].names):

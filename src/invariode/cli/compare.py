@@ -125,7 +125,7 @@ def compare(
 def _print_all(
     console: Console, problem: Problem, rows: list[Row], truth: Reference, limit: float, quiet: bool
 ) -> None:
-    """The answer first, then what it follows from."""
+    """Print the answer, then the tables that it follows from."""
     reached = any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run)
     if reached:
         console.print(Text(_answer(problem, rows, truth), style="bold"))
@@ -158,7 +158,7 @@ def _rtols(decades: str) -> list[float]:
 
 
 def _own_name(name: str) -> Method:
-    """The method; SciPy's BDF means options too, which are not compared."""
+    """Return the method; SciPy's BDF means options too, which are not compared."""
     found = method_of(name)[0]
     if name == found.scipy_name and found.scipy_options:
         raise typer.BadParameter(f"{name} is {found.name} with options; give {found.name}", param_hint="--method")
@@ -247,7 +247,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
-    """Why runs have no error, and of which methods."""
+    """Print why runs have no error, and for which methods."""
     reasons: dict[str, list[str]] = {}
     for row in rows:
         for way in WAYS:
@@ -267,7 +267,7 @@ def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
 
 
 def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -> None:
-    """What becomes negative in runs, and not in the reference."""
+    """Print which component becomes negative in runs, and not in the reference."""
     found = [(row, way, low) for row in rows for way in WAYS if (run := row.run(way)) and (low := run.below_zero)]
     if not found:
         return
@@ -283,7 +283,7 @@ def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -
 
 
 def _print_ratios(console: Console, found: Sequence[Judgement]) -> None:
-    """Cost at equal error, projected / plain, in time and in f."""
+    """Print cost at equal error, projected / plain, in time and in f."""
     reached = sorted({e for one in found for e in one.errors}, reverse=True)
     if not reached:
         return
@@ -318,7 +318,7 @@ def _verdict(one: Judgement) -> Text:
 
 
 def answer(one: Judgement) -> str:
-    """The paper's question (section 4), answered in a sentence, for the best method with and without projection."""
+    """Answer the paper's question (section 4) in a sentence, for the best method with and without projection."""
     if not one.errors:
         return "Plain and projected runs have no range of errors in common here; try other --decades."
     kind, border = one.kind
@@ -347,7 +347,7 @@ def answer(one: Judgement) -> str:
 
 
 def _by(one: Judgement) -> str:
-    """The methods that are best, where both are."""
+    """Return the methods that are best, where both are."""
     middle = len(one.errors) // 2
     plain, projected = one.by[middle]
     whose = f"{projected} both" if plain == projected else f"{projected} projected, {plain} plain"
@@ -355,7 +355,7 @@ def _by(one: Judgement) -> str:
 
 
 def _counted(one: Judgement) -> str:
-    """What evaluations of f say, if it differs from what the time says."""
+    """Return the verdict by evaluations of f in words, if it differs from that by time; else ''."""
     by_f = judge(one.errors, one.f)[0]
     if by_f == one.kind[0]:
         return ""

@@ -28,7 +28,7 @@ File = Annotated[
 
 
 def load(file: str) -> Problem:
-    """The problem of that name in the file; by default `problem`, or the only one."""
+    """Return the problem of that name in the file; by default `problem`, or the only one."""
     path, name = _parts(file)
     if path.is_dir():
         raise _wrong(f"{path} is a directory; give the file in it that defines the problem.")
@@ -54,7 +54,7 @@ def load(file: str) -> Problem:
 
 
 def _parts(file: str) -> tuple[Path, str | None]:
-    """The file and the name behind its last colon, if that is one (a colon may be part of a path)."""
+    """Return the file and the name behind its last colon, if that is one (a colon may be part of a path)."""
     head, colon, name = file.rpartition(":")
     if colon and name.isidentifier() and not Path(file).exists():
         return Path(head), name
@@ -62,7 +62,7 @@ def _parts(file: str) -> tuple[Path, str | None]:
 
 
 def _run(path: Path) -> dict[str, Any]:
-    """What the file defines. It is run as an import would, next to its neighbours; no bytecode is left behind."""
+    """Run the file as an import would, next to its neighbours, and return its names; no bytecode is left behind."""
     module = ModuleType(f"{path.stem} (problem file)")  # no name that an import could ask for
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
@@ -87,7 +87,7 @@ def _named(path: Path, name: str, defined: dict[str, Any], problems: dict[str, P
 
 
 def _listed(defined: dict[str, Any]) -> str:
-    """The names that a file defines itself, with their types."""
+    """Return the names that a file defines itself, with their types."""
     own = {key: value for key, value in defined.items() if not isinstance(value, ModuleType) and key[0] != "_"}
     return ", ".join(f"{key} ({type(value).__name__})" for key, value in own.items()) or "nothing"
 

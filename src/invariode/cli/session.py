@@ -1,4 +1,4 @@
-"""What the commands share: consoles, tables, output files, and the handling of errors, warnings and Ctrl-C."""
+"""Tools that the commands share: consoles, tables, output files, and the handling of errors, warnings and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -41,12 +41,13 @@ PICTURES: Mapping[str, tuple[str, ...]] = {".png": ("matplotlib",), ".svg": ("ma
 
 
 def examples(*lines: str) -> str:
-    """The end of a help text: one command in a line."""
+    """Return the end of a help text: one command in a line."""
     return "\n\n".join([f"Example{'s' * (len(lines) > 1)}:", *(f"[bold]invariode {line}[/]" for line in lines)])
 
 
 def paragraphs(command: Callable[..., Any]) -> str:
-    """The docstring of a command as its help: a line per paragraph, to be wrapped at the width of the terminal."""
+    """Return the docstring of a command as its help: a line per paragraph, to be wrapped at the width of the
+    terminal."""
     return "\n\n".join(" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n"))
 
 
@@ -55,13 +56,13 @@ def paragraphs(command: Callable[..., Any]) -> str:
 
 
 def stop(message: str, code: int) -> typer.Exit:
-    """An exit, to be raised, with the reason on stderr."""
+    """Return an exit, to be raised, with the reason on stderr."""
     Console(stderr=True, highlight=False).print(Text(message), soft_wrap=True)
     return typer.Exit(code)
 
 
 def print_traceback(error: BaseException) -> None:
-    """The traceback from the first frame that is not ours."""
+    """Print the traceback from the first frame that does not belong to invariode."""
     trace: TracebackType | None = error.__traceback__
     while trace is not None and _ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next
@@ -70,7 +71,7 @@ def print_traceback(error: BaseException) -> None:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Guards everything that calls the user's functions: errors end the command, warnings are lines on stderr.
+    """Guard everything that calls the user's functions: errors end the command, warnings are lines on stderr.
 
     A function of the user raised: its traceback, exit code 1. An invariant is refused: 1. Other misuse, such as a
     method that cannot solve the problem: 2. Ctrl-C: 130.
@@ -95,7 +96,8 @@ def guarded() -> Iterator[None]:
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Warnings in a line each, without their origin; filters that ignore them or make them errors stay in force."""
+    """Show warnings in a line each, without their origin; filters that ignore them or make them errors stay in
+    force."""
     with warnings.catch_warnings():
         warnings.showwarning = _Lines()
         yield
@@ -103,7 +105,8 @@ def plain_warnings() -> Iterator[None]:
 
 @contextmanager
 def without_collector() -> Iterator[None]:
-    """Imports and pictures make many objects that stay; searching them for cycles takes a third of the time."""
+    """Suspend the garbage collector: imports and pictures make many objects, and searching them takes a third of the
+    time."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -137,12 +140,12 @@ class _Lines:
 
 
 def complete_method(incomplete: str) -> list[str]:
-    """For the shell."""
+    """Return the names of methods that begin with this text, for the shell's completion."""
     return [name for name in METHODS if name.startswith(incomplete)]
 
 
 def method_of(name: str) -> tuple[Method, MethodName]:
-    """The method of that name, which may be SciPy's, and the name as one that there is."""
+    """Return the method of that name, which may be SciPy's, and invariode's name for it."""
     try:
         return find_method(name)[0], cast("MethodName", name)
     except ValueError as error:
@@ -150,7 +153,7 @@ def method_of(name: str) -> tuple[Method, MethodName]:
 
 
 def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, extra: str, force: bool) -> None:
-    """Stops before the work is done if `path` could not be written after it."""
+    """Stop before the work is done if `path` could not be written after it."""
     if path.suffix not in endings:
         ending = f"ending {path.suffix!r}" if path.suffix else "no ending"
         raise typer.BadParameter(f"{path} has {ending}; choose from {', '.join(endings)}", param_hint=option)
@@ -164,7 +167,7 @@ def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, ex
 
 
 def write_to(path: Path, write: Callable[[], object]) -> None:
-    """Writes a file; if that fails, the command ends with a line about it, exit code 1."""
+    """Write a file; if that fails, the command ends with a line about it, exit code 1."""
     try:
         with plain_warnings():
             write()
@@ -173,7 +176,7 @@ def write_to(path: Path, write: Callable[[], object]) -> None:
 
 
 def needs(what: str, packages: Iterable[str], extra: str) -> None:
-    """Stops if a package is not installed, and says what to install."""
+    """Stop if a package is not installed, with a message about what to install."""
     for package in packages:
         if find_spec(package) is None:
             raise stop(f'{what} needs {package}: pip install "invariode[{extra}]"', code=1)
@@ -184,7 +187,7 @@ def needs(what: str, packages: Iterable[str], extra: str) -> None:
 
 
 def numbers(first: str, others: Iterable[str]) -> Table:
-    """A table of numbers to the right of names."""
+    """Return a table of numbers to the right of names."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column(first, overflow="fold")
     for name in others:
@@ -193,13 +196,13 @@ def numbers(first: str, others: Iterable[str]) -> Table:
 
 
 def count(number: int) -> str:
-    """A count of calls, shortened from 100k on."""
+    """Return a count of calls as text, shortened from 100k on."""
     if number < 100_000:
         return str(number)
     return f"{round(number / 1e3)}k" if number < 100_000_000 else f"{round(number / 1e6)}M"
 
 
 def clock(seconds: float) -> str:
-    """Three digits and a unit."""
+    """Return a time as text, with three digits and a unit."""
     size, unit = (1e-6, "µs") if seconds < 1e-3 else (1e-3, "ms") if seconds < 1 else (1.0, "s")
     return f"{seconds / size:.0f} {unit}" if seconds >= 100 * size else f"{seconds / size:.3g} {unit}"

@@ -199,7 +199,8 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 def _solved(
     problem: Problem, method: MethodName, options: dict[str, Any], others: ExtensionOptions, from_file: Path | None
 ) -> Solution:
-    """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
+    """Return the solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run
+    got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:
@@ -229,7 +230,7 @@ def _nonnegative(problem: Problem, given: str | None) -> Problem:
 
 
 def _components(problem: Problem, given: str | None, option: str) -> list[int] | None:
-    """Indices of the components that an option names, refused before the work is done."""
+    """Return indices of the components that an option names, refused before the work is done."""
     if given is None:
         return None
     names = [name.strip() for name in given.split(",")]
@@ -241,7 +242,7 @@ def _components(problem: Problem, given: str | None, option: str) -> list[int] |
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
-    """The options of the solve: output at this many points, or between the steps."""
+    """Return the options of the solve: output at this many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,
@@ -293,7 +294,8 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:
-    """What projection kept; or, without it, what it would have kept."""
+    """Print the drift of the invariants that projection corrected; or, without it, the drift that it would have
+    corrected."""
     if not problem.invariants:
         note = "No invariants: nothing is imposed. invariode.find_invariants looks for polynomial ones."
     elif projected:

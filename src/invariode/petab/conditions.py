@@ -37,7 +37,7 @@ class RunFailedError(RuntimeError):
 
 
 class Start(NamedTuple):
-    """Where a run starts.
+    """Start of a run.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Conditions:
         return number * volume if one.is_amount else number / volume
 
     def _numbers(self, condition: str, theta: Array) -> tuple[Array, dict[int, int]]:
-        """p, and which estimated parameters set its entries."""
+        """Return p for a condition, and which estimated parameters set its entries."""
         e = self.equations
         base, sources = self._base.copy(), {}
         set_by: dict[str, float | str] = {name: name for name in self._names if name in e._index}
@@ -139,7 +139,7 @@ class Conditions:
 
     @cached_property
     def _start_slopes(self) -> tuple[ArrayFunction, list[tuple[int, int]]]:
-        """∂y0/∂p: its entries and their places."""
+        """Return ∂y0/∂p as its entries and their places."""
         e = self.equations
         nodes = [e.state_at_start(name) for name in e.states]
         places = sorted(used(nodes, "p"))
@@ -148,8 +148,8 @@ class Conditions:
         return ArrayFunction([node for *_, node in entries]), [(i, j) for i, j, _ in entries]
 
     def start(self, before: str, condition: str, theta: Array, slopes: bool) -> Start:
-        """Where the run of a condition starts: at its initial values, or at the steady state of another condition,
-        except for states that the condition itself sets."""
+        """Return the start of a condition's run: its initial values, or the steady state of another condition, except
+        for states that the condition itself sets."""
         p, sources = self._numbers(condition, theta)
         y, S = self._initial(p, sources, slopes)
         if before:
@@ -172,8 +172,8 @@ class Conditions:
         return y, S
 
     def _at_rest(self, condition: str, theta: Array, slopes: bool) -> tuple[Array, Array]:
-        """The steady state of a condition from its initial values, with derivatives; that of the last parameters is
-        kept."""
+        """Return the steady state of a condition from its initial values, with derivatives; that of the last parameters
+        is kept."""
         key = condition, theta.tobytes()
         if key not in self._steady or (slopes and not self._steady[key][1].any()):
             self._steady = {known: found for known, found in self._steady.items() if known[1] == key[1]}
@@ -183,7 +183,7 @@ class Conditions:
         return self._steady[key]
 
     def steady(self, start: Start, slopes: bool) -> tuple[Array, Array]:
-        """The steady state to which a start leads, and its derivatives."""
+        """Return the steady state to which a start leads, and its derivatives."""
         moving = self._moving(start) if slopes else []
         S0 = self._by_entry(start, moving) if slopes else None
         found = self._states_at_rest(tuple(moving)).at((start.p,), start.y, S0)
@@ -226,15 +226,15 @@ class Conditions:
         return Problem(self._fun, (0.0, end), y if len(y) else [0.0], args=(p,), **more)
 
     def _moving(self, start: Start) -> list[int]:
-        """The entries of p for which derivatives are computed: those that f depends on, and one for each parameter that
-        acts by way of the initial value alone."""
+        """Return the entries of p for which derivatives are computed: those that f depends on, and one for each
+        parameter that acts by way of the initial value alone."""
         found = [i for i, _ in sorted(start.sources.items()) if i in self._uses]
         there = {start.sources[i] for i in found}
         own = {j: self.first + place for place, j in self._column.items()}
         return found + [own[j] for j in range(self._k) if j not in there and start.slopes[:, j].any()]
 
     def _by_entry(self, start: Start, moving: Sequence[int]) -> Array:
-        """The derivatives of y0 for entries of p: the first one of a parameter has all of them."""
+        """Return the derivatives of y0 for entries of p: the first one of a parameter has all of them."""
         S = np.zeros((len(start.y), len(moving)))
         seen: set[int] = set()
         for column, i in enumerate(moving):
@@ -245,14 +245,14 @@ class Conditions:
         return S
 
     def _by_parameter(self, S: Array, moving: Sequence[int], sources: Mapping[int, int]) -> Array:
-        """Derivatives for parameters, (n, k, ...), of those for entries of p."""
+        """Return derivatives for parameters, (n, k, ...), of those for entries of p."""
         found = np.zeros((len(S), self._k, *S.shape[2:]))
         for column, i in enumerate(moving):
             found[:, sources[i]] += S[:, column]
         return found
 
     def course(self, start: Start, times: Array, slopes: bool) -> Course:
-        """The states at sorted times, which may end with infinity."""
+        """Return the states at sorted times, which may end with infinity."""
         finite = times[np.isfinite(times)]
         n, k = len(start.y), self._k
         states, S = np.empty((n, len(times))), np.zeros((n, k if slopes else 0, len(times)))
@@ -310,6 +310,6 @@ class Conditions:
         return [one for one in found if not used([one], "y")]
 
     def _breakpoints(self, p: Array, end: float, moving: set[int]) -> list[float]:
-        """Times at which f changes its formula, except those that parameters move: their events are found."""
+        """Return times at which f changes its formula, except those that parameters move: their events are found."""
         fixed = [one for one in self._differences if not used([one], "p") & moving]
         return [t for t in times_of_roots(fixed, p) if 0 < t < end]

@@ -66,7 +66,7 @@ class Fit:
 
 
 def climb(objective: Callable[[Array], Evaluation], start: Array, lower: Array, upper: Array, most: int) -> Local:
-    """The maximum to which steps within a trust region lead.
+    """Return the maximum to which steps within a trust region lead.
 
     The model of the negative posterior is −g·s + sᵀ F s / 2 with the Fisher information F; parameters at a bound that
     they would leave stay there. A step that ends beyond a bound is cut to the box.
@@ -96,7 +96,7 @@ def climb(objective: Callable[[Array], Evaluation], start: Array, lower: Array, 
 
 
 def _whole(at: Evaluation) -> tuple[Array, Array]:
-    """Gradient and information, those of the prior included."""
+    """Return gradient and information, those of the prior included."""
     assert at.gradient is not None
     k = len(at.gradient)
     prior = np.zeros(k) if at.log_prior_gradient is None else at.log_prior_gradient
@@ -105,7 +105,7 @@ def _whole(at: Evaluation) -> tuple[Array, Array]:
 
 
 def _within(x: Array, g: Array, F: Array, lower: Array, upper: Array, radius: float) -> Array:
-    """The step to the maximum of the model within the radius and the bounds."""
+    """Return the step to the maximum of the model within the radius and the bounds."""
     free = ~(((x <= lower) & (g < 0)) | ((x >= upper) & (g > 0)))
     step = np.zeros_like(x)
     for _ in range(len(x) + 1):
@@ -130,7 +130,7 @@ def _within(x: Array, g: Array, F: Array, lower: Array, upper: Array, radius: fl
 
 
 def _regular(g: Array, F: Array, radius: float) -> Array:
-    """The maximum of g·s − sᵀ F s / 2 with |s| ≤ radius: by the eigenvalues of F, and bisection of the shift."""
+    """Return the maximum of g·s − sᵀ F s / 2 with |s| ≤ radius: by the eigenvalues of F, and bisection of the shift."""
     values, V = np.linalg.eigh(F)
     values = np.maximum(values, 0.0)
     c = V.T @ g
@@ -150,6 +150,6 @@ def _regular(g: Array, F: Array, radius: float) -> Array:
 
 
 def from_all(objective: Any, starts: Array, lower: Array, upper: Array, most: int) -> Iterator[Local]:
-    """The ends of the searches from all starts."""
+    """Yield the ends of the searches from all starts."""
     for start in starts:
         yield climb(objective, np.clip(start, lower, upper), lower, upper, most)

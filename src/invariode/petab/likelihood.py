@@ -52,7 +52,7 @@ class Terms(NamedTuple):
 
 
 def terms(data: Array, simulated: Array, sigma: Array, scale: Scale, laplace: bool) -> Terms:
-    """The terms of the data of one observable.
+    """Return the terms of the data of one observable.
 
     With m̃, h̃ the datum and the simulation on the scale of the noise, and r = (m̃ - h̃) / σ, the density is
     exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2σ), times dm̃/dm.
@@ -77,7 +77,7 @@ def terms(data: Array, simulated: Array, sigma: Array, scale: Scale, laplace: bo
 
 
 def log_density(kind: str, numbers: tuple[float, ...], value: float, scaled: float) -> tuple[float, float, bool]:
-    """The logarithm of a prior's density, its derivative, and whether that is for the value on the parameter's scale.
+    """Return the logarithm of a prior's density, its derivative, and whether that is on the parameter's scale.
 
     Raises
     ------

@@ -53,12 +53,12 @@ class _Observation:
         self._slopes = ArrayFunction([row.get(j, zero) for row in rows for j in range(count)])
 
     def values(self, t: Array, y: Array, p: Array) -> tuple[Array, Array]:
-        """The simulation and sigma at these times."""
+        """Return the simulation and sigma at these times."""
         simulated, sigma = self._values.over(t, y, p)
         return simulated, sigma
 
     def slopes(self, t: Array, y: Array, S: Array, p: Array, sources: Mapping[int, int]) -> tuple[Array, Array]:
-        """Their derivatives for the parameters, (k, m) each."""
+        """Return the derivatives of the simulation and of sigma for the parameters, (k, m) each."""
         found = self._slopes.over(t, y, p).reshape(2, len(self.states) + len(self.numbers), len(t))
         made = np.einsum("vim,ikm->vkm", found[:, : len(self.states)], S[self.states])
         for row, i in enumerate(self.numbers, len(self.states)):
@@ -254,7 +254,7 @@ class Problem:
     # Evaluation
 
     def _values(self, x: ArrayLike) -> Array:
-        """All parameters on the linear scale."""
+        """Return all parameters on the linear scale."""
         given = real_numbers("x", x)
         if given.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} estimated parameters, got shape {given.shape}")
@@ -265,7 +265,7 @@ class Problem:
         return theta
 
     def _chain(self, theta: Array) -> Array:
-        """dθ/dx of the estimated parameters."""
+        """Return dθ/dx of the estimated parameters."""
         rows = [*self.parameters.values()]
         unit = {"lin": 0.0, "log": 1.0, "log10": LN10}
         return np.array([unit[rows[i].scale] * theta[i] if rows[i].scale != "lin" else 1.0 for i in self._estimated])
@@ -300,7 +300,7 @@ class Problem:
         return Evaluation(value, G * chain, F * np.outer(chain, chain), prior, prior_slopes)
 
     def _differences(self, theta: Array) -> Array:
-        """The gradient by central differences, of models whose events have no derivatives."""
+        """Return the gradient by central differences, of models whose events have no derivatives."""
         found = np.zeros(len(self.names))
         for j, place in enumerate(self._estimated):
             h = _INCREMENT * (abs(theta[place]) or 1.0)
@@ -333,7 +333,7 @@ class Problem:
         return times[group.places], y[:, group.places]
 
     def _courses(self, theta: Array, slopes: bool) -> Any:
-        """For each condition with data: its groups with the run."""
+        """Yield the groups with the run of each condition that has data."""
         for (before, condition), (times, groups) in self._by_condition.items():
             start = self._conditions.start(before, condition, theta, slopes)
             course = self._conditions.course(start, times, slopes)
@@ -376,7 +376,7 @@ class Problem:
         return self._observations[key]
 
     def _translator(self, fixed: Mapping[str, str | float]) -> Translator:
-        """Formulas of observables: symbols of the model, parameters, other observables, and placeholders."""
+        """Return formulas of observables: symbols of the model, parameters, other observables, and placeholders."""
         e = self.model._equations
         first, every = self._conditions.first, list(self.parameters)
 

@@ -103,7 +103,7 @@ def tables(path: str) -> Tables:
 
 
 def rows_of(path: str) -> list[dict[str, str]]:
-    """The rows of a table by column name."""
+    """Return the rows of a table by column name."""
     with open(path, encoding="utf-8-sig", newline="") as file:
         return list(csv.DictReader(file, delimiter="\t"))
 

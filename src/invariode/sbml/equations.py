@@ -92,7 +92,7 @@ class Equations:
             self.start(name)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Made again from the contents: nodes are equal by identity."""
+        """Pickle the contents alone, from which nodes are made again: they are equal by identity."""
         return Equations, (self.contents, self._fast, self._given)
 
     def _require_known(self) -> None:
@@ -106,17 +106,17 @@ class Equations:
     # Which symbols are what
 
     def driven(self, name: str) -> bool:
-        """Whether reactions change it."""
+        """Return whether reactions change the species."""
         one = self.contents.species.get(name)
         free = one is not None and not one.boundary and not one.constant
         return free and name in self._driving and name not in self.contents.rules and name not in self.contents.rates
 
     def volume(self, name: str) -> str:
-        """The compartment of a species."""
+        """Return the compartment of a species."""
         return self.contents.species[name].compartment
 
     def is_concentration(self, name: str) -> bool:
-        """Whether the symbol of a species means a concentration."""
+        """Return whether the symbol of a species means a concentration."""
         one = self.contents.species.get(name)
         return one is not None and not one.is_amount
 
@@ -143,7 +143,7 @@ class Equations:
         }
 
     def _match(self) -> dict[str, int]:
-        """The variables that algebraic rules determine: a matching by augmenting paths."""
+        """Return the variables that algebraic rules determine: a matching by augmenting paths."""
         contents = self.contents
         bound = {*contents.rules, *contents.rates}
         free = [n for n in self.symbols if n not in bound and not self.driven(n) and not self._is_constant(n)]
@@ -168,7 +168,7 @@ class Equations:
         return found
 
     def _variables(self, names: set[str], seen: set[str]) -> set[str]:
-        """What a formula depends on, assignment rules followed."""
+        """Return the symbols that a formula depends on, with assignment rules followed."""
         found: set[str] = set()
         for name in names - seen:
             seen.add(name)
@@ -181,7 +181,7 @@ class Equations:
         return found
 
     def _number(self, name: str) -> float:
-        """The number in the file; NaN if there is none."""
+        """Return the number in the file; NaN if there is none."""
         contents = self.contents
         if name in contents.species:
             return contents.species[name].initial
@@ -190,7 +190,8 @@ class Equations:
         return contents.values.get(name, math.nan)
 
     def _find_parameters(self) -> None:
-        """p: the numbers, then what algebraic rules determine at the start, which has no formula."""
+        """List the entries of p: the numbers, then those that algebraic rules determine at the start, which have no
+        formula."""
         contents = self.contents
         own = [n for n in self.symbols if n not in contents.rules and n not in contents.reactions]
         computed = {n for n in contents.initial if n not in self._given}
@@ -213,7 +214,7 @@ class Equations:
         return found
 
     def value(self, name: str) -> Node:
-        """The value of a symbol."""
+        """Return the value of a symbol."""
         return self._memo(self._values, name, lambda: self._value(name))
 
     def _value(self, name: str) -> Node:
@@ -238,7 +239,7 @@ class Equations:
         return self.graph.node(math.nan) if law is None else self._now.number(law)
 
     def start(self, name: str) -> Node:
-        """The value of a symbol at the start, of the parameters."""
+        """Return the value of a symbol at the start, of the parameters."""
         return self._memo(self._starts, name, lambda: self._start(name))
 
     def _start(self, name: str) -> Node:
@@ -262,7 +263,7 @@ class Equations:
         return number * self.start(one.compartment) if one.is_amount and not is_amount else number
 
     def _rate_at_start(self, name: str) -> Node:
-        """The rate of a symbol, with all values at the start."""
+        """Return the rate of a symbol, with all values at the start."""
         node = self.rate(name)
         graph = self.graph
         inside = {one for one in in_order([node]) if one.op in ("y", "t")}
@@ -272,18 +273,18 @@ class Equations:
         return replaced([node], values)[0]
 
     def state_at_start(self, name: str) -> Node:
-        """The state of a symbol at the start."""
+        """Return the state of a symbol at the start."""
         return self.as_state(name, self.start(name), self.start)
 
     def as_state(self, name: str, value: Node, values: Callable[[str], Node]) -> Node:
-        """The state whose symbol has this value: an amount for a concentration."""
+        """Return the state whose symbol has this value: an amount for a concentration."""
         amount = self.is_concentration(name) and self.is_amount_state[name]
         return value * values(self.volume(name)) if amount else value
 
     # Rates
 
     def rate(self, name: str) -> Node:
-        """The time derivative of the value of a symbol."""
+        """Return the time derivative of the value of a symbol."""
         return self._memo(self._rates, name, lambda: self._rate(name))
 
     def _rate(self, name: str) -> Node:
@@ -308,7 +309,7 @@ class Equations:
         return graph.node(0.0)
 
     def _of_formula(self, name: str) -> Node:
-        """The derivative of an assigned value along the solution."""
+        """Return the derivative of an assigned value along the solution."""
         graph, value = self.graph, self.value(name)
         used = sorted(one.value for one in in_order([value]) if one.op == "y")
         variables = [graph.t, *map(graph.y, used)]
@@ -320,7 +321,7 @@ class Equations:
         return total
 
     def slope(self, name: str) -> Node:
-        """y' of a state."""
+        """Return y' of a state."""
         contents = self.contents
         if name not in contents.rates:
             return self._change(name)
@@ -332,7 +333,8 @@ class Equations:
         return slope + self.value(name) * self.rate(volume) if self._changes(volume) else slope
 
     def _change(self, name: str, fast_alone: bool = False) -> Node:
-        """The rate at which reactions change the amount of a species; all, or the fast ones with their own rates."""
+        """Return the rate at which reactions change the amount of a species; all, or the fast ones with their own
+        rates."""
         graph = self.graph
         changes = self._driving[name] if self.driven(name) else []
         total: Node | None = None
@@ -352,7 +354,7 @@ class Equations:
 
     @cached_property
     def slopes(self) -> list[Node]:
-        """f: y', or the residuals of algebraic rules in the places of their variables."""
+        """Nodes of f: y', or the residuals of algebraic rules in the places of their variables."""
         rows = [self.slope(name) if name not in self.matched else self.graph.node(0.0) for name in self.states]
         for name, i in self.matched.items():
             rows[self.place[name]] = self.formula(self.contents.algebraic[i])
@@ -360,18 +362,18 @@ class Equations:
 
     @cached_property
     def mass(self) -> Array | None:
-        """The mass matrix."""
+        """Diagonal mass matrix, (n, n), or None."""
         if not self.matched:
             return None
         return np.diag([0.0 if name in self.matched else 1.0 for name in self.states])
 
     def formula(self, one: Expression) -> Node:
-        """An expression in the symbols as a node."""
+        """Return an expression in the symbols as a node."""
         return self._now.number(one)
 
     @property
     def translator(self) -> Translator:
-        """What makes nodes of expressions in the symbols."""
+        """Translator of expressions in the symbols into nodes."""
         return self._now
 
     # The start
@@ -382,18 +384,18 @@ class Equations:
 
     @cached_property
     def _at_start(self) -> Solved:
-        """What algebraic rules determine at the start."""
+        """Solver for the numbers that algebraic rules determine at the start."""
         residuals = [self._then.number(self.contents.algebraic[i]) for i in self.matched.values()]
         return Solved(residuals, [self.graph.p(i) for i in self._unknown.values()])
 
     @cached_property
     def _in_course(self) -> Solved:
-        """What algebraic rules determine at any time."""
+        """Solver for the states that algebraic rules determine at any time."""
         places = [self.place[name] for name in self.matched]
         return Solved([self.slopes[i] for i in places], [self.graph.y(i) for i in places])
 
     def parameters(self, changes: dict[str, float]) -> Array:
-        """p with other numbers of the file."""
+        """Return p with other numbers of the file."""
         p = np.array([*self.values, *np.ones(len(self._unknown))])
         for name, value in changes.items():
             p[self._index[name]] = value
@@ -408,7 +410,7 @@ class Equations:
         return any(one.fast for one in self.contents.reactions.values())
 
     def _relaxed(self, t: float, y: Array, p: Array) -> Array:
-        """The state to which the fast reactions lead, with the totals that they keep."""
+        """Return the state to which the fast reactions lead, with the totals that they keep."""
         from .._studies.steady import Found, SteadyStates
 
         slopes = [self._change(name, fast_alone=True) for name in self.states]
@@ -418,7 +420,7 @@ class Equations:
         return found.y if isinstance(found, Found) else y
 
     def consistent(self, t: float, y: Array, p: Array) -> Array:
-        """y with the values that algebraic rules determine, and where fast reactions have led it."""
+        """Return y with the values that algebraic rules determine, and where fast reactions have led it."""
         if self._has_fast:
             y = self._relaxed(t, y, p)
         if not self.matched:
@@ -429,13 +431,13 @@ class Equations:
         return y
 
     def initial_state(self, p: Array) -> Array:
-        """y0."""
+        """Return the initial state y0, (n,)."""
         return self._starting.at(0.0, np.zeros(0), p)
 
     # Structure
 
     def moieties(self) -> list[dict[int, int]]:
-        """Totals of amounts that all reactions conserve, exactly: coefficients by state.
+        """Return totals of amounts that all reactions conserve, exactly: coefficients by state.
 
         Species with stoichiometries or conversion factors that have names of their own are left out, as these may be
         given other values; so are species that events assign.
@@ -465,7 +467,7 @@ class Solved:
         self._slopes = ArrayFunction([row.get(j, zero) for row in rows for j in range(len(unknown))])
 
     def __call__(self, t: float, y: Array, p: Array, x: Array, put: Callable[[], None] = lambda: None) -> bool:
-        """Change x, which `put` puts among y or p; whether it has arrived."""
+        """Change x, which `put` puts among y or p; return whether the iteration has converged."""
         for _ in range(_ITERATIONS):
             r, J = self._residuals.at(t, y, p), self._slopes.at(t, y, p).reshape(self._k, self._k)
             if not (np.isfinite(r).all() and np.isfinite(J).all()):
@@ -479,5 +481,5 @@ class Solved:
 
 
 def used(nodes: Sequence[Node], op: str) -> set[int]:
-    """The indices of y or p that values depend on."""
+    """Return the indices of y or p that values depend on."""
     return {one.value for one in in_order(nodes) if one.op == op}

@@ -119,7 +119,7 @@ class EventCode:
         return ArrayFunction(nodes)
 
     def _truth(self, one: Expression) -> str:
-        """A condition as Python's code, of the truths B of comparisons."""
+        """Return a condition as Python's code, of the truths B of comparisons."""
         a = one.arguments
         if one.op in ("true", "false"):
             return str(one.op == "true")
@@ -154,7 +154,7 @@ class EventCode:
         return self.comparisons.index(found)
 
     def _along(self, difference: Node) -> Node:
-        """The derivative of a difference along the solution."""
+        """Return the derivative of a difference along the solution."""
         equations = self._equations
         graph = equations.graph
         moving = [i for i in sorted(used([difference], "y")) if equations.states[i] not in equations.matched]
@@ -197,7 +197,7 @@ class Machine:
         self.behind: list[tuple[float, Array]] = []
 
     def start(self, t: float, y: Array, p: Array) -> Array:
-        """Begin a run; the state behind the events at its start."""
+        """Begin a run; return the state after the events at its start."""
         self._t0, self._p, self._random = t, p, random.Random(self._seed)
         #: States behind events, by time, for output at these times.
         self.behind = []
@@ -216,12 +216,12 @@ class Machine:
 
     @property
     def _due(self) -> float:
-        """When the next event is executed that waits; infinite if none does."""
+        """Time of the next execution of an event that waits; infinite if none does."""
         return min((one.time for one in self.queue), default=np.inf)
 
     def functions(self, compiled: Any, once: bool) -> list[Roots]:
-        """The root functions of a run: the differences of all comparisons, and how long an execution has been due. The
-        latter also begins further runs, unless there is only one."""
+        """Return the root functions of a run: the differences of all comparisons, and how long an execution has been
+        due. The latter also begins further runs, unless there is only one."""
         needed = self._code.has_delays or not once
         found = [Roots(self.due, 1, self.on_due, names=["execution"])] if needed else []
         if count := len(self._code.comparisons):
@@ -230,24 +230,24 @@ class Machine:
         return found
 
     def due(self, t: float, y: Array, *args: Any) -> list[float]:
-        """How long the next execution has been due; a start at t0 begins another run."""
+        """Return how long the next execution has been due; a start at t0 begins another run."""
         if t == self._t0 and args and (self.behind or len(self.queue) != self._at_start):
             self.start(t, np.array(y), np.array(args[0], dtype=float))
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """The state behind the events that are due."""
+        """Return the state behind the events that are due."""
         return y if self._due > t + _near(t) else self._after(t, y, {})
 
     def on_roots(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """The state behind the events that comparisons trigger, or that are due."""
+        """Return the state behind the events that comparisons trigger, or that are due."""
         signs = self._signs
         pairs = zip(which.tolist(), directions.tolist(), strict=True)
         hit = {i: s for i, s in pairs if signs[i] != s}  # others have their signs from an assignment
         return self._after(t, y, hit) if hit else y
 
     def _after(self, t: float, y: Array, hit: dict[int, int]) -> Array:
-        """The state behind the events that comparisons with these new signs trigger, and those that are due."""
+        """Return the state behind the events that comparisons with these new signs trigger, and those that are due."""
         with np.errstate(all="ignore"):
             if self._zeros:  # comparisons that have left zero
                 now = self._signs_at(t, y)
@@ -289,7 +289,8 @@ class Machine:
                 self.queue = [each for each in self.queue if each.event != i]
 
     def _settled(self, t: float, y: Array, hit: dict[int, int]) -> Array:
-        """The state when nothing is due any more. `hit`: comparisons at their roots, with the signs that follow."""
+        """Return the state after all due events. `hit`: comparisons at their roots, with the signs that
+        follow."""
         late, after = t + _near(t), None
         for _ in range(_MOST_AT_ONCE):
             due = [one for one in self.queue if one.time <= late]
@@ -308,7 +309,7 @@ class Machine:
         raise ValueError(f"more than {_MOST_AT_ONCE} events at t = {t:.17g}: they trigger each other without end")
 
     def _leave(self, t: float, y: Array, hit: dict[int, int]) -> bool:
-        """Whether comparisons that are exactly at zero get the signs that they take next."""
+        """Change comparisons that are exactly at zero to the signs that they take next; return whether any changed."""
         slopes = self._code.slopes.code(t, y, self._p)
         new = {i: s for i in self._zeros if (s := _sign(slopes[i]))}
         hit.update(new)
@@ -317,7 +318,7 @@ class Machine:
         return bool(new)
 
     def _first(self, due: list[Waiting], t: float, y: Array) -> Waiting:
-        """The one of the highest priority; those of one priority, or of none, come in any order."""
+        """Return the event of the highest priority; those of one priority, or of none, come in any order."""
         if len(due) == 1:
             return due[0]
 
@@ -330,7 +331,7 @@ class Machine:
         return max(due, key=priority)
 
     def _executed(self, t: float, y: Array, chosen: Waiting) -> Array:
-        """The state behind the assignments: a concentration becomes an amount with the volume before."""
+        """Return the state behind the assignments: a concentration becomes an amount with the volume before."""
         one = self._code.events[chosen.event]
         values = one.values.code(t, y, self._p) if chosen.values is None else chosen.values
         after = np.array(y)
@@ -345,12 +346,12 @@ def _near(t: float) -> float:
 
 
 def _sign(d: float) -> int:
-    """-1, 0 or 1; 0 for NaN."""
+    """Return the sign of a number: -1, 0 or 1; 0 for NaN."""
     return 1 if d > 0 else -1 if d < 0 else 0
 
 
 def times_of_roots(differences: Sequence[Node], p: Array) -> list[float]:
-    """The times at which comparisons that are affine in t alone change."""
+    """Return the times at which comparisons that are affine in t alone change."""
     found = set()
     for one in differences:
         if used([one], "y") or not any(each.op == "t" for each in in_order([one])):

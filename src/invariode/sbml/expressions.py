@@ -70,13 +70,13 @@ class Expression(NamedTuple):
 
     @property
     def is_logical(self) -> bool:
-        """Whether its value is true or false."""
+        """True if the value is true or false, not a number."""
         if self.op == "piecewise":
             return all(one.is_logical for one in self.arguments[::2])
         return self.op in _LOGICAL
 
     def parts(self) -> Iterator[Expression]:
-        """Itself and all expressions in it."""
+        """Yield the expression itself and all expressions in it."""
         waiting = [self]
         while waiting:
             one = waiting.pop()
@@ -84,17 +84,17 @@ class Expression(NamedTuple):
             waiting.extend(one.arguments)
 
     def names(self) -> set[str]:
-        """The symbols that it uses."""
+        """Return the symbols that the expression uses."""
         return {one.value for one in self.parts() if one.op in ("name", "rate_of")}
 
 
 def number(value: float) -> Expression:
-    """A number as an expression."""
+    """Return a number as an expression."""
     return Expression("number", (), float(value))
 
 
 def read(node: Any) -> Expression:
-    """The expression of a node of libSBML.
+    """Return the expression of a node of libSBML.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read(node: Any) -> Expression:
 
 
 def parse(text: str) -> Expression:
-    """The expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
+    """Return the expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
 
     Raises
     ------
@@ -165,12 +165,12 @@ class Translator:
         self.graph, self._value, self._rate, self._time = graph, value, rate, time
 
     def number(self, one: Expression) -> Node:
-        """Its value as a number: 1 for true, 0 for false."""
+        """Return the value as a number: 1 for true, 0 for false."""
         node = self._made(one)
         return self.graph.select(node, self.graph.node(1.0), self.graph.node(0.0)) if one.is_logical else node
 
     def truth(self, one: Expression) -> Node:
-        """Its value as a condition: a number is true if it is not zero."""
+        """Return the value as a condition: a number is true if it is not zero."""
         return (
             self._made(one) if one.is_logical else self.graph.make("not_equal", self._made(one), self.graph.node(0.0))
         )
@@ -225,7 +225,7 @@ class Translator:
         return graph.make("or", one, other)
 
     def _piecewise(self, one: Expression) -> Node:
-        """The first value whose condition holds; NaN if none does."""
+        """Return the first value whose condition holds; NaN if none does."""
         graph, a = self.graph, one.arguments
         if one.is_logical:  # the truth of the first condition that holds
             value = self.truth(a[-1]) if len(a) % 2 else self._condition("false", ())
@@ -241,7 +241,7 @@ class Translator:
 
 
 def relation(graph: Graph, op: str, left: Node, right: Node) -> Node:
-    """A comparison of two numbers."""
+    """Return a comparison of two numbers."""
     if op in ("gt", "geq"):
         left, right = right, left
     return graph.make(
@@ -258,7 +258,7 @@ def _product(graph: Graph, *a: Node) -> Node:
 
 
 def _remainder(graph: Graph, a: Node, b: Node) -> Node:
-    """With the sign of the dividend."""
+    """Return the remainder of a / b with the sign of the dividend."""
     return a - b * _truncated(graph, a / b)
 
 
@@ -268,7 +268,7 @@ def _truncated(graph: Graph, a: Node) -> Node:
 
 
 def _factorial(graph: Graph, a: Node) -> Node:
-    """Of whole numbers, from a tree of comparisons; NaN for others."""
+    """Return a! of whole numbers, from a tree of comparisons; NaN for others."""
 
     def chosen(first: int, last: int) -> Node:
         if first == last:
@@ -286,7 +286,7 @@ def _power(graph: Graph, base: Node, exponent: Node) -> Node:
 
 
 def _root(graph: Graph, *a: Node) -> Node:
-    """The square root, or that of a degree, which comes first."""
+    """Return the square root, or that of a degree, which comes first."""
     if len(a) == 1 or (a[0].op == "number" and a[0].value == 2):
         return graph.elementary("sqrt", a[-1])
     return graph.power(a[-1], 1.0 / a[0])

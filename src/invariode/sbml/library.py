@@ -8,7 +8,7 @@ from .._base.extras import extra
 
 
 def libsbml() -> Any:
-    """The module libsbml.
+    """Return the module libsbml.
 
     Raises
     ------

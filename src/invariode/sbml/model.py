@@ -98,7 +98,7 @@ class Model:
         return [*self._contents.species]
 
     def means_amount(self, name: str) -> bool:
-        """Whether the symbol of a species means an amount in formulas; otherwise it is a concentration."""
+        """Return whether the symbol of a species means an amount in formulas; otherwise it is a concentration."""
         return name in self._contents.species and self._contents.species[name].is_amount
 
     def report(self) -> str:
@@ -154,7 +154,7 @@ class Model:
         return EventCode(self._equations)
 
     def _start(self, values: Mapping[str, float]) -> tuple[Model, Array, Array]:
-        """The model in which these symbols have values of their own, its p, and y0."""
+        """Return the model in which these symbols have values of their own, its p, and y0."""
         e = self._equations
         changes: dict[str, float] = {}
         free = {name.strip("[]") if name.startswith("[") else name for name in values}
@@ -218,7 +218,7 @@ class Model:
         return model._problem(t_span, p, y0, moieties, **more)
 
     def _consistent(self, t: float, y: Array, p: Array) -> Array:
-        """A state as it is for output: at least of one component, and as algebraic rules demand."""
+        """Return a state as it is for output: at least of one component, and as algebraic rules demand."""
         return self._equations.consistent(t, y, p) if len(y) else np.zeros(1)
 
     @cached_property
@@ -345,7 +345,7 @@ class Model:
         options: dict[str, Any],
         seed: int,
     ) -> Array:
-        """The states at these times, (n, m), behind events that happen there."""
+        """Return the states at these times, (n, m), behind events that happen there."""
         end, y = float(times[-1]), self._consistent(start, y, p)
         machine, more = Machine(self._events, self._equations, seed), {}
         if self.events:
@@ -373,7 +373,7 @@ class Model:
         return ArrayFunction([self.selection(name) for name in columns])
 
     def selection(self, name: str) -> Node:
-        """The values of a column, as a node of the model's graph."""
+        """Return the values of a column, as a node of the model's graph."""
         e = self._equations
         if name == "time" and name not in e.symbols:
             return e.graph.t

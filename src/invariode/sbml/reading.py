@@ -77,7 +77,7 @@ class EventRule:
 
 @dataclass
 class Contents:
-    """What a model says.
+    """Contents of the file of a model.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ def contents(source: str) -> Contents:
 
 
 def _document(L: Any, source: str) -> tuple[Any, str]:
-    """The document, and the folder of its references."""
+    """Return the document, and the folder of its references."""
     if source.lstrip().startswith("<"):
         document, folder = L.readSBMLFromString(source), ""
     else:
@@ -204,7 +204,7 @@ def _convert(L: Any, document: Any, what: str, **options: Any) -> None:
 
 
 def _symbols(model: Any, found: Contents) -> None:
-    """Compartments, species and parameters."""
+    """Read compartments, species and parameters into `found`."""
     for one in model.getListOfCompartments():
         dimensions = one.getSpatialDimensionsAsDouble()
         default = 1.0 if found.level < 3 or dimensions == 0 else math.nan

@@ -1,4 +1,4 @@
-"""From expressions to functions, by way of a graph: SymPy's expressions evaluated on its nodes."""
+"""Functions from expressions, by way of a graph: SymPy's expressions evaluated on its nodes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class System(NamedTuple):
     factors: tuple[Any, Any] | None = None  # L, D with mass = L D Lᵀ, where D in floating point says more than mass
 
     def without(self, rows: Sequence[int]) -> System:
-        """The same without some of the constraints, named by rows of the matrix."""
+        """Return the system without some of the constraints, given by rows of the matrix."""
         stays = [i for i in range(len(self.force)) if i not in rows]
         return self._replace(mass=self.mass.extract(stays, stays), force=[self.force[i] for i in stays])
 
@@ -51,7 +51,7 @@ class Code(NamedTuple):
 
 
 def functions(system: System, laws: Sequence[Any], compiled: bool, parameters: Sequence[str] = ()) -> Code:
-    """The functions f and its exact jac; for law i its function g_i and gradient dg_i. `parameters`: their names.
+    """Return f, its exact jac, and for law i its function g_i and gradient dg_i. `parameters`: names of the parameters.
 
     The Jacobian of a system that is solved for its accelerations is formed when a method needs it: explicit methods do
     not.
@@ -93,7 +93,7 @@ def _sparse(rows: Sequence[Row], n: int) -> Pattern | None:
 
 
 def _accelerations(system: System, words: _Words) -> list[Node]:
-    """mass⁻¹ force: by L and D, if the system has them."""
+    """Return mass⁻¹ force: by L and D, if the system has them."""
     if not system.force:
         return []
     force = [words.node(one) for one in system.force]
@@ -126,7 +126,7 @@ def _divided(matrix: Any, right: Sequence[Node], words: _Words) -> list[Node]:
 
 
 def eliminated(system: System) -> System:
-    """The same with factors of its mass, if eliminating coordinates with constant masses cancels terms of others.
+    """Return the system with factors of its mass, if eliminating coordinates of constant mass cancels other terms.
 
     As with Euler's angles near gimbal lock: of I₁ sin²θ + I₃ cos²θ only the first term is left, which a mass matrix in
     floating point has lost where θ is small. Other masses stay as they are.
@@ -161,7 +161,7 @@ class _Words:
         self._known: dict[Any, Node] = {}
 
     def node(self, expression: Any) -> Node:
-        """The node of an expression.
+        """Return the node of an expression.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class _Words:
         return self.graph.y(int(index[:-1])) if array == "y" else self.graph.p(int(index[:-1]))
 
     def _sum(self, one: Any, a: list[Node]) -> Node:
-        """Terms with a negative factor are subtracted, from the first of the others."""
+        """Return a sum as a node: terms with a negative factor are subtracted, from the first of the others."""
         signed = [(node, _is_negative(term)) for node, term in zip(a, one.args, strict=True)]
         signed.sort(key=lambda pair: pair[1])
         first, negative = signed[0]
@@ -217,14 +217,14 @@ class _Words:
         return total
 
     def _product(self, one: Any, a: list[Node]) -> Node:
-        """Factors with a negative power divide, all at once."""
+        """Return a product as a node: factors with a negative power divide, all at once."""
         above = [node for node, factor in zip(a, one.args, strict=True) if not _divides(factor)]
         below = [node for node, factor in zip(a, one.args, strict=True) if _divides(factor)]
         value = reduce(lambda x, y: x * y, above, self.graph.node(1.0))
         return value / reduce(lambda x, y: x * y, below) if below else value
 
     def _branches(self, one: Any, a: list[Node]) -> Node:
-        """The first expression whose condition holds; NaN if none does."""
+        """Return the first expression whose condition holds; NaN if none does."""
         value = self.graph.node(math.nan)
         for i in reversed(range(len(one.args))):
             expression, condition = a[2 * i : 2 * i + 2]
@@ -234,7 +234,7 @@ class _Words:
 
 
 def _parts(one: Any) -> tuple[Any, ...]:
-    """The expressions that the node of this one is made of."""
+    """Return the expressions from which the node of this one is made."""
     if one.is_Atom:
         return ()
     if one.is_Add:
@@ -258,7 +258,7 @@ def _divides(factor: Any) -> bool:
 
 
 def _rewritten(one: Any) -> Any:
-    """A function that has no node of its own by functions that have one.
+    """Return a function that has no node of its own by functions that have one.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def _rewritten(one: Any) -> Any:
 
 
 def _power(base: Node, exponent: Node) -> Node:
-    """As quotients, if the exponent is negative."""
+    """Return a power as a node: as a quotient, if the exponent is a negative number."""
     if exponent.op == "number" and exponent.value < 0:
         return 1.0 / base.graph.power(base, -exponent)
     return base.graph.power(base, exponent)

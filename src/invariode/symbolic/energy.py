@@ -16,7 +16,7 @@ from .vocabulary import Vocabulary
 def energy(
     method: KanesMethod, words: Vocabulary, system: System, positions: Sequence[Any], velocities: Sequence[Any]
 ) -> Any | None:
-    """T + V in the symbols of the code. None: the loads have no potential, or a motion is prescribed.
+    """Return T + V in the symbols of the code. None: the loads have no potential, or a motion is prescribed.
 
     The power of the loads is -dV/dt, which gives ∂V/∂q. T is the quadratic form of the mass matrix where all speeds are
     independent; otherwise that matrix is reduced, and T the sum over the bodies.
@@ -45,7 +45,7 @@ def energy(
 
 
 def potential(gradient: Sequence[Any], q: Sequence[Any], symbols: Sequence[Any]) -> Any | None:
-    """V with this gradient, integrated coordinate by coordinate; None: there is none, or SymPy does not find it."""
+    """Return V with this gradient, integrated by each coordinate; None: there is none, or SymPy does not find it."""
     found = sympy.S.Zero
     for slope, one in zip(gradient, q, strict=True):
         for term in sympy.Add.make_args(sympy.expand(slope - found.diff(one))):
@@ -58,7 +58,7 @@ def potential(gradient: Sequence[Any], q: Sequence[Any], symbols: Sequence[Any])
 
 
 def _gradient(kinematics: Any, forces: Sequence[Any]) -> list[Any] | None:
-    """∂V/∂q, where q' = K u and the power of the loads is force · u; None: K is not square."""
+    """Return ∂V/∂q, where q' = K u and the power of the loads is force · u; None: K is not square."""
     if not any(forces):
         return [sympy.S.Zero] * kinematics.rows
     if kinematics.rows != kinematics.cols:
@@ -76,11 +76,11 @@ def _power(method: KanesMethod) -> Any:
 
 
 def _coded(method: KanesMethod, words: Vocabulary, expression: Any) -> Any:
-    """In q and u alone: auxiliary speeds are 0."""
+    """Return the expression in q and u alone; auxiliary speeds are 0."""
     rates = {**method.kindiffdict(), **dict.fromkeys(method._uaux, 0)}
     return words.coded("the energy", expression.xreplace(rates))
 
 
 def _beyond(expression: Any, u: Sequence[Any], degree: int) -> Any:
-    """0 if the expression is homogeneous in u, of this degree."""
+    """Return an expression that is 0 if the given one is homogeneous in u, of this degree."""
     return degree * expression - sympy.Add(*(one * expression.diff(one) for one in u if expression.has(one)))

@@ -36,7 +36,7 @@ class Hamiltonian(Phase):
         compiled: bool | None = None,
         name: str | None = None,
     ) -> Problem:
-        """The initial value problem, with y = (q, p).
+        """Return the initial value problem, with y = (q, p).
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class Lagrangian(Mechanical):
         compiled: bool | None = None,
         name: str | None = None,
     ) -> Problem:
-        """The initial value problem, with y = (q, v).
+        """Return the initial value problem, with y = (q, v).
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ def hamiltonian(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Hamiltonian:
-    """A Hamiltonian system.
+    """Return a Hamiltonian system.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def lagrangian(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Lagrangian:
-    """A Lagrangian system, with constraints and nonconservative forces.
+    """Return a Lagrangian system, with constraints and nonconservative forces.
 
     Parameters
     ----------
@@ -258,11 +258,11 @@ class Form:
         self.by_q, self.p = [L.diff(one) for one in self.q], [L.diff(one) for one in self.v]
 
     def rate(self, one: Any) -> Any:
-        """d/dt of a function of t and q along the motion."""
+        """Return d/dt of a function of t and q along the motion."""
         return one.diff(self.words.t) + _dot([one.diff(x) for x in self.q], self.v)
 
     def system(self, velocity_constraints: list[Any]) -> System:
-        """The equations for v', bordered by those of the multipliers."""
+        """Return the equations for v', bordered by those of the multipliers."""
         mass = sympy.Matrix([[p.diff(one) for one in self.v] for p in self.p])
         force = [own + other for own, other in zip(self.own_forces(), self.forces, strict=True)]
         rows = sympy.Matrix([[one.diff(x) for x in self.v] for one in velocity_constraints])
@@ -273,11 +273,11 @@ class Form:
         return System(self.words.y, self.v, mass, force)
 
     def own_forces(self) -> list[Any]:
-        """∂L/∂q - d/dt ∂L/∂v without its part in v'."""
+        """Return ∂L/∂q - d/dt ∂L/∂v without its part in v'."""
         return [by_q - self.rate(p) for by_q, p in zip(self.by_q, self.p, strict=True)]
 
     def laws(self, held: list[Any], rolled: list[Any]) -> list[Law]:
-        """Energy and momenta that hold whatever the parameters are."""
+        """Return energy and momenta that hold whatever the parameters are."""
         work = _dot(self.forces, self.v) - self.lagrangian.diff(self.words.t)
         steady = [one.diff(self.words.t) for one in held]  # constraints that move do work, and so do
         steady += [one - _dot([one.diff(x) for x in self.v], self.v) for one in rolled]  # ψ with a part without v
@@ -304,7 +304,7 @@ class Form:
 def _momenta(
     words: Vocabulary, q: Sequence[Any], p: Sequence[Any], change: Callable[[Sequence[Any]], list[Any]]
 ) -> list[Law]:
-    """The momentum p · ξ of each field ξ under which nothing changes."""
+    """Return the momentum p · ξ of each field ξ under which nothing changes."""
     laws = []
     for field in symmetries(q, change, [words.t, *words.y, *words.p]):
         moved = [one for one, e in zip(q, field, strict=True) if e != 0]
@@ -332,7 +332,7 @@ def _zero(one: Any) -> Any:
 
 
 def _forces(words: Vocabulary, q: list[Any], forces: Mapping[Any, Any] | Sequence[Any] | None) -> list[Any]:
-    """One for each coordinate."""
+    """Return the force of each coordinate."""
     if forces is None:
         return [sympy.S.Zero] * len(q)
     if isinstance(forces, Mapping):
@@ -363,7 +363,7 @@ def _require_constraints(form: Form, held: list[Any], rolled: list[Any]) -> None
 
 
 def _require_regular(words: Vocabulary, system: System) -> None:
-    """That the accelerations are determined, at a point without symmetry."""
+    """Check that the accelerations are determined, at a point without symmetry."""
     symbols = [words.t, *words.y, *words.p]
     point = np.random.default_rng(_SEED).uniform(0.2, 1.7, len(symbols))
     with np.errstate(all="ignore"):

@@ -37,7 +37,7 @@ class Mechanism(NamedTuple):
     def start(
         self, t_span: Span, y0: list[float], consistent: Consistent, correction: Correction
     ) -> tuple[list[float], frozenset[str]]:
-        """The start, on the constraints if it was to be projected, and the names of the constraints to be left out.
+        """Return the start, projected onto the constraints if that was requested, and names of those to be left out.
 
         All as `MechanicalSystem` does it, which also says what is wrong.
         """
@@ -72,7 +72,7 @@ class Mechanism(NamedTuple):
         return MechanicalSystem(mass, force, held, rolled, args=self.words.args, jacobian=slopes_of)
 
     def _function(self, expressions: Sequence[Any]) -> Callable[..., Array]:
-        """(t, q, *args) or (t, q, v, *args) → values."""
+        """Return a function of (t, q, *args) or (t, q, v, *args) that returns the values."""
         n, parameters = self.n, len(self.words.p)
         words = [self.words.t, self.words.y, self.words.p]
         code = sympy.lambdify(words, list(expressions), modules="numpy", cse=True)

@@ -46,7 +46,7 @@ class Multibody(Mechanical):
         compiled: bool | None = None,
         name: str | None = None,
     ) -> Problem:
-        """The initial value problem.
+        """Return the initial value problem.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Multibody(Mechanical):
         return self._words.start("q0", q0, self.states)
 
     def _on_constraints(self, t: float, start: list[float]) -> list[float]:
-        """The nearest start that satisfies the constraints, positions first."""
+        """Return the nearest start that satisfies the constraints, positions first."""
         made = self._functions(False, frozenset()).functions
         held = [law for law in self._laws if law.level < LAWS]
         if not held:
@@ -128,7 +128,7 @@ def from_mechanics(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Multibody:
-    """A system whose equations of motion SymPy has formed by Kane's or Lagrange's method.
+    """Return a system whose equations of motion SymPy has formed by Kane's or Lagrange's method.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def from_pydy(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Multibody:
-    """A system of PyDy's, with its constants, specified quantities, initial conditions and times.
+    """Return a system of PyDy's, with its constants, specified quantities, initial conditions and times.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def from_pydy(
 
 
 def _each(specifieds: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Specified quantities and their values, one by one: PyDy also takes several with one array or function."""
+    """Return specified quantities and their values, one by one: PyDy also takes several with one array or function."""
     if {"symbols", "values"} <= specifieds.keys():
         specifieds = {tuple(specifieds["symbols"]): specifieds["values"]}
     values: dict[Any, Any] = {}
@@ -284,7 +284,7 @@ def _formed(method: Any, *names: str) -> list[Any]:
 
 
 def _by_kane(method: Any, words: Vocabulary, n: int, named: Container[str]) -> _Made:
-    """`named`: laws that need not be found."""
+    """Take the equations of Kane's method. `named`: invariants that need not be found."""
     mass, force = _formed(method, "mass_matrix", "forcing")
     rates = method.kindiffdict()
     explicit = [words.coded(f"the derivative of {one}", rates[one.diff(words.time)]) for one in list(method.q)]
@@ -318,7 +318,8 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int, named: Container[str]) 
 
 
 def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
-    """A demand on positions, or one that is linear in velocities, is a constraint."""
+    """Return the invariant at its level: a prescribed function of positions, or one linear in velocities, is a
+    constraint."""
     if law.value is None:
         return law
     slopes = [law.formula.diff(one) for one in words.y[n:]]
@@ -329,8 +330,8 @@ def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
 
 
 def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> tuple[list[Law], dict[str, str]]:
-    """The laws of the method, those under the names that the user gave them who has them too, and the user's others. A
-    law that was found gives way to one of the user's that differs by a constant."""
+    """Return the laws of the method, those under the names that the user gave them who has them too, and the user's
+    others. A law that was found gives way to one of the user's that differs by a constant."""
     symbols = [words.t, *words.y, *words.p]
     renamed: dict[str, str] = {}
     others = []
@@ -351,7 +352,7 @@ def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> 
 
 
 def _says_the_same(law: Any, other: Any, words: Vocabulary) -> bool:
-    """Whether they differ by a constant, or their sum is one."""
+    """Return whether two expressions differ by a constant, or their sum is one."""
     symbols = [words.t, *words.y]
     there = {one: sympy.Rational(i + 2, i + 3) for i, one in enumerate(symbols)}
     both = (law - other, law + other)

@@ -29,7 +29,7 @@ _MOST = 700
 
 
 def symmetries(q: Sequence[Any], conditions: Callable[[Sequence[Any]], list[Any]], symbols: Sequence[Any]) -> list[Any]:
-    """The fields A q + b, lists of n expressions, for which all `conditions(field)` vanish for all values of `symbols`.
+    """Return the fields A q + b, lists of n expressions, for which `conditions(field)` vanish identically in `symbols`.
 
     The conditions are linear in the field and its derivatives.
     """
@@ -50,7 +50,7 @@ def symmetries(q: Sequence[Any], conditions: Callable[[Sequence[Any]], list[Any]
 
 
 def _basis(q: Sequence[Any]) -> Iterator[list[Any]]:
-    """Translations of each coordinate, and q_i' = q_j."""
+    """Yield translations of each coordinate, and q_i' = q_j."""
     zeros = [sympy.S.Zero] * len(q)
     for i in range(len(q)):
         yield [*zeros[:i], sympy.S.One, *zeros[i + 1 :]]
@@ -60,7 +60,7 @@ def _basis(q: Sequence[Any]) -> Iterator[list[Any]]:
 
 
 def _sampled(evaluate: Callable[..., Any], symbols: int, unknowns: int) -> Array | None:
-    """The conditions at random points, a row for each; None if they are not defined at enough of them."""
+    """Return the conditions at random points, a row for each; None if they are not defined at enough of them."""
     rng = np.random.default_rng(_SEED)
     rows: list[Array] = []
     count = 0
@@ -81,14 +81,14 @@ def _sampled(evaluate: Callable[..., Any], symbols: int, unknowns: int) -> Array
 
 
 def _integer_null_space(rows: Array) -> list[list[int]]:
-    """A sparse basis of the null space, if it has one of small integers: those vectors that are."""
+    """Return a sparse basis of the null space, if it has one of small integers: those vectors that are."""
     null = null_space(rows, _NULL).vectors
     reduced = echelon(null[:, ::-1], _INTEGER)[:, ::-1]  # rotations lead with one entry of A, not with translations
     return [[round(float(c)) for c in row] for row in reduced[::-1] if np.abs(row - np.round(row)).max() <= _INTEGER]
 
 
 def vanishes(expression: Any, symbols: Sequence[Any]) -> bool:
-    """Whether the expression is zero: at random points, to many digits."""
+    """Return whether the expression is zero: at random points, to many digits."""
     if expression == 0:
         return True
     terms = sympy.Add.make_args(expression)

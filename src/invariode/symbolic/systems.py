@@ -28,7 +28,7 @@ _NAME = 40
 
 
 class Law(NamedTuple):
-    """What a system keeps, in the symbols of the code."""
+    """An invariant of a system, in the symbols of the code."""
 
     name: str
     formula: Any
@@ -91,7 +91,7 @@ class SymbolicSystem(HasPoints):
         return lambda t, y: np.reshape(code(t, y, args), shape)
 
     def _args_of(self, sol: Any) -> tuple[Any, ...]:
-        """Those of the run, which may have been replaced; a file does not know them."""
+        """Return the arguments of the run, which may have been replaced; a file does not know them."""
         known: tuple[Any, ...] = getattr(getattr(sol, "_invariants", None), "args", ())
         return known or self._words.args
 
@@ -132,7 +132,7 @@ class SymbolicSystem(HasPoints):
         )
 
     def _functions(self, native: bool, left_out: frozenset[str]) -> Code:
-        """f, jac, and for law i its function g_i and gradient dg_i; made once."""
+        """Return f, jac, and for law i its function g_i and gradient dg_i; made once."""
         key = native, left_out
         if key not in self._made:
             system = self._system
@@ -147,7 +147,8 @@ class SymbolicSystem(HasPoints):
     def _invariants(
         self, made: Mapping[str, Any], t: float, y0: list[float], laws: list[Law], correction: Correction
     ) -> list[Invariants]:
-        """Those that were given, and of the proposed laws those that hold and say something new at the start."""
+        """Return the invariants: those that were given, and the proposed ones that are constant and independent at the
+        start."""
         kept: list[Invariants] = []
         in_levels = correction == "levels" and any(law.level < LAWS for law in laws)
         positions = len(self._system.explicit)
@@ -170,7 +171,7 @@ def _given(laws: list[Law]) -> list[Law]:
 
 
 def _points(words: Vocabulary, points: Sequence[Any]) -> list[list[Any]]:
-    """Coordinates in the symbols of the code, a row of two or three for each point."""
+    """Return coordinates in the symbols of the code, a row of two or three for each point."""
     rows = [list(row) if np.iterable(row) else [row] for row in points]
     if not rows or {len(row) for row in rows} not in ({2}, {3}):
         raise ValueError("points must be a list of points, each of two or each of three coordinates")
@@ -181,7 +182,7 @@ class Equations(SymbolicSystem):
     """y' = f(t, y) by formulas: what `equations` and `from_mechanics` make."""
 
     def problem(self, t_span: Span, y0: Any, *, compiled: bool | None = None, name: str | None = None) -> Problem:
-        """The initial value problem.
+        """Return the initial value problem.
 
         Parameters
         ----------
@@ -204,11 +205,12 @@ class Phase(SymbolicSystem):
 
     @property
     def _positions(self) -> int:
-        """How many components of the state are coordinates."""
+        """Number of components of the state that are coordinates."""
         return len(self.states) // 2
 
     def _start(self, q0: Any, second: Any) -> list[float]:
-        """The state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of q."""
+        """Return the state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of
+        q."""
         n = self._positions
         q, p = self.states[:n], self.states[n:]
         last = q if isinstance(second, Mapping) and not any(one in p for one in second) else p
@@ -221,7 +223,7 @@ class Mechanical(Phase):
     _second = "v"
 
     def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
-        """The multipliers λ at the points of a solution.
+        """Return the multipliers λ at the points of a solution.
 
         Parameters
         ----------
@@ -261,7 +263,7 @@ class Mechanical(Phase):
 
 
 def label(state: Any) -> str:
-    """x of x(t), x' of its rate."""
+    """Return the label of a state: x of x(t), x' of its rate."""
     if isinstance(state, sympy.Derivative):
         return f"{state.expr.func}'"
     return str(state.func) if getattr(state, "is_Function", False) else str(state)
@@ -325,7 +327,7 @@ def equations(
 
 
 def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any]) -> list[Law]:
-    """Laws that the user states."""
+    """Return the invariants that the user states."""
     named: list[tuple[str | None, Any]] = (
         [*invariants.items()] if isinstance(invariants, Mapping) else [(None, one) for one in invariants]
     )
@@ -343,7 +345,8 @@ def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any])
 def constrained(
     words: Vocabulary, held: Sequence[Any], rates: Sequence[Any], rolled: Sequence[Any], mass: Any, force: Sequence[Any]
 ) -> tuple[list[Law], Mechanism | None]:
-    """The laws that constraints of positions, with their rates, and of velocities are, and the mechanism if any."""
+    """Return the laws that constraints of positions, with their rates, and of velocities are, and the mechanism if
+    any."""
     names = [f"constraint {i + 1}" for i in range(len(held))]
     laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=True)]
     laws += [Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=True)]

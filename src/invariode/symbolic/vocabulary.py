@@ -13,7 +13,7 @@ from .._base.arguments import number
 
 
 def parsed(what: str, value: Any) -> Any:
-    """An expression of SymPy's."""
+    """Return an expression of SymPy's."""
     try:
         expression = sympy.sympify(value, strict=True)
     except sympy.SympifyError:
@@ -24,7 +24,7 @@ def parsed(what: str, value: Any) -> Any:
 
 
 class Vocabulary:
-    """What the symbols of a system mean, and their names in the code: t, y[0], y[1], ..., p[0], p[1], ....
+    """Meaning of the symbols of a system, and their names in the code: t, y[0], y[1], ..., p[0], p[1], ....
 
     States are symbols or functions of time; the rates of functions can be states, too. `specified` are formulas or
     numbers that stand for other functions of time.
@@ -56,7 +56,7 @@ class Vocabulary:
         self._to_user[self.t] = self.time
 
     def _time(self) -> Any:
-        """What the functions depend on; else the symbol t."""
+        """Return the time that the functions depend on; else the symbol t."""
         found = {s for one in self.states for s in one.free_symbols if not isinstance(one, sympy.Symbol)}
         if len(found) > 1:
             raise ValueError(f"states must be functions of one time, got functions of {', '.join(map(str, found))}")
@@ -66,7 +66,7 @@ class Vocabulary:
         return time if time is not None else sympy.Symbol("t")
 
     def coded(self, what: str, expression: Any) -> Any:
-        """The expression in the symbols of the code.
+        """Return the expression in the symbols of the code.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Vocabulary:
         return translated
 
     def shown(self, expression: Any) -> Any:
-        """An expression of the code in the user's symbols."""
+        """Return an expression of the code in the user's symbols."""
         return expression.xreplace(self._to_user)
 
     @property
@@ -100,7 +100,7 @@ class Vocabulary:
         return tuple(self.parameters.values())
 
     def start(self, name: str, value: Any, states: Iterable[Any]) -> list[float]:
-        """Initial values in the order of the states, from a mapping or a sequence."""
+        """Return initial values in the order of the states, from a mapping or a sequence."""
         states = list(states)
         if isinstance(value, Mapping):
             for one in value:

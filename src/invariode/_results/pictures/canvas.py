@@ -1,4 +1,4 @@
-"""What all pictures share: figures, names, colours, legends, marks of events."""
+"""Elements that all pictures share: figures, names, colours, legends, marks of events."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def require_matplotlib() -> Any:
 
 
 def new(title: str | None, **options: Any) -> Axes:
-    """Axes of a new figure."""
+    """Return axes of a new figure."""
     panel: Axes = new_panels(title, (1,), **options)[0]
     return panel
 
 
 def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> Array:
-    """Panels of a new figure below each other, of the given heights, with a common t axis."""
+    """Return panels of a new figure below each other, of the given heights, with a common t axis."""
     matplotlib = require_matplotlib()
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
@@ -66,7 +66,7 @@ def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> A
 
 
 def log_axis(axis: Axis, formulas: bool = True) -> None:
-    """Shows at least a factor of ten, with numbers that are few enough not to touch. `formulas`: set by matplotlib's
+    """Show at least a factor of ten, with numbers that are few enough not to touch. `formulas`: set by matplotlib's
     parser, which takes its time; otherwise the same as text."""
     from matplotlib.ticker import FuncFormatter
 
@@ -97,7 +97,8 @@ def _power_of_ten(power: float) -> str:
 
 
 def drawable(name: str) -> str:
-    """A name as text in a picture: dollar signs that do not enclose a formula for matplotlib are drawn as they are."""
+    """Return a name as text in a picture: dollar signs that do not enclose a formula for matplotlib are drawn as they
+    are."""
     if "$" not in name:
         return name
     from matplotlib.mathtext import MathTextParser
@@ -110,7 +111,7 @@ def drawable(name: str) -> str:
 
 
 def legend(ax: Axes, title: str | None = None) -> None:
-    """A legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
+    """Draw a legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
     from matplotlib.lines import Line2D
 
     handles, labels = ax.get_legend_handles_labels()
@@ -126,7 +127,7 @@ def legend(ax: Axes, title: str | None = None) -> None:
 
 
 def component(names: Sequence[str], one: Any) -> int:
-    """The index of a component given by index or label."""
+    """Return the index of a component given by index or label."""
     if isinstance(one, str) and one in names:
         return names.index(one)
     try:
@@ -143,7 +144,8 @@ def listed(names: Sequence[str]) -> str:
 
 
 def unused(ax: Axes, style: str | None = None) -> tuple[str, tuple[str, str]]:
-    """The first colour and dashes, or colour with the style given, that nothing on the axes has yet; else the first."""
+    """Return the first colour and dashes, or colour with the style given, that nothing on the axes has yet; else the
+    first."""
     choice = DASHES if style is None else ((style, ":"),)
     used = [(line.get_color(), str(line.get_linestyle()).replace("None", "-")) for line in ax.lines]
     free = ((colour, dashes) for dashes, colour in product(choice, COLOURS) if (colour, dashes[0]) not in used)
@@ -151,7 +153,7 @@ def unused(ax: Axes, style: str | None = None) -> tuple[str, tuple[str, str]]:
 
 
 def properties(line: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
-    """Properties of a line under their full names, and the label apart."""
+    """Return properties of a line under their full names, and the label apart."""
     from matplotlib.cbook import normalize_kwargs
     from matplotlib.lines import Line2D
 
@@ -164,12 +166,12 @@ def joined(name: str, given: str | None) -> str:
 
 
 def once(ax: Axes, label: str) -> str:
-    """The label, unless the legend has it already."""
+    """Return the label, unless the legend has it already."""
     return "_nolegend_" if label in ax.get_legend_handles_labels()[1] else label
 
 
 def occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
-    """Label and marker of each event that occurred, its times (k,) and states (k, n)."""
+    """Yield label and marker of each event that occurred, its times (k,) and states (k, n)."""
     if sol.t_events is None or sol.y_events is None:
         return
     for k, (name, t, y) in enumerate(zip(sol._names.events, sol.t_events, sol.y_events, strict=True)):
@@ -178,7 +180,7 @@ def occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
 
 
 def mark(ax: Axes, place: Sequence[Array], label: str, marker: str) -> None:
-    """Open marks at points, given by their coordinates."""
+    """Draw open marks at points, given by their coordinates."""
     import matplotlib
 
     size = 4.5 if len(place[0]) <= FEW else 3
@@ -188,12 +190,12 @@ def mark(ax: Axes, place: Sequence[Array], label: str, marker: str) -> None:
 
 
 def positive(values: Array) -> Array:
-    """NaN for zeros, which a logarithmic axis cannot show."""
+    """Return the values with NaN for those that are not positive, which a logarithmic axis cannot show."""
     return np.where(values > 0, values, np.nan)
 
 
 def components(sol: Result, chosen: Any) -> list[int]:
-    """Indices of the components that were chosen, all by default."""
+    """Return indices of the components that were chosen, all by default."""
     names = sol._names.components
     if chosen is None:
         return list(range(len(names)))
@@ -202,7 +204,7 @@ def components(sol: Result, chosen: Any) -> list[int]:
 
 
 def require_points(sol: Result) -> None:
-    """Refuses to draw a run that took steps but kept only the last point."""
+    """Raise a ValueError for a run that took steps but kept only the last point."""
     if sol.sol is None and len(sol.t) == 1 and sol.stats.steps > 0 and sol.t[0] == sol.t_end:
         raise ValueError(
             'the run kept only its final state: for a picture solve with keep="all", the default, or with times in '

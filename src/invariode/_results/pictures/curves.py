@@ -37,7 +37,8 @@ class Curve(NamedTuple):
 
 
 def curve(sol: Result) -> Curve:
-    """The continuous solution: that of `sol.sol`; else the cubics through outputs and slopes of f; else the outputs."""
+    """Return the continuous solution: that of `sol.sol`; else the cubics through outputs and slopes of f; else the
+    outputs."""
     if sol.sol is not None:
         return _by_interpolant(sol)
     slopes = sol._origin and len(sol.t) <= _SLOPES and sol._origin.slopes(sol.t, sol.y)
@@ -86,30 +87,30 @@ def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
 
 
 def _inside(knots: int) -> Array:
-    """The points at which a step is drawn, from its start, in units of its size."""
+    """Return the points at which a step is drawn, from its start, in units of its size."""
     count = min(max(_POINTS // max(knots, 1), 1), _POINTS_PER_STEP)
     return np.arange(count) / count
 
 
 def interrupted(sol: Result, values: Array) -> Array:
-    """Values at the outputs, in the last axis, with NaN where the solution jumps."""
+    """Return values at the outputs, in the last axis, with NaN where the solution jumps."""
     return np.insert(values, _jumps(sol), np.nan, axis=-1)
 
 
 def _jumps(sol: Result) -> list[int]:
-    """The outputs behind jumps."""
+    """Return the outputs behind jumps."""
     return [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(sol.t)]
 
 
 def parts(values: Array) -> tuple[list[str], list[Array]]:
-    """A prefix of the label, and real values: one of each, two for complex values."""
+    """Return a prefix of the label, and real values: one of each, two for complex values."""
     return (["Re ", "Im "], [values.real, values.imag]) if np.iscomplexobj(values) else ([""], [values])
 
 
 def line_and_marks(
     sol: Result, smooth: bool, properties: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Properties of the line, and of the marks at the outputs, which a smooth curve has only on request."""
+    """Return properties of the line, and of the marks at the outputs, which a smooth curve has only on request."""
     look = {"linewidth": 1.4, "markersize": 5, **properties}
     few = len(sol.t) <= FEW
     if not smooth:
@@ -121,7 +122,7 @@ def line_and_marks(
 
 
 def draw_over_t(ax: Axes, sol: Result, t: Array, y: Array, smooth: bool, properties: dict[str, Any]) -> None:
-    """One component, its marks apart; a long one by columns."""
+    """Draw one component, with its marks separately; a long one is drawn as columns from minimum to maximum."""
     line = line_and_marks(sol, smooth, properties)[0]
     turns = int(np.count_nonzero(np.diff(np.sign(np.diff(y[np.isfinite(y)])))))
     busy = turns > _BUSY
@@ -140,7 +141,7 @@ def draw_over_t(ax: Axes, sol: Result, t: Array, y: Array, smooth: bool, propert
 
 
 def _columns(t: Array, y: Array, count: int) -> tuple[Array, Array, Array]:
-    """Times, least and largest values of columns of equally many points."""
+    """Return times, least and largest values of columns of equally many points."""
     there = np.isfinite(y)
     t, y = t[there], y[there]
     starts = np.linspace(0, len(y), count, endpoint=False).astype(int)

@@ -60,7 +60,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
 
 
 def _shade_roundoff(ax: Axes, level: float) -> None:
-    """The residuals that values of this size have by rounding alone, if the axis shows any: nothing drifts there."""
+    """Shade the residuals that values of this size have by rounding alone, if the axis shows any."""
     low = ax.get_ylim()[0]
     if low < level:
         shade = ax.axhspan(low, level, color="0.5", alpha=0.12, lw=0, zorder=0, label=once(ax, "roundoff"))
@@ -75,7 +75,7 @@ def _label(g: BoundInvariants, relative: bool) -> str:
 
 
 def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[BoundInvariants, Array, Array]:
-    """The same in units of the values."""
+    """Return the invariants, residuals and largest residuals in units of the invariants' values."""
     if zero := [name for name, value in zip(g.names, g.value, strict=True) if value == 0]:
         raise ValueError(f"{', '.join(zero)} is held at 0, which has no relative drift: leave out relative=True")
     size = np.abs(g.value)
@@ -83,7 +83,7 @@ def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[Boun
 
 
 def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
-    """Invariants that the run did not have, held at their values at the first output and after each jump."""
+    """Return invariants that the run did not have, fixed at their values at the first output and after each jump."""
     own, y0 = sol._invariants, sol.y[:, 0].copy()
     g = bind(listed, float(sol.t[0]), y0, own.args, tolerances(RTOL, ATOL, y0)[1])
     jumps = []
@@ -99,7 +99,7 @@ def _has_levels(g: BoundInvariants) -> bool:
 
 
 def _drifting(g: BoundInvariants, residual: Array, largest: Array) -> list[tuple[str, str | None, Any, Array, Any]]:
-    """Name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
+    """Return name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
     lines = [(name, None, *rest) for name, *rest in zip(g.names, g.value, residual, largest, strict=True)]
     if not _has_levels(g):
         return lines[:MOST]

@@ -57,7 +57,7 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
 
 
 def _of_those_there(values: Array) -> tuple[Array, Array]:
-    """Quantiles (5, n_t) of the trajectories that reached each time, and which times any did."""
+    """Return quantiles (5, n_t) of the trajectories that reached each time, and which times any did."""
     reached = np.asarray(np.isfinite(values).any(axis=0))
     return np.nanquantile(values[:, reached], _QUANTILES, axis=0), reached
 
@@ -70,7 +70,7 @@ def _bands(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
 
 
 def _name_bands(ax: Axes) -> None:
-    """In the legend, without a colour: they are those of all components. The inner one lies on the outer one."""
+    """Add the bands to the legend, in grey since all components have them. The inner band lies on the outer one."""
     opaque = 0.0
     for low, high, alpha in _BANDS:
         opaque = 1 - (1 - opaque) * (1 - alpha)

@@ -57,7 +57,7 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[
 
 
 def _piles_up(t: Array) -> bool:
-    """Whether a linear axis shows half of the outputs at one place, its beginning, with steps over many decades."""
+    """Return whether a linear axis shows half of the outputs at its beginning, with steps over many decades."""
     h = np.diff(t)
     h = h[h > 0]
     early = len(t) > 0 and t[0] >= 0 and np.median(t) < _BEGINNING * t[-1]
@@ -65,7 +65,7 @@ def _piles_up(t: Array) -> bool:
 
 
 def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:
-    """A group of components on each panel, with legends or labels."""
+    """Draw a group of components on each panel, with legends or labels."""
     names = sol._names.components
     look, given = properties(line)
     for panel, group in zip(panels, groups, strict=True):
@@ -76,7 +76,7 @@ def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list
 
 
 def groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
-    """Components whose sizes are alike; those of the group with the first component come first."""
+    """Return components whose sizes are alike; those of the group with the first component come first."""
     with np.errstate(invalid="ignore"):
         sizes = np.nanmax(np.abs(y[chosen]), axis=1, initial=0) if y.shape[1] else np.zeros(len(chosen))
     order = [k for k in np.argsort(-sizes, kind="stable") if 0 < sizes[k] < np.inf]
@@ -109,7 +109,7 @@ def _draw_group(ax: Axes, sol: Result, whole: Curve, group: list[int], look: dic
 
 
 def _paint(ax: Axes, place: int, count: int) -> tuple[Any, tuple[str, str]]:
-    """Colour and dashes: the next free ones for few components, the place in a sequence of colours for many."""
+    """Return colour and dashes: the next free ones for few components, the place in a sequence of colours for many."""
     if count <= MOST:
         return unused(ax)
     import matplotlib

@@ -75,7 +75,7 @@ def draw(sol: Result, chosen: tuple[Any, Any, Any], ax: Axes | None, field: bool
 
 
 def _coordinates(sol: Result, chosen: tuple[Any, Any, Any]) -> tuple[list[int], list[str]]:
-    """The components, and the labels of the axes."""
+    """Return the components, and the labels of the axes."""
     names = sol._names.components
     i, j, k = chosen
     first = component(names, i)
@@ -114,7 +114,7 @@ def _mark_ends(ax: Axes, sol: Result, place: Any, colour: Any) -> None:
 
 
 def _draw_field(ax: Axes, sol: Result, rows: list[int]) -> None:
-    """Arrows of one length in the direction of f at the start of the run, behind the curve."""
+    """Draw arrows of one length in the direction of f at the start of the run, behind the curve."""
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     x, y = np.meshgrid(np.linspace(left, right, _ARROWS), np.linspace(low, high, _ARROWS))
     states = np.empty((2, x.size))

@@ -50,12 +50,12 @@ def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
 
 
 def over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
-    """t and values of a curve that is constant over each step."""
+    """Return t and values of a curve that is constant over each step."""
     return np.concatenate([steps.t[:1] - steps.h[:1], steps.t]), np.concatenate([values[:1], values])
 
 
 def shade_turns(panels: Array, steps: Steps) -> None:
-    """Where methods take turns: the steps of the second one on a grey ground, with its name."""
+    """Shade the steps of the second of two methods that take turns, and write its name there."""
     methods = steps.method
     if not len(methods) or (methods == methods[0]).all():
         return
@@ -91,7 +91,7 @@ def draw_orders(ax: Axes, steps: Steps, paint: dict[str, Any]) -> None:
 
 
 def draw_errors(ax: Axes, steps: Steps, colour: Any, given: str | None) -> None:
-    """The estimated errors, and the corrections by projection if there were any, in units of rtol."""
+    """Draw the estimated errors, and the corrections by projection if there were any, in units of rtol."""
     dots: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 4 if len(steps.t) < 500 else 2}
     if not ax.lines:
         ax.axhline(1, color="0.5", lw=0.9, ls="--", zorder=1)

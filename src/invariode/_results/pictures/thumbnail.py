@@ -19,7 +19,7 @@ _PICTURED = 200_000
 
 
 def thumbnail(sol: Result) -> str:
-    """The components over t, as an image in HTML; empty if there is nothing to draw, or no matplotlib.
+    """Return the components over t, as an image in HTML; empty if there is nothing to draw, or no matplotlib.
 
     It does not evaluate f, which may be slow: without dense output, lines join the outputs.
     """

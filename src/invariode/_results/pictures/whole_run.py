@@ -22,7 +22,7 @@ _PAD, _MOST = 0.08, 0.45
 
 
 def draw(sol: Result, title: str, chosen: Any = None, log: bool = False) -> Figure:
-    """A figure that pyplot does not know. `log`: a logarithmic axis of time."""
+    """Return a figure that pyplot does not know. `log`: a logarithmic axis of time."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
@@ -50,7 +50,7 @@ def draw(sol: Result, title: str, chosen: Any = None, log: bool = False) -> Figu
 
 
 def _lay_out(figure: Figure, panels: list[Axes]) -> None:
-    """Makes room for labels and legends, measured once; matplotlib's engines draw everything two or three times."""
+    """Make room for labels and legends, measured once; matplotlib's engines draw everything two or three times."""
     figure.set_layout_engine(None)
     width, height = figure.bbox.size
     pad = _PAD * figure.dpi

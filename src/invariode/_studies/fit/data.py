@@ -22,7 +22,7 @@ class Data(NamedTuple):
 
 
 def read(t: Any, data: Any, m: int) -> Data:
-    """Times and values, checked; `m` is the number of quantities of data without names.
+    """Return times and values, checked; `m` is the number of quantities of data without names.
 
     Values with labels of time (the index of pandas, the coordinate "t" of xarray) are put into the order of `t`.
     """
@@ -93,7 +93,7 @@ def in_order(t: Any, values: Any, what: str) -> Any:
 
 
 def _labels(values: Any) -> Array | None:
-    """The labels of time of an array, or None if it has none."""
+    """Return the labels of time of an array, or None if it has none."""
     if hasattr(values, "dims") and hasattr(values, "coords"):
         return np.asarray(values[_TIME].values) if _TIME in values.coords and values.dims[-1:] == (_TIME,) else None
     index = getattr(values, "index", None)
@@ -101,7 +101,7 @@ def _labels(values: Any) -> Array | None:
 
 
 def _row_numbers(values: Any) -> bool:
-    """Whether an index only counts rows from 0, as that of a table does to which nobody has given one."""
+    """Return whether an index only counts rows from 0, as in a table without an index of its own."""
     index = values.index
     return type(index).__name__ == "RangeIndex" and index.start == 0 and index.step == 1
 
@@ -122,7 +122,7 @@ def _times(t: Any) -> Array:
 
 
 def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
-    """A column for each quantity."""
+    """Return a column for each quantity."""
     if isinstance(t, str):
         if t not in columns:
             raise ValueError(f"t names the column {t!r}, and the data have {', '.join(map(str, columns))}")
@@ -140,7 +140,7 @@ def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
 
 
 def _labelled(t: Any, data: Any) -> Data:
-    """A labelled array, with its dimensions in any order."""
+    """Return a labelled array, with its dimensions in any order."""
     if _TIME not in data.dims or data.ndim > 2:
         raise ValueError(f"a labelled array of data has the dimensions {_TIME!r} and another one, got {data.dims}")
     other = [one for one in data.dims if one != _TIME]
@@ -155,7 +155,8 @@ def _labelled(t: Any, data: Any) -> Data:
 
 
 def _oriented(values: Array, count: int, m: int) -> Array:
-    """Values of shape (m, n_t), like `sol.y`; those of shape (n_t, m) are transposed, an error if both are possible."""
+    """Return values of shape (m, n_t), like `sol.y`; those of shape (n_t, m) are transposed, an error if both are
+    possible."""
     if values.shape == (m, count) == (count, m) and m > 1:
         raise ValueError(
             f"data of shape {values.shape} could have the times along either axis: give a dict, a DataFrame or a "

@@ -1,4 +1,4 @@
-"""One experiment: a problem, its data and their standard deviations."""
+"""Experiments: a problem, its data and their standard deviations."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Experiment:
             )
 
     def _series(self) -> Iterator[Series]:
-        """One series for each quantity and each event with data."""
+        """Yield the data of each quantity and of each event that has any."""
         rows = len(self.data.values)
         for j, (name, sigma) in enumerate(zip(self.names, _rows(self.sigma, self.names, self.data), strict=True)):
             there = np.flatnonzero(~np.isnan(self.data.values[j]))
@@ -171,9 +171,9 @@ class Experiment:
         return float(max(np.nanmax(one, initial=-np.inf) for one in times))
 
     def ended(self) -> Problem:
-        """The problem with the end that the data give, if it has no other. If times of one event are all there is, it
-        is terminal at the last one of them; otherwise runs go on beyond the last of these times, in case events come
-        later in a trial."""
+        """Return the problem with the end that the data give, if it has no other. If times of one event are all there
+        is, it is terminal at the last one of them; otherwise runs continue beyond the last of these times, in case
+        events come later in a trial."""
         problem, t0 = self.problem, self.problem.t_span[0]
         if not self.events:
             return problem.replace(t_span=(t0, self.last))
@@ -188,7 +188,7 @@ class Experiment:
     # For the parameters of the fit
 
     def dynamic(self, name: str) -> ParameterName | None:
-        """The parameter of f, or the initial value, with this name; None if there is none."""
+        """Return the parameter of f, or the initial value, with this name; None if there is none."""
         if name in self._where:
             return self._where[name]
         if name not in self._dynamic:
@@ -204,7 +204,7 @@ class Experiment:
         return self._dynamic[name]
 
     def found(self, wanted: Any) -> tuple[ParameterName, ...]:
-        """The parameters of f and initial values that a name stands for, or several names."""
+        """Return the parameters of f and initial values that a name stands for, or several names."""
         problem = self.problem
         first = 2 + len(problem.inputs)
         return parameter_names(
@@ -212,21 +212,21 @@ class Experiment:
         )
 
     def takes(self, name: str) -> bool:
-        """Whether a parameter of this name is one of its own."""
+        """Return whether the experiment has a parameter of this name."""
         return name in self.observation.extras or self.is_level(name) or self.dynamic(name) is not None
 
     def is_level(self, name: str) -> bool:
-        """Whether it is a noise level."""
+        """Return whether a parameter of this name is a noise level."""
         return any(one.level == name for one in self.series)
 
     def value(self, name: str) -> float | None:
-        """Its value in the problem, or its default in `observe`."""
+        """Return the parameter's value in the problem, or its default in `observe`."""
         if (one := self.dynamic(name)) is not None:
             return float(values_of(self.problem.args, self.problem.y0, [one])[0])
         return self.observation.extras.get(name)
 
     def known(self) -> list[str]:
-        """Names of its parameters, for messages."""
+        """Return names of the experiment's parameters, for messages."""
         try:
             of_args = [one.name for one in self.found(True)]
         except ValueError:
@@ -244,8 +244,8 @@ class Experiment:
 def _elsewhere(
     problem: Problem, where: Mapping[str, str | float] | None
 ) -> tuple[Problem, dict[str, ParameterName], set[ParameterName]]:
-    """The problem with the values that `where` gives; the parameters that have other names, by these; and all that it
-    names."""
+    """Return the problem with the values that `where` gives; the parameters that have other names, by these; and all
+    that it names."""
     if where is None:
         return problem, {}, set()
     if not isinstance(where, Mapping):
@@ -309,13 +309,13 @@ class Observation:
         self.size = len(self.components) if self.function is None else self._count()
 
     def chosen(self, names: Sequence[str]) -> Observation:
-        """The components with these labels; if as many were selected by `observe`, those are unchanged."""
+        """Return the components with these labels; if as many were selected by `observe`, those are unchanged."""
         if self.size == len(names) and self.components != list(range(len(self._problem.y0))):
             return self
         return Observation(self._problem, list(names))
 
     def names(self, size: int) -> list[str]:
-        """Names of the quantities."""
+        """Return names of the quantities."""
         if self.function is None:
             return [self._problem.labels[i] for i in self.components]
         name = call_name(self.function, "observed")
@@ -332,12 +332,12 @@ class Observation:
         )
 
     def _count(self) -> int:
-        """The number of values of the function, at the start."""
+        """Return the number of values of the function, at the start."""
         extras = {name: 1.0 if value is None else value for name, value in self.extras.items()}
         return len(self.at(self._problem.t_span[0], self._problem.y0, self._problem.args, extras))
 
     def at(self, t: float, y: Array, args: tuple[Any, ...], extras: Mapping[str, Any]) -> Array:
-        """The values of the function, (m,)."""
+        """Return the values of the function, (m,)."""
         values = np.asarray(self.function(t, y, *args, **extras))
         if values.ndim > 1 or values.dtype.kind not in "biufc":
             raise ValueError(f"observe must return a number or shape (m,), got {shown(values)} at t = {t:g}")
@@ -355,7 +355,7 @@ def _python_function(observe: Any) -> Any:
 
 
 def _extras(function: Any) -> dict[str, float | None]:
-    """The keyword-only arguments."""
+    """Return the keyword-only arguments."""
     try:
         listed = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
@@ -377,7 +377,7 @@ class Series(NamedTuple):
 
 
 def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognormal: bool, what: str) -> Series:
-    """A series; `sigma` is None, a name, a number, or a value for each datum."""
+    """Return a series; `sigma` is None, a name, a number, or a value for each datum."""
     if sigma is None:
         return Series(name, row, there, values[there], None, None, lognormal)
     if isinstance(sigma, str):
@@ -392,12 +392,12 @@ def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognorma
 
 
 def _order(t: Any, data: Data) -> Any:
-    """The times of the data, with their index where they came with one."""
+    """Return the times of the data, with their index where they came with one."""
     return t if hasattr(t, "index") and not isinstance(t, (str, list, tuple)) else data.t
 
 
 def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
-    """`sigma` for each quantity."""
+    """Return `sigma` for each quantity."""
     m, count = data.values.shape
     if sigma is None or isinstance(sigma, str):
         return [sigma] * m
@@ -426,7 +426,7 @@ def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
 
 
 def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None) -> dict[int, Array]:
-    """The measured times by the index of their event."""
+    """Return the measured times by the index of their event."""
     if event_times is None:
         return {}
     if not isinstance(event_times, Mapping):

@@ -1,4 +1,4 @@
-"""Why a trial of a fit has no value."""
+"""Reason why a trial of a fit has no value."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from typing import NamedTuple
 
 
 class Failed(NamedTuple):
-    """What stands in place of the model's values."""
+    """Marker in the place of the model's values, with the reason of the failure."""
 
     reason: str

@@ -130,8 +130,8 @@ def fit(
 
 
 def _uncertainty(model: Model, found: Found) -> Uncertainty:
-    """How well the best parameters are determined: NaN, with a warning, if that cannot be computed. The search may have
-    taken hours, and its result does not depend on it."""
+    """Return the uncertainty of the best parameters: NaN, with a warning, if it cannot be computed. The search may have
+    taken hours, and its result does not depend on the uncertainty."""
     try:
         return uncertainty(model, found)
     except Exception as error:
@@ -141,7 +141,7 @@ def _uncertainty(model: Model, found: Found) -> Uncertainty:
 
 
 class _End(NamedTuple):
-    """How one of the searches ended.
+    """End of one of the searches.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class _End(NamedTuple):
 
 
 def _searched(model: Model, points: list[Array], loss: str, workers: int) -> list[_End]:
-    """All searches, in their order, in this process or in others."""
+    """Run all searches, in this process or in others, and return their ends in order."""
     if workers > 1 and not may_start():
         warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
         workers = 1
@@ -191,7 +191,7 @@ def _died(i: int) -> _End:
 
 
 def _best(ends: list[_End]) -> tuple[Found, list[tuple[float, bool]]]:
-    """The best result, and the cost and success of each search."""
+    """Return the best result, and the cost and success of each search."""
     found = [one.found for one in ends]
     ended = [one for one in found if isinstance(one, Found)]
     if not ended:

@@ -73,7 +73,7 @@ class Evaluation(NamedTuple):
         return self.slopes / self.sigma[:, None]
 
     def with_levels(self, rows: Array) -> Array:
-        """A Jacobian of residuals, with their derivatives through the noise levels added."""
+        """Return a Jacobian of residuals, with their derivatives through the noise levels added."""
         found = rows.copy()
         for one in self.levels:
             found[one.data] -= np.outer(self.residuals[one.data], one.slope / one.value)
@@ -142,7 +142,7 @@ class Model:
         self._last: Evaluation | None = None
 
     def evaluate(self, free: Array) -> Evaluation | Failed:
-        """The model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
+        """Return the model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
         other."""
         if self._last is not None and np.array_equal(self._last.free, free):
             return self._last
@@ -180,14 +180,14 @@ class Model:
         return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, levels)
 
     def log_likelihood(self, at: Evaluation, sigma: Array) -> float:
-        """Of the data with these standard deviations, without priors."""
+        """Return the log-likelihood of the data with these standard deviations, without priors."""
         squares = 0.5 * float(np.sum((at.difference / sigma) ** 2))
         logs = float(np.sum(np.log(sigma)) + np.sum(self._compared[self.lognormal]))
         return -squares - logs - self.size * _HALF_LOG_2PI
 
     def variance(self, at: Evaluation, unknowns: int = 0) -> float:
-        """The factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if none are
-        left, 1 if sigma is known."""
+        """Return the factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if
+        none are left, 1 if sigma is known."""
         if not self.relative:
             return 1.0
         degrees = self.size - unknowns
@@ -195,7 +195,7 @@ class Model:
 
 
 def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:
-    """Whether sigma is known only up to a factor."""
+    """Return whether sigma is known only up to a factor."""
     unknown = [one.name for one in series if one.sigma is None]
     if unknown and len(unknown) < len(series):
         raise ValueError(f"sigma is missing for {unknown[0]}: give it for all data or for none")
@@ -208,7 +208,7 @@ def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:
 
 
 def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:
-    """A list of experiments, or a problem with data as one."""
+    """Return a list of experiments, or a problem with data as one."""
     if isinstance(problem, Experiment):
         problem = [problem]
     if isinstance(problem, (list, tuple)):
@@ -234,8 +234,8 @@ def to_model(
     *,
     weighs_priors: bool = False,
 ) -> Model:
-    """What the arguments of `fit` and `objective` describe. `weighs_priors`: an unknown sigma is a parameter if there
-    are priors, which have to be weighed against the data."""
+    """Make the model from the arguments of `fit` and `objective`. `weighs_priors`: an unknown sigma is a parameter if
+    there are priors, which have to be weighed against the data."""
     if parameters is None and data is None:  # several experiments: fit(experiments, parameters)
         t, parameters = None, t
     experiments = to_experiments(problem, {"t": t, "data": data, **described})
@@ -253,7 +253,7 @@ def to_model(
 
 
 def _with_level(experiment: Experiment, name: str) -> Experiment:
-    """The same with the unknown factor of sigma as a parameter."""
+    """Return the experiment with the unknown factor of sigma as a parameter."""
     found = copy(experiment)
     found.series = [
         one._replace(level=name, sigma=np.ones(len(one.values)) if one.sigma is None else one.sigma)

@@ -49,11 +49,11 @@ class Objective:
         return self.both(x)[0]
 
     def gradient(self, x: ArrayLike) -> Array:
-        """The gradient, (k,); NaN where the value is -inf."""
+        """Return the gradient, (k,); NaN where the value is -inf."""
         return self.both(x)[1]
 
     def both(self, x: ArrayLike) -> tuple[float, Array]:
-        """Value and gradient."""
+        """Return value and gradient."""
         free = real_numbers("x", x)
         if free.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} parameters {', '.join(self.names)}, got {free.shape}")

@@ -103,7 +103,7 @@ class Parameter:
             raise ValueError(f'{what} is {value:g}: with scale="log" it must be positive')
 
     def __repr__(self) -> str:
-        """Fields that differ from the defaults."""
+        """Return fields that differ from the defaults."""
         said = [(one.name, getattr(self, one.name)) for one in fields(self)]
         changed = [
             f"{name}={value!r}" for (name, value), one in zip(said, fields(self), strict=True) if value != one.default
@@ -150,16 +150,16 @@ class Taker(Protocol):
     """The part of an experiment that its parameters use."""
 
     def takes(self, name: str) -> bool:
-        """Whether a parameter of this name is one of its own."""
+        """Return whether the experiment has a parameter of this name."""
 
     def value(self, name: str) -> float | None:
-        """Its value in the problem; None: it has none there."""
+        """Return the parameter's value in the problem; None: it has none there."""
 
     def is_level(self, name: str) -> bool:
-        """Whether it is a noise level."""
+        """Return whether a parameter of this name is a noise level."""
 
     def known(self) -> list[str]:
-        """Names that it takes, for messages."""
+        """Return names of the experiment's parameters, for messages."""
 
 
 class Free(NamedTuple):
@@ -180,7 +180,7 @@ class Free(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Of its values, of which the search has multiples; that of logarithms is 1."""
+        """Size of the parameter's values, the unit of the search; 1 for logarithms."""
         of = [self.start or 0.0, *self.parameter.limits, 0.0 if self.prior is None else self.prior.size]
         return 1.0 if self.log else next((abs(one) for one in of if one != 0 and math.isfinite(one)), 1.0)
 
@@ -196,7 +196,7 @@ class _Tied:
         self._sources, self._derivatives = sources, OfNumbers(f"equals of {name}", function)
 
     def value_and_slope(self, free: Array) -> tuple[float, Array]:
-        """Its value, and its derivatives with respect to the free parameters."""
+        """Return the value, and its derivatives with respect to the free parameters, (free,)."""
         at = np.array([one.value if isinstance(one, _Fixed) else free[one] for one in self._sources])
         value, slope = self._derivatives.value(at), np.zeros(len(free))
         for place, one in zip(self._sources, self._derivatives.slopes(at).tolist(), strict=True):
@@ -213,7 +213,7 @@ class Local(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """All priors of a fit.
+    """Priors of all parameters of a fit.
 
     Attributes
     ----------
@@ -230,12 +230,12 @@ class Priors(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Half the sum of squares."""
+        """Half the sum of squares of the priors' residuals."""
         return 0.5 * float(self.residuals @ self.residuals)
 
 
 class Space:
-    """All parameters of a fit.
+    """Parameters of a fit: the free ones, their coordinates, and those of each experiment.
 
     Attributes
     ----------
@@ -300,7 +300,7 @@ class Space:
         return _Fixed(one.equals) if isinstance(one.equals, float) else places[name, None if one.shared else e]
 
     def local(self, e: int, free: Array) -> Local:
-        """The parameters of an experiment, of the values of the free ones."""
+        """Return the parameters of an experiment at these values of the free ones."""
         rows = self._rows[e]
         values, slopes = np.zeros(len(rows)), np.zeros((len(rows), len(free)))
         for i, row in enumerate(rows):
@@ -313,8 +313,8 @@ class Space:
         return Local(values, slopes)
 
     def all(self, free: Array) -> dict[str, tuple[float, Array]]:
-        """Every parameter with its value and derivatives: the free ones, then those that are fixed or tied; such a one
-        that differs between the experiments is called as one that is not shared."""
+        """Return each parameter by name with its value and derivatives: the free ones, then those that are fixed or
+        tied. The name of one that differs between the experiments is that of a parameter that is not shared."""
         unit = np.eye(len(free))
         found = {one.name: (float(free[i]), unit[i]) for i, one in enumerate(self.free)}
         locals_ = [self.local(e, free) for e in range(len(self.names))]
@@ -339,20 +339,20 @@ class Space:
         return np.array([one.size for one in self.free])
 
     def natural(self, u: Array) -> Array:
-        """The values of coordinates."""
+        """Return the values of parameters at these coordinates, (k,)."""
         return np.where(self.log, np.exp(np.where(self.log, u, 0.0)), u * self.sizes)
 
     def coordinates(self, free: Array) -> Array:
-        """The coordinates of values."""
+        """Return the coordinates of these values of parameters, (k,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.log, np.log(np.where(self.log, free, 1.0)), free / self.sizes)
 
     def slope(self, free: Array) -> Array:
-        """The derivatives of values with respect to their coordinates."""
+        """Return the derivatives of the parameters' values with respect to their coordinates, (k,)."""
         return np.where(self.log, free, self.sizes)
 
     def bounds(self) -> tuple[Array, Array]:
-        """In coordinates."""
+        """Return the lower and upper bounds of the free parameters in coordinates, (k,) each."""
         limits = np.array([one.parameter.limits for one in self.free])
         limits[self.log] = np.maximum(limits[self.log], 0.0)
         lower, upper = self.coordinates(limits[:, 0]), self.coordinates(limits[:, 1])
@@ -363,7 +363,7 @@ class Space:
         return [(i, one.prior) for i, one in enumerate(self.free) if one.prior is not None]
 
     def priors(self, free: Array) -> Priors:
-        """The priors at these values."""
+        """Return the priors at these values."""
         every = [(i, prior.at(float(free[i]))) for i, prior in self._priors]
         rows = [one.slope * np.eye(len(free))[i] for i, one in every]
         factors = np.zeros(len(free))
@@ -388,7 +388,7 @@ def _arguments(name: str, function: Callable[..., float]) -> list[str]:
 
 
 def _free(name: str, short: str, one: Parameter, takers: Sequence[Taker]) -> Free:
-    """A parameter with its start."""
+    """Return a parameter with its start."""
     level = any(taker.is_level(short) for taker in takers)
     if level and (one.limits[1] <= 0 or (one.start is not None and one.start <= 0) or one.scale == "linear"):
         raise ValueError(f'{name} is a noise level, which is positive, and searched for with scale="log": {one!r}')

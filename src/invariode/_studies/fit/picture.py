@@ -22,7 +22,7 @@ _POINTS = 300
 
 
 def times(experiment: Experiment) -> Array:
-    """The times at which the model is drawn."""
+    """Return the times at which the model is drawn."""
     t0, tf = experiment.problem.t_span
     return np.linspace(t0, tf if np.isfinite(tf) else experiment.last, _POINTS)
 
@@ -47,13 +47,13 @@ def draw(experiment: Experiment, band: Prediction, sigmas: Sequence[Array], ax: 
 
 
 def _curve(ax: Axes, band: Prediction, j: int, colour: Any) -> None:
-    """The model of one quantity with its band."""
+    """Draw the model of one quantity with its band."""
     ax.fill_between(band.t, band.lower[j], band.upper[j], color=colour, alpha=0.25, linewidth=0)
     ax.plot(band.t, band.y[j], color=colour, linewidth=1.4, label=drawable(band.names[j]))
 
 
 def _data(ax: Axes, experiment: Experiment, data: Series, sigma: Array, colour: Any) -> None:
-    """The data of one quantity with their standard deviations."""
+    """Draw the data of one quantity with their standard deviations."""
     t = experiment.data.t[data.places]
     bars = [data.values * (1 - np.exp(-sigma)), data.values * (np.exp(sigma) - 1)] if data.lognormal else sigma
     ax.errorbar(t, data.values, yerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.8, mfc=ax.get_facecolor())

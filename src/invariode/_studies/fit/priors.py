@@ -1,4 +1,4 @@
-"""What is known of parameters before a fit: priors as residuals, whose squares are minus twice the log of a density."""
+"""Priors of the parameters of a fit, as residuals, whose squares are minus twice the log of a density."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Prior(Protocol):
 
     @property
     def size(self) -> float:
-        """The size of its values; 0: it is not known."""
+        """Size of the parameter's values; 0: it is not known."""
 
     def at(self, value: float) -> At:
-        """The prior at a value."""
+        """Return the prior at a value."""
 
 
 class Normal(NamedTuple):
@@ -84,7 +84,7 @@ class Residual:
         self._derivatives = OfNumbers("a prior", function)
 
     def at(self, value: float) -> At:
-        """The prior at a value."""
+        """Return the prior at a value."""
         at = np.array([value])
         return At(self._derivatives.value(at), float(self._derivatives.slopes(at)[0]))
 

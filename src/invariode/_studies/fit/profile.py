@@ -59,7 +59,7 @@ class Profile:
 
 
 class Scale(NamedTuple):
-    """How costs become standard errors."""
+    """Factors that convert costs into standard errors."""
 
     quantile: float
     variance: float  # of which half the cost is in units
@@ -72,7 +72,7 @@ class _Point(NamedTuple):
 
 
 class Walk:
-    """From the best fit towards one end of the interval.
+    """Walk along the profile from the best fit towards one end of the interval.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Walk:
         self.points: list[_Point] = []
 
     def end(self) -> float:
-        """The end of the interval, in the parameter's values."""
+        """Return the end of the interval, in the parameter's values."""
         inside = _Point(float(self._start[self._place]), 0.0, self._start)
         outside: _Point | None = None
         u = self._within(inside.u + self._step)
@@ -123,7 +123,8 @@ class Walk:
         return self._value(u) if outside is not None else math.copysign(math.inf, self._step)
 
     def _next(self, inside: _Point, outside: _Point | None) -> float:
-        """Where the statistic reaches the quantile if it is a straight line; without limits farther by a factor."""
+        """Return the next u: where a straight line reaches the quantile; without an outer point farther by at most a
+        factor."""
         start = float(self._start[self._place])
         if outside is None:
             far = inside.u - start
@@ -136,7 +137,7 @@ class Walk:
         return min(u, self._bound) if self._step > 0 else max(u, self._bound)
 
     def _refit(self, u: float, near: _Point) -> _Point | None:
-        """The best fit with the parameter at u, from that of the nearest point."""
+        """Return the best fit with the parameter at u, from that of the nearest point."""
         coordinates = near.at + (u - near.u) * self._direction
         inner = np.clip(coordinates, self._lower, self._upper)
         inner[self._place] = u
@@ -149,7 +150,8 @@ class Walk:
         return None
 
     def _gained(self, found: Found) -> float:
-        """Twice the increase of the cost; that of the data in units of the variance, which priors do not have."""
+        """Return twice the increase of the cost; that of the data in units of the variance, which priors do not
+        have."""
         before, now = (self._model.space.priors(one.at.free).cost for one in (self._found, found))
         data = (found.cost - now) - (self._found.cost - before)
         return 2 * (data / self._scale.variance + now - before)
@@ -161,7 +163,7 @@ class Walk:
 
 
 def profile(model: Model, found: Found, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
-    """The profile of a parameter; `covariance` of all in coordinates."""
+    """Return the profile of a parameter; `covariance` of all in coordinates."""
     assert isinstance(found.at, Evaluation)
     own = covariance[place, place]
     determined = bool(np.isfinite(own) and own > 0)

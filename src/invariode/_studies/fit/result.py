@@ -114,7 +114,7 @@ class Fit:
 
     @property
     def _unscaled(self) -> bool:
-        """Whether sigma is to be estimated, and no degrees of freedom are left to do so."""
+        """True if sigma is to be estimated, and no degrees of freedom are left to do so."""
         return self._known.degrees <= 0
 
     @property
@@ -302,7 +302,7 @@ class Fit:
         return Prediction(times, curves.values, errors, lower, upper, list(one.names))
 
     def _errors_of(self, slopes: Array) -> Array:
-        """Standard errors of quantities with these derivatives; parameters at a bound are fixed."""
+        """Return standard errors of quantities with these derivatives; parameters at a bound count as fixed."""
         covariance = np.where(np.isnan(self.covariance), 0.0, self.covariance)
         open_ = np.isinf(np.diag(covariance))
         finite = np.where(np.isinf(covariance), 0.0, covariance)
@@ -310,7 +310,7 @@ class Fit:
         return np.where((slopes[..., open_] != 0).any(axis=-1), np.inf, errors)
 
     def _sigmas(self, e: int) -> Array:
-        """The standard deviation of each quantity, which must be one for all times."""
+        """Return the standard deviation of each quantity, which must be one for all times."""
         one = self._model.experiments[e]
         local = self._model.space.local(e, self._found.at.free)
         names = self._model.space.names[e]
@@ -356,7 +356,7 @@ class Fit:
         return picture.draw(one, band, self._errors_of_data(experiment), ax)
 
     def _errors_of_data(self, e: int) -> list[Array]:
-        """The standard deviations of the data, series by series."""
+        """Return the standard deviations of the data, series by series."""
         model, at = self._model, self._found.at
         place = sum(len(one.values) for each in model.experiments[:e] for one in each.series)
         sigma = at.sigma[place:] * math.sqrt(model.variance(at, self._inner))
@@ -364,7 +364,7 @@ class Fit:
         return np.split(sigma[: ends[-1]], ends[:-1])
 
     def rows(self) -> list[Sequence[str]]:
-        """Rows of the table: name, value, standard error, interval and remark, as text."""
+        """Return rows of the table: name, value, standard error, interval and remark, as text."""
         intervals = self.confidence()
         bounds = {name: f"at its {side} bound" for name, side, _ in self.at_bound}
         open_ = {name for group in self.undetermined for name in group}
@@ -392,7 +392,7 @@ class Fit:
         return found
 
     def _no_sigma(self) -> str:
-        """Why there are no standard errors, and what to do."""
+        """Return the reason why there are no standard errors, and what to do."""
         count = self._inner - sum(one.level for one in self._model.space.free)
         return (
             f"{self._model.size} data for {count} parameters leave none to estimate sigma, so that the standard errors "

@@ -80,7 +80,7 @@ class Weighted(NamedTuple):
 
 
 def weighted(loss: str, residuals: Array) -> Weighted:
-    """The loss of the residuals of data."""
+    """Return the loss of the residuals of data."""
     rho, z = LOSSES[loss], residuals**2
     if rho is None:
         return Weighted(0.5 * float(z.sum()), np.ones_like(z), np.ones_like(z))
@@ -89,7 +89,7 @@ def weighted(loss: str, residuals: Array) -> Weighted:
 
 
 class Found(NamedTuple):
-    """Where a search ended.
+    """End of a search.
 
     Attributes
     ----------
@@ -115,11 +115,11 @@ class NoStartError(Exception):
 
 
 class _Arrived(Exception):  # noqa: N818 - no error: it ends a search
-    """The next step would be too small to matter."""
+    """Signal that the next step would be too small to matter."""
 
 
 def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Found:
-    """The best parameters near a start; those `held` stay there.
+    """Return the best parameters near a start; those `held` stay there.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
 
 
 def _reached(model: Model, found: Found, loss: str, held: Sequence[int]) -> dict[int, float]:
-    """Bounds that the search was moving towards when it ended, by parameter."""
+    """Return bounds that the search was moving towards when it ended, by parameter."""
     space, at = model.space, found.at
     u = space.coordinates(at.free)
     rows = at.with_levels(at.jacobian) * space.slope(at.free)
@@ -191,7 +191,7 @@ def _require(model: Model, free: Array) -> None:
 
 
 def _with_levels(model: Model, at: Evaluation, levels: Sequence[int]) -> Array:
-    """The parameters, with the noise levels that the residuals give, within their bounds."""
+    """Return the parameters, with the noise levels that the residuals give, within their bounds."""
     free = at.free.copy()
     for i in levels:
         those = [one for one in at.levels if one.slope[i] != 0]
@@ -235,7 +235,7 @@ class _Round:
         return lower[self._moving], upper[self._moving]
 
     def _rows(self, at: Evaluation) -> tuple[Array, Array]:
-        """Residuals and their derivatives in coordinates."""
+        """Return residuals and their derivatives in coordinates."""
         parts, rows = [at.residuals], [at.with_levels(at.jacobian)]
         if self._levels:
             for one, before in zip(at.levels, self._lengths, strict=True):
@@ -253,7 +253,7 @@ class _Round:
         return np.full(self._count, np.nan)  # a step that is not taken
 
     def _jacobian(self, u: Array) -> Array:
-        """Of an accepted step: the search ends here if the next one would be too small."""
+        """Return the Jacobian of an accepted step; the search ends here if the next step would be too small."""
         at = self._model.evaluate(self._free(u))
         assert isinstance(at, Evaluation)
         self._last = at
@@ -266,7 +266,7 @@ class _Round:
         return jacobian
 
     def _losses(self) -> Any:
-        """The loss of the data; priors stay normal."""
+        """Return the loss of the data; priors stay normal."""
         rho, size = LOSSES[self._loss], self._model.size
         if rho is None:
             return "linear"
@@ -279,7 +279,7 @@ class _Round:
         return losses
 
     def found(self) -> Found:
-        """The end of the search."""
+        """Return the end of the search."""
         from scipy.optimize import least_squares  # takes longer to import than everything else
 
         self._last = self._first
@@ -315,7 +315,7 @@ class _Round:
 
 
 def start_points(model: Model, count: int, seed: Any) -> list[Array]:
-    """The first start, and others that fill the bounds evenly: a Latin hypercube."""
+    """Return the first start, and others that fill the bounds evenly: a Latin hypercube."""
     space = model.space
     first = np.array([1.0 if one.start is None else one.start for one in space.free])
     first = _with_first_levels(model, first)
@@ -333,7 +333,7 @@ def start_points(model: Model, count: int, seed: Any) -> list[Array]:
 
 
 def _with_first_levels(model: Model, free: Array) -> Array:
-    """Noise levels without a start have the size of the first residuals."""
+    """Return the start with noise levels, where they have no start, of the size of the first residuals."""
     unknown = [i for i, one in enumerate(model.space.free) if one.level and one.start is None]
     at = model.evaluate(free) if unknown else None
     return _with_levels(model, at, unknown) if isinstance(at, Evaluation) else free

@@ -1,4 +1,4 @@
-"""What the model says of an experiment: one run with its sensitivities, observed at the times of the data."""
+"""Simulation of an experiment: one run with its sensitivities, observed at the times of the data."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Curves(NamedTuple):
 
 
 class _Start(NamedTuple):
-    """Where a run starts, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
+    """Start of a run, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
 
     args: tuple[Any, ...]
     y0: Array
@@ -66,8 +66,8 @@ class _Runs:
             self._as_given = problem.prepare(method, **options)
 
     def __call__(self, start: _Start) -> Solution | Failed:
-        """A run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f as it
-        was given says why, also by an exception."""
+        """Return a run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f
+        as it was given says why, also by an exception."""
         if self._compiled is not None and not isinstance(sol := self._run(self._compiled, start), Failed):
             return sol
         if self._as_given is None:
@@ -121,7 +121,7 @@ class Simulation:
         self._runs = self._prepared(self._times)
 
     def _prepared(self, times: Array) -> _Runs:
-        """The problem with output at these times, to the last of them if no events are measured."""
+        """Return the problem with output at these times, to the last of them if no events are measured."""
         t0, tf = self._problem.t_span
         if len(times) and not self.experiment.events and times[-1] != t0:
             tf = float(times[-1])
@@ -129,8 +129,8 @@ class Simulation:
         return _Runs(self._problem.replace(t_span=(t0, tf)), self._method, {**self._options, **own})
 
     def _wanted(self, values: Array) -> Sensitivities | None:
-        """Those of the runs: of the parameters; if they start at a steady state, it depends on the parameters by way of
-        y0. Their sizes are those at the start of the search, so that runs differ in nothing else."""
+        """Return the sensitivities of the runs to the parameters. A start at a steady state depends on the parameters
+        by way of y0. The sizes are those at the start of the search, so that runs differ in nothing else."""
         problem, y0 = self.experiment.problem, self.experiment.problem.y0
         floor = np.broadcast_to(np.divide(self._options["atol"], self._options["rtol"]), y0.shape)
         names: list[str] = []
@@ -148,7 +148,8 @@ class Simulation:
         return Sensitivities(names, scale=[one or 1.0 for one in sizes]) if names else None
 
     def _start(self, values: Array) -> _Start | Failed:
-        """The arguments and the initial value, and how it follows from the parameters if it is a steady state."""
+        """Return the arguments and the initial value, and how it follows from the parameters if it is a steady
+        state."""
         problem, own = self.experiment.problem, values[self._places]
         args, y0 = with_values(problem.args, problem.y0, self._dynamic, own)
         if self._steady is None:
@@ -167,7 +168,7 @@ class Simulation:
         return _Start(args, found.y, found.slopes)
 
     def run(self, values: Array) -> Simulated | Failed:
-        """The model's values for the data."""
+        """Return the model's values for the data."""
         start = self._start(values)
         if isinstance(start, Failed):
             return start
@@ -193,7 +194,8 @@ class Simulation:
         return Simulated(every[:, 0], every[:, 1:])
 
     def _parameters(self, S: Array, start: _Start, k: int) -> Array:
-        """Derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, k of the run)."""
+        """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, k of the
+        run)."""
         found = np.zeros((*S.shape[:-1], k))
         if start.slopes is None:
             found[..., self._places] = S
@@ -209,7 +211,7 @@ class Simulation:
         return self._watch(sol.t, sol.y, self._parameters(S, start, len(values)), values)
 
     def _occurrences(self, sol: Any, start: _Start, one: Series, k: int) -> Array | Failed:
-        """Times of an event with their derivatives, (occurrences, 1 + k)."""
+        """Return times of an event with their derivatives, (occurrences, 1 + k)."""
         event = [*self.experiment.events][one.row - len(self.experiment.data.values)]
         times, needed = sol.t_events[event], int(one.places[-1]) + 1
         if len(times) < needed:
@@ -219,7 +221,7 @@ class Simulation:
         return np.column_stack([times, self._parameters(slopes, start, k)])
 
     def curves(self, times: Array, values: Array) -> Curves | Failed:
-        """The observed quantities at any times within the problem's interval, which are sorted."""
+        """Return the observed quantities at any times within the problem's interval, which are sorted."""
         start = self._start(values)
         once, which = _once(times, backwards=False)
         t0, tf = self.experiment.problem.t_span
@@ -239,7 +241,7 @@ class Simulation:
         return Curves(*(one[:, which] for one in filled))
 
     def solution(self, values: Array) -> Solution:
-        """A run without sensitivities, as users make it."""
+        """Return a run without sensitivities, as users make it."""
         start = self._start(values)
         assert isinstance(start, _Start)  # it was, in the fit
         problem = self._problem.replace(args=start.args, y0=start.y0, sensitivities=None)
@@ -267,7 +269,7 @@ class _Watch:
         in_args = [(n + i, one) for i, one in zip(places, dynamic, strict=True) if one.kind == "args"]
 
         def observed(_t: float, z: Any) -> Any:
-            """`observe` of t and (y, parameters), so that derivatives are along both at once."""
+            """Return `observe` of t and (y, parameters), so that derivatives are along both at once."""
             changes: dict[int, dict[int, Any]] = {}
             for place, one in in_args:
                 changes.setdefault(one.index, {})[one.item or 0] = z[place]
@@ -299,6 +301,6 @@ class _Watch:
 
 
 def _once(times: Array, backwards: bool) -> tuple[Array, Array]:
-    """Different times in the direction of integration, and which of them each is."""
+    """Return different times in the direction of integration, and which of them each is."""
     once, which = np.unique(times, return_inverse=True)
     return (once[::-1].copy(), len(once) - 1 - which) if backwards else (once, which)

@@ -1,4 +1,4 @@
-"""How well the data determine the parameters: Fisher information, covariance, and what they leave open."""
+"""Uncertainty of fitted parameters: Fisher information, covariance, and what the data leave undetermined."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INVOLVED = 0.1
 
 
 class Uncertainty(NamedTuple):
-    """In values of the free parameters.
+    """Covariance and Fisher information of the free parameters, in their values.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Uncertainty(NamedTuple):
 
 
 def unknown_uncertainty(k: int) -> Uncertainty:
-    """What is said of k parameters if nothing could be computed."""
+    """Return the uncertainty of k parameters of which nothing could be computed: NaN."""
     nothing = np.full((k, k), np.nan)
     return Uncertainty(nothing, nothing.copy(), [], [], math.inf)
 
 
 def uncertainty(model: Model, found: Found) -> Uncertainty:
-    """That of the best parameters."""
+    """Compute the uncertainty of the best parameters."""
     space, at = model.space, found.at
     at_bound = _at_bounds(model, at)
     inner = _inner(model, at)
@@ -72,8 +72,8 @@ def uncertainty(model: Model, found: Found) -> Uncertainty:
 
 
 def _information(model: Model, found: Found, variance: float) -> Array:
-    """A matrix A with AᵀA / variance the expected information in coordinates: of the data, of the noise levels (c data
-    determine ln s with 2 c), and of the priors, whose standard deviations that variance does not change."""
+    """Return a matrix A with AᵀA / variance the expected information in coordinates: of the data, of the noise levels
+    (c data determine ln s with 2 c), and of the priors, whose standard deviations that variance does not change."""
     at, slope = found.at, model.space.slope(found.at.free)
     rows = [at.jacobian * slope * found.weights[:, None]]
     rows += [np.sqrt(2 * len(one.data)) * (one.slope * slope / one.value)[None] for one in at.levels]
@@ -82,25 +82,25 @@ def _information(model: Model, found: Found, variance: float) -> Array:
 
 
 def _inner(model: Model, at: Evaluation) -> list[int]:
-    """Parameters that are not at a bound."""
+    """Return parameters that are not at a bound."""
     held = {place for place, _ in _at_bounds(model, at)}
     return [i for i in range(len(model.space.free)) if i not in held]
 
 
 def _estimates_sigma(model: Model, at: Evaluation) -> bool:
-    """Whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
+    """Return whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
     inner = _inner(model, at)
     return model.relative or any(bool(one.slope[inner].any()) for one in at.levels)
 
 
 def degrees_of_freedom(model: Model, at: Evaluation) -> int:
-    """Data that the parameters leave to estimate sigma, 0 if none; noise levels among the parameters do not count."""
+    """Return how many data the parameters leave to estimate sigma, or 0; noise levels do not count as parameters."""
     return max(model.size - sum(not model.space.free[i].level for i in _inner(model, at)), 0)
 
 
 def unit_of_variance(model: Model, at: Evaluation) -> float:
-    """The factor of σ² that the residuals give, infinite if no degrees of freedom are left. Noise levels by maximum
-    likelihood are too small by the degrees of freedom that the parameters take."""
+    """Return the factor of σ² that the residuals give, infinite if no degrees of freedom are left. Noise levels by
+    maximum likelihood are too small by the degrees of freedom that the parameters take."""
     if not _estimates_sigma(model, at):
         return 1.0
     degrees = degrees_of_freedom(model, at)
@@ -110,7 +110,7 @@ def unit_of_variance(model: Model, at: Evaluation) -> float:
 
 
 def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
-    """Parameters at their bounds, where the search has put them."""
+    """Return parameters at their bounds, where the search has put them."""
     limits = [one.parameter.limits for one in model.space.free]
     sides = ("lower", "upper")
     return [
@@ -119,7 +119,7 @@ def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
 
 
 def _inverse(rows: Array, part: float) -> tuple[Array, list[list[int]]]:
-    """(AᵀA)⁻¹, and groups of columns of which a combination is not determined; their variances are infinite."""
+    """Return (AᵀA)⁻¹, and groups of columns of which a combination is not determined; their variances are infinite."""
     lengths = np.linalg.norm(rows, axis=0)
     zero = lengths == 0
     scaled = rows / np.where(zero, 1.0, lengths)
@@ -138,7 +138,7 @@ def _inverse(rows: Array, part: float) -> tuple[Array, list[list[int]]]:
 
 
 def _plain(vectors: Array) -> Array:
-    """A basis of the same space that involves few parameters each, by elimination with the largest pivots."""
+    """Return a basis of the same space with few parameters in each vector, by elimination with the largest pivots."""
     basis = vectors.copy()
     for row in range(len(basis)):
         column = int(np.argmax(np.abs(basis[row])))
