@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 
@@ -212,6 +213,11 @@ def test_with_ffmpeg_there_are_mp4s(films, tmp_path):
 def test_a_film_takes_as_long_as_it_is_told(films):
     assert len(films(turning(), hand, duration=3, fps=10).times) == 30
     assert len(turning().animate(hand, fps=5).times) == 30  # six seconds, as the motion
+    for motion, seconds in ((1, 4), (4, 4), (20, 20), (20.1, 8)):  # in real time, or as long as one likes to look
+        sol = iv.solve_ivp(lambda t, y: [-y[1], y[0]], (0, motion), [1.0, 0.0], dense_output=True)
+        film = sol.animate(hand, fps=5)
+        assert len(film.times) == 5 * seconds
+        film._draw_was_started = True
     for film in (turning().animate(hand, fps=5),):
         film._draw_was_started = True
 
@@ -283,3 +289,30 @@ def test_numbers_of_a_thin_axis_in_space_do_not_run_together(films):
     for axis, most in ((ax.xaxis, 6), (ax.yaxis, 3), (ax.zaxis, 6)):
         low, high = axis.get_view_interval()
         assert sum(low <= place <= high for place in axis.get_majorticklocs()) <= most
+
+
+def test_a_notebook_shows_a_film_once_and_small(films):
+    """Its figure is closed, so that it is not shown as a picture too; 40 frames take less than half a megabyte."""
+    film = films(turning(), hand, links=[(0, 1)], trace=[1], duration=2, fps=20)
+    assert film.figure.number in plt.get_fignums()
+    page = film._repr_html_()
+    assert film.figure.number not in plt.get_fignums()
+    assert len(film.times) == 40
+    assert len(page) < 5e5
+
+
+@pytest.mark.parametrize("photograph", [False, True])
+def test_frames_on_a_page_look_like_the_figure(films, photograph):
+    """A palette is used only where nobody sees it: a photograph keeps its colours."""
+    ax = plt.figure().add_subplot()
+    if photograph:
+        ax.imshow(np.random.default_rng(1).random((80, 80, 3)), extent=(-1, 1, -1, 1))
+    film = films(turning(), hand, duration=0.1, ax=ax)
+    frames = re.findall(r"data:image/png;base64,([^\"]*)", film.to_jshtml())
+    last = Image.open(io.BytesIO(base64.b64decode(frames[-1].replace("\\\n", ""))))
+    assert (last.mode == "P") != photograph
+    film.show(len(film.times) - 1)
+    drawn = io.BytesIO()
+    film.figure.savefig(drawn, format="png", dpi=film.figure.dpi)
+    expected = np.asarray(Image.open(drawn).convert("RGB"), dtype=float)
+    assert abs(np.asarray(last.convert("RGB"), dtype=float) - expected).mean() < 0.5

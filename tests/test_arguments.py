@@ -57,6 +57,9 @@ CALLS = {
     "method type": (dict(method=45), TypeError, "`method` must be one of .*, by name; got 45"),
     "events": (dict(events={}), TypeError, "events must be a function"),
     "invariants": (dict(invariants=3), TypeError, r"invariants must be a function g\(t, y\)"),
+    "invariants: key": (dict(invariants={3: decay}), TypeError, "keys of a dict of invariants are their names"),
+    "invariants: value": (dict(invariants={"a": 3}), TypeError, "'a' must be a function"),
+    "invariants: names": (dict(invariants={"a": iv.Invariants(decay, names="b")}), ValueError, "names of its own: b"),
     "invariants text": (dict(invariants="energy"), TypeError, "invariants must be"),
     "invariant None": (dict(invariants=lambda t, y: None), ValueError, "invariant g returned None"),
     "invariant complex": (dict(invariants=lambda t, y: 1j), ValueError, "expected a real number"),
@@ -184,6 +187,22 @@ def test_pure_relative_control_at_zero_is_explained(method):
         assert "pure relative error control is impossible" in sol.message
     kept = iv.solve_ivp(lambda t, y: [0.0, -y[1]], (0, 1), [0, 1], method, atol=0)
     assert kept.success  # a zero error counts as 0
+
+
+def test_a_dict_gives_invariants_their_names():
+    """In their order, without a change of what is given; the run is that of the list."""
+    angle, length = (lambda t, y: y[0] ** 2 + y[1] ** 2), iv.Invariants(lambda t, y: y @ y, when="needed")
+    problem = iv.Problem(lambda t, y: [y[1], -y[0], 0.0], (0, 5), [1.0, 0.0, 1.0])
+    sol = problem.replace(invariants={"angle": angle, "length": length}).solve()
+    assert sol.drift().names == ["angle", "length"]
+    assert length.names is None
+    np.testing.assert_array_equal(sol.y, problem.replace(invariants=[angle, length]).solve().y)
+    assert "radius" in str(iv.check_invariants(problem.fun, {"radius": angle}, 0, problem.y0))
+
+
+def test_a_solution_says_what_gives_its_continuous_solution():
+    assert "dense_output=True" in repr(iv.ode45(decay, (0, 1), [1.0]))
+    assert "dense_output=True" not in repr(iv.ode45(decay, (0, 1), [1.0], dense_output=True))
 
 
 def test_repr_and_iteration():

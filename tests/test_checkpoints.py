@@ -284,7 +284,7 @@ def test_wrong_options(options, error, message):
 
 def test_wrong_arguments_of_load(tmp_path):
     problem().solve().save(tmp_path / "a")
-    with pytest.raises(TypeError, match=r"problem must be a Problem, got .*; invariants are given by name"):
+    with pytest.raises(TypeError, match=r"got .*; invariants are given by name.*Problem\(fun, t_span, y0\)"):
         iv.load(tmp_path / "a", lambda t, y: y)
     with pytest.raises(ValueError, match="invariants and args are those of the problem"):
         iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)

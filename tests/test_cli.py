@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import types
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -660,13 +661,69 @@ def test_help_has_examples_and_fits(command):
     assert max(map(len, outcome.output.splitlines())) <= 80
 
 
-def test_examples_of_the_help_name_options_that_there_are():
-    for command in ("solve", "compare", "check"):
-        text = flat(invariode(command, "--help", width=200).output)
-        options = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text.split("Examples:")[1]))
-        known = text.split("Examples:")[0]
-        assert options
-        assert all(option in known for option in options)
+#: The files that the examples of the help name.
+EXAMPLES = {
+    "orbits.py": """
+import invariode as iv
+
+def orbit(t, y):
+    r3 = (y[0] ** 2 + y[1] ** 2) ** 1.5
+    return [y[2], y[3], -y[0] / r3, -y[1] / r3]
+
+def momentum(t, y):
+    return y[0] * y[3] - y[1] * y[2]
+
+kepler = iv.Problem(orbit, (0, 0.5), [1, 0, 0, 1], name="kepler", invariants=momentum)
+""",
+    "kinetics.py": """
+import invariode as iv
+
+kinetics = iv.Problem(lambda t, y: [-y[0], y[0]], (0, 1), [1, 0], invariants=lambda t, y: y[0] + y[1])
+""",
+}
+
+
+def examples_of_the_help():
+    """The commands that the help of each command ends with, without `invariode`."""
+    for command in ([], ["solve"], ["compare"], ["check"]):
+        text = invariode(*command, "--help", width=200).output
+        lines = [line.split() for line in re.split(r"Examples?:", text)[1].splitlines() if line.strip()]
+        assert lines
+        assert all(line[0] == "invariode" for line in lines)
+        yield from (" ".join(line[1:]) for line in lines)
+
+
+def test_examples_of_the_help_do_what_they_say():
+    """Each of them runs, writes the files that it names, and prints the problem's name."""
+    Path("pendulum.py").write_text(FILES["pendulum.py"].replace("(0, 10)", "(0, 1)"), encoding="utf-8")  # short runs
+    for name, text in EXAMPLES.items():
+        Path(name).write_text(text, encoding="utf-8")
+    done = {}
+    for command in dict.fromkeys(examples_of_the_help()):
+        arguments = command.split()
+        outcome = invariode(*arguments)
+        assert outcome.exit_code == 0, (arguments, outcome.output)
+        assert re.search(r"(pendulum|kepler)", outcome.output) or "kinetics.py" in arguments
+        written = [one for flag, one in pairwise(arguments) if flag in ("-o", "--plot", "--checkpoint")]
+        assert all(Path(one).stat().st_size > 0 for one in written)
+        done[command] = written
+    assert len(done) > 8
+    assert sum(map(len, done.values())) == 5
+
+
+def test_the_page_shows_what_the_command_prints():
+    """All of docs/command-line.md's console but the time, in a terminal of 80 columns."""
+    page = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
+    code, console = (re.search(rf"```{kind}\n(.*?)```", page, re.DOTALL)[1] for kind in ("python", "console"))
+    Path("pendulum.py").write_text(code, encoding="utf-8")
+    shown = re.split(r"^\$ invariode (.*)\n", console, flags=re.MULTILINE)[1:]
+    assert len(shown) == 4
+    for command, expected in zip(shown[::2], shown[1::2], strict=True):
+        printed, wanted = (
+            [line.rstrip() for line in text.splitlines() if not line.startswith("time ")]
+            for text in (invariode(*command.split()).output, expected)
+        )
+        assert printed == wanted
 
 
 def test_package_is_the_command():

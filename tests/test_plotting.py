@@ -141,7 +141,7 @@ def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method)
 def test_names_are_those_of_the_problem():
     sol = turning().solve()
     assert legend(sol.plot(ax=axes())) == ["east", "north"]
-    assert sol.plot(ax=axes(), components="north").get_ylabel() == "north"
+    assert sol.plot("north", ax=axes()).get_ylabel() == "north"
     ax = sol.plot_phase("north", "east", ax=axes())
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("north", "east")
     assert sol.plot_drift(ax=axes()).get_ylabel() == "residual of radius"

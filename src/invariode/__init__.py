@@ -41,6 +41,7 @@ if _typing.TYPE_CHECKING:
     from ._dae.solution import DaeSolution
     from ._dae.solve import decic, ode15i, solve_dae
     from ._mechanics.system import MechanicalSystem
+    from ._results.citations import cite
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
     from ._studies.fit.experiment import Experiment
@@ -107,6 +108,7 @@ __all__ = [
     "UnitVector",
     "check_invariants",
     "check_sensitivities",
+    "cite",
     "compile",
     "complex_ode",
     "decic",
@@ -135,6 +137,7 @@ _LATER = {
     "ode15i": "._dae.solve",
     "solve_dae": "._dae.solve",
     "MechanicalSystem": "._mechanics.system",
+    "cite": "._results.citations",
     "complex_ode": "._solve.ode",
     "ode": "._solve.ode",
     "CheckReport": "._studies.check",

@@ -64,6 +64,9 @@ invariants = iv.Invariants(energy, jac=gradient, value=0.5, names="energy", iter
 both = iv.Invariants(energies, jac="complex-step", value=[0, 0], names=["energy", "product"])
 for kept in (energy, invariants, [energy, energies], [invariants, both]):
     sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants=kept)
+sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants={"energy": energy})
+bibliography: str = iv.cite(sol)
+sol.plot("angle")
 maybe = energy if sol.success else None
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants=maybe)
 hit = iv.Event(bottom, terminal=3, direction=-1, action=kick, rehold=False)

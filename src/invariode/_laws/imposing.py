@@ -108,7 +108,7 @@ def impose(
 
     Parameters
     ----------
-    invariants : callable, Invariants, or list of these
+    invariants : callable, Invariants, or list or dict of these
         As for `solve_ivp`.
     t : float or array_like of shape (n_t,), or a result
         Times of the points; or a `Solution` or a result of SciPy's, for its t and y.

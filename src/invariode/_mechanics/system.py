@@ -54,7 +54,7 @@ class MechanicalSystem(HasPoints):
         length.
     energy : callable, optional
         ``E(t, q, v, *args)``, a number, held at its initial value. Default: no energy is held.
-    invariants : callable, Invariants, or list of these, optional
+    invariants : callable, Invariants, or list or dict of these, optional
         Further invariants ``g(t, y, *args)`` with y = (q, v).
     points : callable, optional
         ``points(t, q, *args)``, shape (k, 2) or (k, 3): what `animate` shows.

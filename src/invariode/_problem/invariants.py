@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Literal, TypeAlias, cast
 
@@ -147,8 +148,10 @@ class AccuracyWarning(UserWarning):
     """
 
 
-#: Invariants as arguments: a function, an `Invariants`, or several of these.
-InvariantsLike: TypeAlias = Function | Invariants | Iterable[Function | Invariants]
+#: Invariants as arguments: a function, an `Invariants`, or several of these, in a list or by name.
+InvariantsLike: TypeAlias = (
+    Function | Invariants | Iterable[Function | Invariants] | Mapping[str, Function | Invariants]
+)
 
 
 def demanded_values(value: ArrayLike) -> Array:
@@ -215,17 +218,36 @@ def _components(moves: object) -> list[int]:
 
 
 def to_invariants(invariants: object) -> list[Invariants]:
-    """The argument `invariants` as a list: a function, an Invariants, or a list of these."""
+    """The argument `invariants` as a list: a function, an Invariants, or several of these, in a list or by name."""
     if invariants is None:
         return []
     if isinstance(invariants, Invariants):
         return [invariants]
     if callable(invariants) or is_native(invariants):
         return [Invariants(cast("Callable[..., Any]", invariants))]
+    if isinstance(invariants, Mapping):
+        return [_named(name, one) for name, one in invariants.items()]
     listed = None if isinstance(invariants, (str, bytes)) else items(invariants)
     if listed is not None:
         with suppress(RecursionError):
             return [one for item in listed for one in to_invariants(item)]
     raise TypeError(
-        f"invariants must be a function g(t, y), an Invariants, or a list of these, got {shown(invariants)}"
+        f"invariants must be a function g(t, y), an Invariants, or a list or dict of these, got {shown(invariants)}"
     )
+
+
+def _named(name: object, given: object) -> Invariants:
+    """An entry of a dict of invariants: the function or Invariants with its key as its name."""
+    if not isinstance(name, str):
+        raise TypeError(f"the keys of a dict of invariants are their names, str, got {shown(name)}")
+    try:
+        (one,) = to_invariants(given)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"in a dict of invariants {shown(name)} must be a function g(t, y) or an Invariants, got {shown(given)}"
+        ) from None
+    if one.names is not None:
+        raise ValueError(f"the invariant {shown(name)} of the dict has names of its own: {', '.join(one.names)}")
+    named = copy.copy(one)
+    named.names = _names(name)
+    return named

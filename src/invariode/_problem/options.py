@@ -418,9 +418,9 @@ class DescribingOptions(TypedDict, total=False):
         InvariantsLike | None,
         Option(
             None,
-            "callable, Invariants, or list of these",
+            "callable, Invariants, or list or dict of these",
             "Quantities that the solution conserves. Each accepted step is projected onto them (paper, sections 3 and "
-            "4). See `Invariants`.",
+            "4). The keys of a dict are their names. See `Invariants`.",
         ),
     ]
     jac: Annotated[

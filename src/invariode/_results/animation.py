@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import math
 import operator
@@ -17,7 +18,9 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, writers
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.pyplot import close
 from matplotlib.ticker import MaxNLocator
+from PIL import Image
 
 from .._base.arguments import Array, positive, shown
 from .._base.style import COLOURS
@@ -25,8 +28,9 @@ from .pictures.canvas import component, new
 from .pictures.curves import curve
 from .result import Result
 
-#: Seconds of a film without a given length: those of the motion, within these bounds.
-_SHORTEST, _LONGEST = 4.0, 8.0
+#: Seconds of a film without a given length: those of the motion from the first number to the second, in real time if t
+#: is in seconds. A longer motion is shown in the third number.
+_SHORTEST, _LONGEST, _SHORTENED = 4.0, 20.0, 8.0
 #: Frames of the longest film: an hour at 30 in a second.
 _MOST_FRAMES = 3600 * 30
 
@@ -48,6 +52,10 @@ _MARGIN = 0.06
 
 #: An extent is at least this fraction of the largest one, so that motion along a line is visible.
 _THINNEST = 0.2
+
+#: Frames on a page have a palette of this many colours, if that changes their values (0 to 255) by at most the second
+#: number on average: lines and text need few colours, and take a quarter of the room.
+_PALETTE, _UNSEEN = 32, 0.5
 
 #: matplotlib's page of controls takes its icons from the network; these signs are in every font.
 _ICONS = {
@@ -146,7 +154,8 @@ def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
         raise ValueError("cannot animate a solution with a single point: solve with keep='all' or dense_output=True")
     rate = positive("fps", fps)
     span = float(abs(ends[-1] - ends[0]))
-    seconds = min(max(span, _SHORTEST), _LONGEST) if duration is None else positive("duration", duration)
+    usual = _SHORTENED if span > _LONGEST else max(span, _SHORTEST)
+    seconds = usual if duration is None else positive("duration", duration)
     if not seconds * rate <= _MOST_FRAMES:
         raise ValueError(f"duration times fps must be at most {_MOST_FRAMES} frames, got {seconds:.6g} s at {rate:.6g}")
     return np.linspace(ends[0], ends[-1], max(2, round(seconds * rate)))
@@ -331,17 +340,20 @@ class Film(FuncAnimation):
         Parameters
         ----------
         fps, embed_frames, default_mode
-            As in matplotlib. Frames of any size are embedded.
+            As in matplotlib. Frames of any size are embedded, with few colours if that cannot be seen.
         """
         with matplotlib.rc_context({"animation.embed_limit": math.inf}):
             found: str = super().to_jshtml(fps, embed_frames, default_mode)
+        found = re.sub(r"(?<=data:image/png;base64,)[^\"]*", lambda frame: _with_palette(frame[0]), found)
         found = re.sub(r"<link rel=\"stylesheet\"\s+href=\"http[^>]*>", "", found)
         for icon, sign in _ICONS.items():
             found = found.replace(f'<i class="fa {icon}"></i>', sign)
         return found
 
     def _repr_html_(self) -> str:
-        return self.to_jshtml()
+        shown = self.to_jshtml()
+        close(self.figure)  # a notebook would show the open figure as a still picture below the film
+        return shown
 
 
 class _Still(Artist):
@@ -366,6 +378,19 @@ def _pixels(figure: Any, dpi: float | Literal["figure"] | None) -> Array:
     drawn = io.BytesIO()
     figure.savefig(drawn, format="rgba", dpi=dots)
     return np.frombuffer(drawn.getvalue(), np.uint8).reshape(-1, int(figure.get_figwidth() * dots), 4)
+
+
+def _with_palette(frame: str) -> str:
+    """A frame, a PNG in base64, with a palette instead of colours of its own; as it is if that could be seen."""
+    with Image.open(io.BytesIO(base64.b64decode(frame.replace("\\\n", "")))) as opened:
+        whole = opened.convert("RGB")
+    few = whole.quantize(_PALETTE, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    changes = np.asarray(whole, dtype=float) - np.asarray(few.convert("RGB"), dtype=float)
+    if np.abs(changes).mean() > _UNSEEN:
+        return frame
+    written = io.BytesIO()
+    few.save(written, format="PNG", optimize=True)
+    return base64.b64encode(written.getvalue()).decode("ascii")
 
 
 def _standing(ax: Any) -> list[Any]:

@@ -39,7 +39,7 @@ class Solution(Exports):
     y : ndarray, (n, n_t)
         The solution at t.
     sol : DenseSolution or None
-        The solution as a function of t, with ``dense_output=True``.
+        The solution as a function of t, with ``dense_output=True``; else None, as in SciPy.
     t_events : list of ndarray, or None
         The times of each event, (k,). None without events.
     y_events : list of ndarray, or None
@@ -243,7 +243,7 @@ class Solution(Exports):
         return found
 
     def plot(
-        self, *, ax: Axes | None = None, components: Any = None, log: Literal["x", ""] | None = None, **line: Any
+        self, components: Any = None, *, ax: Axes | None = None, log: Literal["x", ""] | None = None, **line: Any
     ) -> Axes:
         """Draw components of the solution over t.
 
@@ -257,11 +257,11 @@ class Solution(Exports):
 
         Parameters
         ----------
+        components : int, str, or sequence of these, optional
+            Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
         ax : matplotlib.axes.Axes, optional
             Where to draw everything. Default: a new figure, with a panel for each group of components whose sizes
             differ from those of the others by a factor of more than 1000.
-        components : int, str, or sequence of these, optional
-            Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
         log : {'x', ''}, optional
             'x': a logarithmic axis of time, on which t = 0 has no place; '': a linear one. Default: linear, but in a
             new figure logarithmic if half of the output lies in the first thousandth of the time and the steps span
@@ -339,7 +339,7 @@ class Solution(Exports):
         ----------
         ax : matplotlib.axes.Axes, optional
             Where to draw. Default: a new figure.
-        invariants : callable, Invariants, or list of these, optional
+        invariants : callable, Invariants, or list or dict of these, optional
             What to draw instead of the run's own invariants, to see how a run that did not impose them drifts. They are
             compared with their demanded values, else with their values at the first output and after each jump. They
             get the arguments of the run.
@@ -413,7 +413,8 @@ class Solution(Exports):
         trace : sequence of int, optional
             Points whose path so far is drawn. Default: none.
         duration : float, optional
-            Seconds that the film takes. Default: as long as the motion, from 4 to 8.
+            Seconds that the film takes. Default: in real time, if t is in seconds and the motion takes 4 to 20; 4 for
+            a shorter motion, 8 for a longer one.
         fps : float, default 25
             Frames per second.
         ax : matplotlib.axes.Axes, optional

@@ -58,7 +58,7 @@ def load(
         The file. A checkpoint has another beside it, with the output. While a run writes it, this is the run so far.
     problem : Problem, optional
         The problem of the run. A checkpoint needs it.
-    invariants : callable, Invariants, or list of these, optional
+    invariants : callable, Invariants, or list or dict of these, optional
         Without a problem: the run's invariants, in their order. They are held at the values in the file.
     args : tuple, optional
         Their extra arguments.
@@ -98,21 +98,7 @@ def load(
     >>> bool((again.extend(20).y == sol.extend(20).y).all())
     True
     """
-    if problem is None:
-        listed, extra = to_invariants(invariants), extra_arguments(args)
-        if extra and not listed:
-            raise ValueError("args are the extra arguments of invariants, and no invariants are given")
-        if options or trust is not None:
-            raise ValueError(
-                f"{next(iter(options), 'trust')} is an option of the run, which goes on with its problem: give problem "
-                "too"
-            )
-    else:
-        if not isinstance(problem, Description):
-            raise TypeError(f"problem must be a Problem, got {shown(problem)}; invariants are given by name")
-        if invariants is not None or args:
-            raise ValueError("invariants and args are those of the problem: leave them out")
-        listed, extra = problem.invariants, problem.args
+    listed, extra = _invariants_of(problem, invariants, args, [*options, *["trust"] * (trust is not None)])
     if trust is not None:
         choice("trust", trust, ["code"])
     kind, fields = read(path, SOLUTION, CHECKPOINT)
@@ -148,6 +134,32 @@ def load(
     projects = fields["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0
     kind_of_sol = _Unprojected if (imposed or projects) and not listed else DenseSolution
     return solution.changed(sol=kind_of_sol(dense, solution.y.dtype, solution._invariants, imposed))
+
+
+def _invariants_of(
+    problem: object, invariants: InvariantsLike | None, args: Iterable[Any] | None, of_the_run: Sequence[str]
+) -> tuple[list[Any], tuple[Any, ...]]:
+    """The invariants and their extra arguments: those of the problem, or those given without one.
+
+    `of_the_run` are the names of the options that need a problem.
+    """
+    if problem is None:
+        listed, extra = to_invariants(invariants), extra_arguments(args)
+        if extra and not listed:
+            raise ValueError("args are the extra arguments of invariants, and no invariants are given")
+        if of_the_run:
+            raise ValueError(
+                f"{of_the_run[0]} is an option of the run, which goes on with its problem: give problem too"
+            )
+        return listed, extra
+    if not isinstance(problem, Description):
+        raise TypeError(
+            f"problem must be a Problem, got {shown(problem)}; invariants are given by name. For the run of a function "
+            "fun give load(path, Problem(fun, t_span, y0)), with the run's args, events and invariants"
+        )
+    if invariants is not None or args:
+        raise ValueError("invariants and args are those of the problem: leave them out")
+    return problem.invariants, problem.args
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -205,7 +205,7 @@ class ode:  # noqa: N801 - SciPy's name
         ``f(t, y, *f_params)``: the derivative, of shape (n,).
     jac : callable, optional
         ``jac(t, y, *jac_params)``: the Jacobian of f, of shape (n, n), or its bands. Explicit methods do not use it.
-    invariants : callable, Invariants, or list of these, optional
+    invariants : callable, Invariants, or list or dict of these, optional
         Invariants of the solution, ``g(t, y, *f_params)``: see `solve_ivp`. They are fixed at their values at the
         initial value, or, if the parameters of f were changed later, at the state where they were set last.
 

@@ -158,7 +158,7 @@ def odeint(
         Whether t is the first argument of `func` and ``Dfun``.
     method : str, optional
         A name in `METHODS`. Default: 'auto', which switches between ode113 and ode15s as the problem requires.
-    invariants : callable, Invariants, or list of these, optional
+    invariants : callable, Invariants, or list or dict of these, optional
         What the solution keeps, ``g(t, y, *args)``: see `solve_ivp`.
 
     Returns

@@ -123,7 +123,7 @@ def check_invariants(
     ----------
     fun : callable
         ``f(t, y, *args)``.
-    invariants : callable, Invariants, or list of these
+    invariants : callable, Invariants, or list or dict of these
         As for `solve_ivp`.
     t : float
         The time.

@@ -9,7 +9,9 @@ from rich.console import Console
 
 from .._base.public import version
 from . import check, compare, methods, solve
-from .session import paragraphs
+from .session import examples, paragraphs
+
+EXAMPLES = examples("solve pendulum.py", "compare pendulum.py", "check pendulum.py")
 
 app = typer.Typer(
     name="invariode",
@@ -29,7 +31,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(epilog="Example: [bold]invariode solve lotka_volterra.py --invariant energy[/bold]")
+@app.callback(epilog=EXAMPLES)
 def invariode(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
