@@ -137,6 +137,7 @@ bool Integration::resolve_first_step(double t, const double* y) {
   report_.t = t;
   report_.h = h;
   report_.cause = Cause::spacing;
+  note_pure_relative();
   return end(State::step_failed);
 }
 
@@ -316,6 +317,7 @@ bool Integration::explain_failure(Cause cause) {
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = manifold_.undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = manifold_.outside_component();
   if ((cause != Cause::error && cause != Cause::newton) || report_.linear.unsolved != Unsolved::none) return true;
+  if (cause == Cause::error) note_pure_relative();
   if (aim_.hmin() < hmin_ulps * ulp(t0_)) {  // the method has just started
     bool changes = false;
     if (!unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, changes)))
@@ -323,15 +325,16 @@ bool Integration::explain_failure(Cause cause) {
     if (changes) report_.cause = Cause::spacing;
     if (changes) return true;
   }
-  if (!unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target())))
-    return false;
-  if (cause != Cause::error) return true;
+  return unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target()));
+}
+
+/// Reports the first component that is zero and has no absolute tolerance: no error of it is small enough.
+void Integration::note_pure_relative() {
   for (std::size_t i = 0; i < extent_.n && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && y0_[i] == 0) {
       report_.pure_relative = true;
       report_.component = static_cast<int>(i);
     }
-  return true;
 }
 
 // ------------------------------------------------------------------------------------------------- an accepted step

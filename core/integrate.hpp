@@ -148,6 +148,7 @@ class Integration {
   [[nodiscard]] bool jumps_here() const;
   bool conclude();
   bool keep_step_before_jump();
+  void note_pure_relative();
   void move_start(double t, const double* y);
   void discard_step(const double* y);
   bool land(const Landing& at);

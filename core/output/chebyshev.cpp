@@ -55,6 +55,14 @@ bool is_monotonic(const std::vector<double>& c) {
 
 }  // namespace
 
+RootSeparator::RootSeparator() {
+  for (std::vector<double>* const one : {&values_, &finer_, &coefficients_, &part_values_, &part_coefficients_})
+    one->reserve(2 * last_degree + 1);
+  roots_.reserve(2 * last_degree + 1);
+  left_.reserve(deepest + 2);
+  parts_.reserve(64);  // halvings down to the resolution of a double
+}
+
 bool RootSeparator::separate(const Sample& sample, const std::function<bool(double& value)>& noise, const Ends& ends,
                              bool zero_at_start, std::vector<double>& points) {
   const auto [a, ea, b, eb] = ends;
@@ -62,10 +70,10 @@ bool RootSeparator::separate(const Sample& sample, const std::function<bool(doub
   samples_ = 0;
   noise_ = 0;
   ask_noise_ = &noise;
-  std::vector<Interval> left{{a, ea, b, eb, 0}};
-  while (!left.empty()) {
-    const Interval on = left.back();
-    left.pop_back();
+  left_.assign(1, {a, ea, b, eb, 0});
+  while (!left_.empty()) {
+    const Interval on = left_.back();
+    left_.pop_back();
     bool resolved = false;
     if (samples_ < most_samples && !interpolate(sample, on, resolved)) return false;
     const double middle = on.time(0);
@@ -75,8 +83,8 @@ bool RootSeparator::separate(const Sample& sample, const std::function<bool(doub
       split_between_roots(on, points);
     } else if (samples_ < most_samples && on.depth < deepest && middle != on.a && middle != on.b) {
       const double value = values_[(values_.size() - 1) / 2];
-      left.push_back({middle, value, on.b, on.eb, on.depth + 1});
-      left.push_back({on.a, on.ea, middle, value, on.depth + 1});
+      left_.push_back({middle, value, on.b, on.eb, on.depth + 1});
+      left_.push_back({on.a, on.ea, middle, value, on.depth + 1});
       continue;
     }
     if (on.b != b) points.push_back(on.b);
@@ -105,12 +113,12 @@ bool RootSeparator::interpolate(const Sample& sample, const Interval& on, bool& 
 /// Samples between the points that are there: twice the degree.
 bool RootSeparator::refine(const Sample& sample, const Interval& on) {
   const std::size_t degree = 2 * (values_.size() - 1);
-  std::vector<double> finer(degree + 1);
-  for (std::size_t k = 0; k < values_.size(); ++k) finer[2 * k] = values_[k];
+  finer_.assign(degree + 1, 0);
+  for (std::size_t k = 0; k < values_.size(); ++k) finer_[2 * k] = values_[k];
   for (std::size_t k = 1; k < degree; k += 2)
-    if (!sample(on.time(point(k, degree)), finer[k])) return false;
+    if (!sample(on.time(point(k, degree)), finer_[k])) return false;
   samples_ += degree / 2;
-  values_ = std::move(finer);
+  values_.swap(finer_);
   return true;
 }
 
@@ -148,10 +156,10 @@ bool RootSeparator::locate_roots() {
   const std::size_t degree = coefficients_.size() - 1;
   const double resolution = doubt * negligible * largest(coefficients_);
   if (largest(coefficients_) <= noise_) return true;  // there is nothing to be seen
-  std::vector<std::pair<double, double>> left{{-1, 1}};
-  while (!left.empty()) {
-    const auto [low, high] = left.back();
-    left.pop_back();
+  parts_.assign(1, {-1, 1});
+  while (!parts_.empty()) {
+    const auto [low, high] = parts_.back();
+    parts_.pop_back();
     const double middle = 0.5 * (low + high);
     part_values_.resize(degree + 1);
     for (std::size_t k = 1; k < degree; ++k) part_values_[k] = evaluate(middle + 0.5 * (high - low) * point(k, degree));
@@ -166,8 +174,8 @@ bool RootSeparator::locate_roots() {
       if ((part_values_.front() < 0) != (part_values_.back() < 0)) roots_.push_back(bisected(low, high));
       continue;
     }
-    left.emplace_back(middle, high);
-    left.emplace_back(low, middle);
+    parts_.emplace_back(middle, high);
+    parts_.emplace_back(low, middle);
   }
   return true;
 }

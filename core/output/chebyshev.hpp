@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <functional>
+#include <utility>
 #include <vector>
 
 namespace invariode {
@@ -12,6 +13,8 @@ namespace invariode {
 /// on a part rule roots out or show that it is monotonic.
 class RootSeparator {
  public:
+  RootSeparator();
+
   /// The value at t; false: the search is to end.
   using Sample = std::function<bool(double t, double& value)>;
 
@@ -46,8 +49,11 @@ class RootSeparator {
   double noise_ = 0;
   std::vector<double> values_;        // at cos(kπ / N), k = 0 … N
   std::vector<double> coefficients_;  // of the Chebyshev polynomials
+  std::vector<double> finer_;         // these, being refined
   std::vector<double> part_values_, part_coefficients_;
   std::vector<double> roots_;
+  std::vector<Interval> left_;                    // of the step, not yet searched
+  std::vector<std::pair<double, double>> parts_;  // of an interval, not yet searched for roots of the interpolant
 };
 
 }  // namespace invariode

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <functional>
 #include <utility>
 
 #include "output/polynomial.hpp"
@@ -13,6 +14,7 @@ namespace {
 
 constexpr double location_ulps = 2;       // width of the final bracket, in ulp of t
 constexpr double tie_ulps = 4;            // roots this close are one instant
+constexpr std::size_t few_samples = 64;   // of a step that is scanned closely, for which there is room at once
 constexpr int few_intervals = 3;          // that shrink do not yet accumulate
 constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
 constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
@@ -45,6 +47,7 @@ Events::Events(std::vector<EventFunction> functions, std::vector<RootVector> vec
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
+  for (std::vector<double>* const one : {&close_scan_.times, &close_scan_.values}) one->reserve(few_samples);
   brackets_.reserve(intervals_);
   roots_.reserve(intervals_);
   occurrences_.reserve(functions_.size() * intervals_);
@@ -364,7 +367,8 @@ Outcome Events::scan_closely(std::size_t event, int samples) {
       outcome = roundoff_of(event, t1, step_.y1, end, value);
       return outcome == Outcome::ok;
     };
-    if (!separator_.separate(inside, noise, {t0, start, t1, end}, sign_[event] == 0, times)) return outcome;
+    if (!separator_.separate(std::ref(inside), std::ref(noise), {t0, start, t1, end}, sign_[event] == 0, times))
+      return outcome;
   } else {
     const auto parts = std::max(intervals_, static_cast<std::size_t>(samples) + 1);
     for (std::size_t j = 1; j < parts; ++j)
