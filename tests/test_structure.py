@@ -232,6 +232,7 @@ class TestReplace:
             "sensitivities": "y0",
             "second_order": True,
             "inputs": [iv.Input([0], [1.0])],
+            "breakpoints": [0.5],
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -252,6 +253,7 @@ class TestReplace:
             "y0": problem.y0.tolist(),
             "args": problem.args,
             "inputs": problem.inputs,
+            "breakpoints": problem.breakpoints,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],
             "sensitivities": problem.sensitivities and problem.sensitivities.args,

@@ -28,7 +28,7 @@ from .._base.arguments import (
 )
 from .._base.notebook import html_of_problem
 from .._base.record import Record, record_of
-from .._base.types import EventsLike, Function, Span
+from .._base.types import BreakpointsLike, EventsLike, Function, Span
 from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
 from .._functions.compiled import is_native, is_plain_function
@@ -36,6 +36,7 @@ from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
+from .breakpoints import Breakpoint, to_breakpoints
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
@@ -87,6 +88,7 @@ class Description:
     events: list[Any]
     matrices: Matrices
     inputs: list[Input]
+    breakpoints: list[Breakpoint]
     name: str
     bounds: Bounds | None
     sensitivities: Sensitivities | None
@@ -117,6 +119,7 @@ class Description:
         bounds: Any = None,
         sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
+        breakpoints: BreakpointsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
@@ -133,7 +136,7 @@ class Description:
             "nonnegative": nonnegative,
             "bounds": bounds,
         }
-        others = (invariants, events, second_order or None, sensitivities, inputs, *given.values())
+        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
@@ -143,6 +146,7 @@ class Description:
             events=_checked_events(events),
             matrices=matrices,
             inputs=to_inputs(inputs, span),
+            breakpoints=[] if breakpoints is None else to_breakpoints("breakpoints", breakpoints),
             name=_named(name, called),
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
@@ -253,6 +257,7 @@ class Description:
             "second_order": self.second_order and not states_second_order(self.fun),
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
+            "breakpoints": self.breakpoints or None,
             "name": self._title,
             "labels": self._labels,
         }

@@ -62,7 +62,9 @@ class PreparedSolver:
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native and _may_vary(problem, plan) and fits_any_args(problem, method)
         self._any_args = self._any_args and not (plan.schedule is not None and plan.schedule.depends_on_args)
-        free = not problem.inputs and not any(plan.bound.senses)  # what is dissipated depends on the direction of time
+        free = not (problem.inputs or problem.breakpoints) and not any(
+            plan.bound.senses
+        )  # what is dissipated depends on the direction of time
         free = free and plan.schedule is None and (plan.expansion is None or plan.expansion.of_any_span)
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
