@@ -116,7 +116,7 @@ def test_a_fit_starts_where_the_formula_of_a_derivative_is_singular(name):
     times = np.linspace(*span, 9)[1:]
     problem = iv.Problem(fun, span, start, args=args)
     data = problem.solve("dop853", t_eval=times, rtol=1e-10, atol=1e-12, **options).y
-    names = iv.Problem(fun, span, start, args=args, sensitivities=True).parameters()
+    names = iv.Problem(fun, span, start, args=args, sensitivities=True).parameter_names()
     around = {one.name: iv.Parameter(1.1 * value, (0.2, 5.0)) for one, value in zip(names, args, strict=True)}
     found = iv.fit(problem, times, data, around, sigma=1e-3, rtol=1e-8)
     np.testing.assert_allclose([found.parameters[one.name] for one in names], args, rtol=1e-4)
@@ -138,7 +138,7 @@ def test_derivatives_that_are_not_finite_are_mended_from_one_side(how):
 
     at = Point(0.0, np.array([0.5, 1.0]))
     problem = iv.Problem(fun, (0, 1), at.y, args=(2.5,), sensitivities=True)
-    made = Directional(fun if how == "traced" else untraced(fun), (2.5,), problem.parameters(), 2, at=at)
+    made = Directional(fun if how == "traced" else untraced(fun), (2.5,), problem.parameter_names(), 2, at=at)
     assert made.how == how
     origin = np.zeros(2)
     found = made.columns(0.0, origin, np.zeros(2), np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]))
