@@ -22,6 +22,7 @@ from .._base.arguments import (
     interval,
     items,
     quietly,
+    require_no_unit,
     shown,
     state,
     warn,
@@ -296,6 +297,7 @@ def _posed(
     """f as the solvers call it, the interval, the initial state, which nobody changes, and the extra arguments."""
     plain = plainly_posed(t_span, y0, args)
     if plain is not None:
+        require_no_unit("args", plain[2])
         return _as_called(fun, plain[1]), *plain
     span, start = interval(t_span), state(y0)
     called = _as_called(fun, start)

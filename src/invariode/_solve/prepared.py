@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, extra_arguments, interval
+from .._base.arguments import Array, extra_arguments, interval, require_no_unit
 from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
 from .._functions.layout import Arguments, count_of
@@ -128,6 +128,7 @@ class PreparedSolver:
             y0 = y0.view(float)
         run = core.integrate_anew(y0, args, cover)
         if run is None and args is not None:  # not only floats
+            require_no_unit("args", args)
             run = core.integrate_anew(y0, native_parameters(args, [self.problem.fun]), cover)
         self._idle.append(core)  # but not after an exception
         return run
@@ -190,6 +191,7 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
     """y0 as an array, if it is of the same type and shape."""
+    require_no_unit("y0", y0)
     if not isinstance(y0, np.ndarray):
         try:
             y0 = np.array(y0)
