@@ -160,6 +160,9 @@ def solve(
         raise typer.BadParameter("only affects the plot: add --plot FILE", param_hint="--components, --log")
     if resume and checkpoint is None:
         raise typer.BadParameter("needs a checkpoint to resume from: add --checkpoint FILE", param_hint="--resume")
+    for option, seconds_given in (("--time-limit", time_limit), ("--checkpoint-every", checkpoint_every)):
+        if seconds_given is not None and not seconds_given > 0:
+            raise typer.BadParameter(f"must be a positive number of seconds, got {seconds_given:g}", param_hint=option)
     with guarded():
         problem = load(file)
         problem = _nonnegative(problem, nonnegative)
