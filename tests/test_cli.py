@@ -294,7 +294,8 @@ def test_solve_says_what_is_wrong_and_ends_with(arguments, code, says):
 def test_times_of_zero_are_usage_errors(option, value):
     outcome = invariode("solve", "pendulum.py", option, value, width=200)
     assert outcome.exit_code == 2, outcome.output
-    assert f"{option}: must be a positive number of seconds, got {value}" in flat(outcome.output)
+    assert option in outcome.output
+    assert f"must be a positive number of seconds, got {value}" in flat(outcome.output)
 
 
 def test_what_a_dataclass_of_ours_refuses_is_not_blamed_on_the_user():

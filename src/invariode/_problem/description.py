@@ -41,7 +41,7 @@ from .breakpoints import Breakpoint, to_breakpoints
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
-from .matrices import Matrices, to_matrices
+from .matrices import Matrices, own_matrix, to_matrices
 from .options import ProblemArguments, unknown_option
 from .parameters import ParameterName
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
@@ -125,8 +125,8 @@ class Description:
         labels: Sequence[str] | None = None,
     ) -> None:
         called, span, start, extra = _posed(fun, t_span, y0, _args_or(parameters, args))
-        is_complex = start.dtype.kind == "c"
-        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
+        jac, jac_sparsity, mass = map(own_matrix, (jac, jac_sparsity, mass))
+        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, start)
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
             "jac": jac,
