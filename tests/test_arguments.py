@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -542,3 +543,83 @@ def test_errors_are_in_our_own_words(name):
     for call, message in several:
         with pytest.raises((TypeError, ValueError), match=message):
             call()
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Units
+
+
+class Stripped(np.ndarray):
+    """An array with a unit that NumPy forgets, as astropy's quantities are."""
+
+    unit = "cm"
+
+    def to_value(self, unit):
+        return np.asarray(self)
+
+
+class Measured:
+    """A number or array with units, as pint's quantities are."""
+
+    units = "centimeter"
+
+    def __init__(self, magnitude):
+        self.magnitude = magnitude
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self.magnitude, dtype)
+
+    def __float__(self):
+        return float(self.magnitude)
+
+    def __len__(self):
+        return len(self.magnitude)
+
+    def __getitem__(self, i):
+        return Measured(self.magnitude[i])
+
+
+@pytest.mark.parametrize("kind", [lambda x: np.array(x, dtype=float).view(Stripped), Measured])
+def test_quantities_are_refused_by_name(kind):
+    """A number in whatever unit is never taken for a plain number."""
+
+    def f(t, y, k=1.0):
+        return [-k * y[0], 0.0]
+
+    def solved(t_span=(0, 1), y0=(2.0, 0.0), **options):
+        return iv.solve_ivp(f, t_span, list(y0) if isinstance(y0, tuple) else y0, **options)
+
+    problem = iv.Problem(f, (0, 1), [2.0, 0.0], args=(1.0,))
+    compiled = problem.replace(fun=iv.compile(lambda t, y, k: [-k * y[0], 0.0 * y[1]]))
+    calls = {
+        "y0": lambda: solved(y0=kind([200.0, 0.0])),
+        "y0[0]": lambda: solved(y0=[kind(200.0), 0.0]),
+        "args[0]": lambda: solved(args=(kind(3.0),)),
+        "atol": lambda: solved(atol=kind([1e-6, 1e-6])),
+        "rtol": lambda: solved(rtol=kind(1e-6)),
+        "t_span": lambda: solved(t_span=kind([0.0, 1.0])),
+        "t_span[1]": lambda: solved(t_span=(0, kind(1.0))),
+        "t_eval": lambda: solved(t_eval=kind([0.5, 1.0])),
+        "first_step": lambda: solved(first_step=kind(0.1)),
+    }
+    for name, call in calls.items():
+        with pytest.raises(TypeError, match=rf"{re.escape(name)} is a quantity in (cm|centimeter)"):
+            call()
+    for one in (problem, compiled):
+        prepared = one.prepare()
+        with pytest.raises(TypeError, match=r"args\[0\] is a quantity"):
+            prepared(args=(kind(3.0),))
+        with pytest.raises(TypeError, match="y0 is a quantity"):
+            prepared(y0=kind([200.0, 0.0]))
+        with pytest.raises(TypeError, match="y0 is a quantity"):
+            one.solve_ensemble(kind([[200.0, 0.0]]), workers=1)
+
+
+def test_a_label_is_no_unit():
+    """Arrays of numbers that only say what they are in, as xarray's do, are arrays of numbers."""
+
+    class Labelled(np.ndarray):
+        units = "m"
+
+    y0 = np.array([1.0]).view(Labelled)
+    assert iv.solve_ivp(lambda t, y: -y, (0, 1), y0).success

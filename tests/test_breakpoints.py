@@ -609,3 +609,119 @@ def test_an_iterator_of_breakpoints_is_refused_at_every_way_in():
     for way in ways:
         with pytest.raises(TypeError, match=r"breakpoints are read more than once.*give list\(breakpoints\)"):
             way(breakpoints=iter([0.3, 0.6]))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Of a problem
+
+
+def elimination(t, y, k):
+    return [-k * y[0]]
+
+
+def bolus(t, y, k):
+    return y + 10 * k
+
+
+#: The second before the first, since runs take them in order.
+DOSES = [(2.5, bolus), (1.0, bolus), 3.0]
+
+
+def with_and_without():
+    plain = iv.Problem(elimination, (0, 4), [1.0], args=(0.5,))
+    return plain.replace(breakpoints=DOSES), plain
+
+
+def assert_same(a, b):
+    np.testing.assert_array_equal(a.t, b.t)
+    np.testing.assert_array_equal(a.y, b.y)
+
+
+@families_and_series
+def test_breakpoints_of_a_problem_are_those_of_each_run(method, tmp_path):
+    """Whatever is done with the problem, its bits are those of the run that is given the breakpoints as an option."""
+    problem, plain = with_and_without()
+    assert [point.t for point in problem.breakpoints] == [2.5, 1.0, 3.0]
+    expected = plain.solve(method, breakpoints=DOSES)
+    assert_same(problem.solve(method), expected)
+    assert_same(plain.replace(breakpoints=DOSES[:1]).solve(method, breakpoints=DOSES[1:]), expected)
+    assert_same(problem.replace(breakpoints=None).solve(method), plain.solve(method))
+    short = problem.replace(t_span=(0, 2)).solve(method)
+    whole = plain.replace(t_span=(0, 2)).solve(method, breakpoints=DOSES).extend(4)
+    assert_same(short.extend(4), whole)
+    short.save(tmp_path / "run.npz")
+    assert_same(iv.load(tmp_path / "run.npz", problem).extend(4), whole)
+    prepared = problem.prepare(method)
+    for changes in ({"args": (0.7,)}, {"t_span": (0, 3)}, {"y0": [2.0]}):
+        assert_same(prepared(**changes), plain.replace(**changes).solve(method, breakpoints=DOSES))
+    many = problem.solve_ensemble([[1.0], [2.0]], method, workers=1)
+    same = plain.solve_ensemble([[1.0], [2.0]], method, workers=1, breakpoints=DOSES)
+    np.testing.assert_array_equal(many.y_end, same.y_end)
+
+
+@explicit_and_implicit
+def test_derivatives_know_the_breakpoints_of_a_problem(method):
+    """S and the gradient are those of the solution in closed form, to 100 tolerances."""
+    problem, plain = with_and_without()
+    k, rtol = 0.5, 1e-8
+
+    def end(k):
+        return np.exp(-4 * k) + 10 * k * (np.exp(-3 * k) + np.exp(-1.5 * k))
+
+    h = 1e-6
+    exact = (end(k + h) - end(k - h)) / (2 * h)
+    options = {"rtol": rtol, "atol": rtol}
+    forward = problem.replace(sensitivities=["k"]).solve(method, **options)
+    given = plain.replace(sensitivities=["k"]).solve(method, breakpoints=DOSES, **options)
+    np.testing.assert_array_equal(forward.sensitivities, given.sensitivities)
+    backward = problem.solve(method, dense_output=True, **options).gradient([1.0], wrt=["k"])
+    np.testing.assert_allclose([forward.sensitivities[0, 0, -1], backward[0]], exact, rtol=100 * rtol)
+
+
+def test_a_fit_has_the_doses_of_its_problem():
+    problem, _ = with_and_without()
+    times = np.array([0.5, 1.5, 2.0, 3.5])
+    data = problem.replace(args=(0.8,)).solve("dop853", t_eval=times, rtol=1e-10, atol=1e-12).y[0]
+    found = iv.fit(problem, times, data, {"k": (0, 2)}, method="dop853")
+    assert abs(found.parameters["k"] - 0.8) < 1e-6
+
+
+def test_a_steady_state_has_no_doses():
+    problem = iv.Problem(lambda t, y: [1 - y[0]], (0, 1), [0.0], breakpoints=[(0.5, lambda t, y: y + 1)])
+    np.testing.assert_allclose(iv.steady_state(problem).y, [1.0], rtol=1e-9)
+
+
+def test_native_breakpoints_of_a_problem_are_not_lost_on_another_interval():
+    fun, action = compiled(elimination), compiled(bolus)
+    plain = iv.Problem(fun, (0, 4), [1.0], args=(0.5,))
+    prepared = plain.replace(breakpoints={1.0: action}).prepare("ode45", keep="end")
+    for span in ((0, 0.5), (0, 4)):
+        expected = plain.replace(t_span=span).solve("ode45", breakpoints={1.0: action}, keep="end")
+        assert_same(prepared(t_span=span), expected)
+
+
+def larger_bolus(t, y, k):
+    return y + 11 * k
+
+
+def test_a_file_belongs_to_the_breakpoints_of_its_problem(tmp_path):
+    problem, plain = with_and_without()
+    file = tmp_path / "run.npz"
+    problem.solve().save(file)
+    with pytest.raises(ValueError, match="another problem: breakpoints"):
+        iv.load(file, plain)
+    with pytest.raises(ValueError, match=r"the code of the action at t = 2\.5"):
+        iv.load(file, problem.replace(breakpoints=[(2.5, larger_bolus), (1.0, bolus), 3.0]))
+    plain.solve().save(file)
+    with pytest.raises(ValueError, match="another problem: breakpoints"):
+        iv.load(file, problem)
+
+
+def test_breakpoints_of_a_problem_are_checked_at_once_and_kept():
+    times = [1.0, 2.0]
+    problem = iv.Problem(elimination, (0, 4), [1.0], args=(0.5,), breakpoints=times)
+    times[0] = 3.0
+    assert [point.t for point in problem.breakpoints] == [1.0, 2.0]
+    assert_same(pickle.loads(pickle.dumps(problem)).solve(), problem.solve())
+    with pytest.raises(ValueError, match="a time in breakpoints must not be NaN"):
+        problem.replace(breakpoints=[np.nan])

@@ -290,6 +290,22 @@ def test_solve_says_what_is_wrong_and_ends_with(arguments, code, says):
     assert says in flat(outcome.output)
 
 
+@pytest.mark.parametrize("value", ["0", "-1", "nan"])
+@pytest.mark.parametrize("option", ["--time-limit", "--checkpoint-every"])
+def test_times_of_zero_are_usage_errors(option, value):
+    outcome = invariode("solve", "pendulum.py", option, value, width=200)
+    assert outcome.exit_code == 2, outcome.output
+    assert option in outcome.output
+    assert f"must be a positive number of seconds, got {value}" in flat(outcome.output)
+
+
+def test_what_a_dataclass_of_ours_refuses_is_not_blamed_on_the_user():
+    """Its constructor is in no file."""
+    with pytest.raises(typer.Exit) as ended:
+        exec("with guarded():\n    iv.Limits(steps=0)", {"guarded": guarded, "iv": iv, "__name__": "invariode.cli"})
+    assert ended.value.exit_code == 2
+
+
 @pytest.mark.parametrize("command", ["solve", "compare"])
 def test_exception_of_a_users_function_shows_its_frames_only(command):
     outcome = invariode(command, "faulty.py:raising")

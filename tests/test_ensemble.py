@@ -484,3 +484,22 @@ def test_invariants_have_as_many_values_in_every_row():
 
     with pytest.raises(ValueError, match="the invariants have 2 values in row 1 of y0, and 1 in the first one"):
         iv.solve_ensemble(lambda t, y: 0 * y, (0, 1), [[0.5], [1.5]], invariants=g, workers=1)
+
+
+def test_wrong_numbers_of_columns_fail_before_the_run():
+    """One error for all rows, and f is not called."""
+
+    def f(t, y, k):
+        raise AssertionError("called")
+
+    problem = iv.Problem(f, (0, 1), [1.0, 0.0], args=(1.0,))
+    for states in (np.ones((4, 3)), np.ones((4, 1)), np.ones(3)):
+        with pytest.raises(ValueError, match="must have n = 2 columns"):
+            problem.solve_ensemble(states, workers=1)
+    with pytest.raises(ValueError, match="must have n = 2 columns"):
+        problem.solve_ensemble(iter([(np.ones(3), (1.0,))]), workers=1)
+    for args in (np.ones((4, 2)), [(1.0, 2.0)] * 4, (1.0, 2.0)):
+        with pytest.raises(TypeError, match="2 values, and f cannot be called with them"):
+            problem.solve_ensemble(args=args, workers=1)
+    with pytest.raises(TypeError, match="2 values, and f cannot be called with them"):
+        iv.solve_ensemble(f, (0, 1), np.ones((4, 2)), args=np.ones((4, 2)), workers=1)

@@ -463,3 +463,32 @@ def test_what_is_not_defined_is_infinite_or_nan_at_many_times():
     outputs = [1.0 / a, graph.elementary("log", a), graph.elementary("sqrt", a - 1.0)]
     found = ArrayFunction(outputs).at(0.0, np.array([0.0]), np.zeros(0))
     np.testing.assert_array_equal(found, [np.inf, -np.inf, np.nan])
+
+
+def test_kept_code_is_limited_in_bytes(monkeypatch):
+    """The code used last stays, and of the others as much as fits; long functions count for more."""
+    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    monkeypatch.setattr(machine, "_MOST_BYTES", 100)
+    made = []
+
+    def once(key, size):
+        def make():
+            made.append(key)
+            return machine.MachineCode(0, None, size)
+
+        return machine.once(key, make)
+
+    for key in "abcda":
+        once(key, 25)
+    assert made == [*"abcd"]
+    once("e", 50)  # b and c, which were used before d and a, go
+    assert [machine.is_kept(key) for key in "abcde"] == [True, False, False, True, True]
+    once("larger than the limit", 200)
+    assert [*map(machine.is_kept, ["a", "d", "e", "larger than the limit"])] == [False, False, False, True]
+    sizes = []
+    for length in (1, 200):
+        node = Graph().t
+        for _ in range(length):
+            node = node.graph.elementary("sin", node)
+        sizes.append(machine.machine_code([node], machine.Form()).size)
+    assert sizes[1] > sizes[0] + 100 * 1000

@@ -356,7 +356,7 @@ class TestCompile:
                 (lambda one=wrong: iv.solve_ivp(one, (0, 1), [1.0, 0.0]), ("fun", 5, 2)),
                 (lambda one=by_p: iv.solve_ivp(one, (0, 1), [1.0, 0.0], args=(np.ones(2),)), ("fun", 3, 2)),
                 (lambda f=osc, one=matrix: iv.ode15s(f, (0, 1), [1.0, 0.0], jac=one), ("jac", 9, 2)),
-                (lambda f=osc, one=first: iv.ode45(f, (0, 1), [1.0, 0.0], events=one), ("action of event event", 5, 2)),
+                (lambda f=osc, one=first: iv.ode45(f, (0, 1), [1.0, 0.0], events=one), ("action of event", 5, 2)),
                 (lambda f=osc, one=named: iv.ode45(f, (0, 1), [1.0, 0.0], invariants=one), ("difference", 2, 2)),
             ):
                 with pytest.raises(IndexError, match=f"{where[0]}, {beyond.format(*where[1:])}"):

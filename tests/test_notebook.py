@@ -53,6 +53,19 @@ def test_a_problem_shows_what_is_known_of_it():
     assert "(40 components)" in Parsed(iv.Problem(lambda t, y: -y, (0, 1), np.ones(40))._repr_html_()).text
 
 
+def test_the_source_of_a_problem_keeps_its_indentation():
+    """Functions that are themselves indented begin at the margin, and their lines stand as far behind it as before."""
+
+    def spring(t, y):
+        if t > 1:
+            return [y[1], 0.0]
+        return [y[1], -y[0]]
+
+    shown = iv.Problem(spring, (0, 1), [1.0, 0.0])._repr_html_()
+    lines = ["def spring(t, y):", "    if t &gt; 1:", "        return [y[1], 0.0]", "    return [y[1], -y[0]]"]
+    assert "<pre>" + "\n".join(lines) + "</pre>" in shown
+
+
 def test_a_solution_shows_how_it_went_and_a_picture(monkeypatch):
     sol = problem().solve()
     shown = Parsed(sol._repr_html_())

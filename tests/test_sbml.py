@@ -132,6 +132,23 @@ def test_a_model_is_a_problem_with_names():
         m.problem((0, 1), lamda=1.0)
 
 
+def test_a_problem_has_the_breakpoints_of_its_model():
+    """They are where conditions on t change; derivatives for such a time know that it moves."""
+    text = model(
+        species("A", 1),
+        parameter("k", 0.5) + parameter("T", 2.0),
+        reactions=reaction("r", {"A": 1}, {}, "piecewise(k * A, time < T, k * A / 10)"),
+    )
+    m = sbml.load(text)
+    problem = m.problem((0, 10), T=3.0)
+    assert [point.t for point in problem.breakpoints] == m.breakpoints((0, 10), T=3.0) == [3.0]
+    sol = problem.replace(sensitivities=["k", "T"]).solve("dop853", rtol=1e-9, atol=1e-12)
+    end = np.exp(-0.5 * 3 - 0.05 * 7)
+    assert 3.0 in sol.t
+    np.testing.assert_allclose(sol.y[0, -1], end, rtol=1e-7)
+    np.testing.assert_allclose(sol.sensitivities[0, :, -1], [-end * 3.7, -end * 0.45], rtol=1e-7)
+
+
 def test_sensitivities_fits_and_steady_states_name_the_parameters():
     problem = sbml.load(ENZYME).problem((0, 4)).replace(sensitivities=["lambda", "y0[S]"])
     sol = problem.solve("ode15s", rtol=1e-9, atol=1e-12)

@@ -83,7 +83,7 @@ def test_doses_that_are_parameters():
 def test_a_grazing_event_is_a_warning():
     """The top of a parabola touches zero."""
     top = iv.Event(lambda t, y, c: y[0] - c, action=lambda t, y, c: y)
-    with pytest.warns(iv.AccuracyWarning, match="event event only grazes zero at t = "):
+    with pytest.warns(iv.AccuracyWarning, match="event only grazes zero at t = "):
         iv.solve_ivp(
             lambda t, y, c: [1.0 - t], (0, 2), [0.0], args=(0.5 - 1e-5,), events=top, max_step=1e-3, sensitivities=True
         )

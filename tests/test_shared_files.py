@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import signal
@@ -317,3 +318,20 @@ def test_a_folder_of_others_does_not_become_a_store(tmp_path):
     with pytest.raises(ValueError, match="mine is there, and is not a store of an ensemble: give another name"):
         solve_into(tmp_path / "mine")
     assert os.listdir(tmp_path / "mine") == ["data"]
+
+
+def test_a_full_disk_is_named(tmp_path, monkeypatch):
+    """The error says which file could not be written, and the folder has no remains of it."""
+    sol = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0])
+    if os.path.exists("/dev/full"):
+        with pytest.raises(OSError, match="'/dev/full'"):
+            sol.save("/dev/full")
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match=r"'.*run\.npz'") as raised:
+        sol.save(tmp_path / "run.npz")
+    assert raised.value.errno == errno.ENOSPC
+    assert not [*tmp_path.iterdir()]

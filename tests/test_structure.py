@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import functools
 import importlib
 import inspect
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 import invariode as iv
 from cases import explicit_and_implicit
@@ -228,6 +230,51 @@ class TestFunctionsOfTheMethods:
             assert pickle.loads(pickle.dumps(getattr(module, name))) is getattr(module, name)
 
 
+def test_matrices_that_change_later_do_not_change_a_problem():
+    """Whatever holds them: an array, a list of rows, a sparse matrix."""
+    for kind in (np.array, lambda rows: [*map(list, rows)], scipy.sparse.lil_array):
+        jac, mass = kind([[-1.0, 0.0], [0.0, -2.0]]), kind([[1.0, 0.0], [0.0, 1.0]])
+        problem = iv.Problem(lambda t, y: [-y[0], -2 * y[1]], (0, 1), [1.0, 1.0], jac=jac, mass=mass)
+        expected = problem.solve("ode15s").y
+        for matrix in (jac, mass):
+            if isinstance(matrix, list):
+                matrix[0][0] = 7.0
+            else:
+                matrix[0, 0] = 7.0
+        np.testing.assert_array_equal(problem.solve("ode15s").y, expected)
+        np.testing.assert_array_equal(problem.replace(t_span=(0, 1)).solve("ode15s").y, expected)
+
+
+def test_methods_can_be_pickled_and_copied():
+    for method in iv.METHODS.values():
+        again = pickle.loads(pickle.dumps(method))
+        assert again == copy.deepcopy(method) == method
+        with pytest.raises(TypeError):
+            again.scipy_options["bdf"] = True
+
+
+def test_the_package_can_be_imported_again():
+    """Reloaded, and after its modules were deleted; what the first import made works on. Nothing warns."""
+    code = """
+import importlib, sys
+import invariode as first
+importlib.reload(first)
+decay = lambda t, y: [-y[0]]
+expected = first.solve_ivp(decay, (0, 1), [1.0]).y
+for name in [name for name in sys.modules if name.partition(".")[0] == "invariode"]:
+    del sys.modules[name]
+import invariode as second
+assert second is not first
+for one in (first, second):
+    for method in ("ode45", "radau"):
+        assert one.solve_ivp(decay, (0, 1), [1.0], method, events=lambda t, y: y[0] - 0.5).t_events[0].size == 1
+    assert (one.solve_ivp(decay, (0, 1), [1.0]).y == expected).all()
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+
+
 class TestReplace:
     def problem(self, **arguments):
         return iv.Problem(lambda t, y, a: -a * y, (0, 1), [1.0, 2.0], args=(3.0,), **arguments)
@@ -254,6 +301,7 @@ class TestReplace:
             "sensitivities": "y0",
             "second_order": True,
             "inputs": [iv.Input([0], [1.0])],
+            "breakpoints": [0.5],
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -274,6 +322,7 @@ class TestReplace:
             "y0": problem.y0.tolist(),
             "args": problem.args,
             "inputs": problem.inputs,
+            "breakpoints": problem.breakpoints,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],
             "sensitivities": problem.sensitivities and problem.sensitivities.args,

@@ -267,6 +267,16 @@ def test_where_formulas_are_not_defined_the_run_ends_with_a_status():
         assert sol.t[-1] == pytest.approx(2 / 3, abs=1e-3)  # x^(3/2) = 1 - 3t/2
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_step_has_the_value_at_zero_that_was_given(compiled):
+    """SymPy's default is 1/2; beside zero all are alike."""
+    x, z = sympy.symbols("x z")
+    for given, at_zero in (((), 0.5), ((0,), 0.0), ((1,), 1.0), ((Rational(1, 4),), 0.25)):
+        problem = sy.equations({x: sympy.Heaviside(x, *given), z: x}).problem((0, 1), {x: 0, z: 0}, compiled=compiled)
+        for value, expected in ((0.0, at_zero), (-0.0, at_zero), (1e-300, 1.0), (-1e-300, 0.0)):
+            assert problem.slope(np.zeros(1), np.array([[value], [0.0]]))[0, 0] == expected
+
+
 def test_functions_of_many_kinds_are_code():
     x, y = sympy.symbols("x y")
     rate = sympy.Abs(x) + sympy.Max(x, y) + sympy.Piecewise((x, x > y), (y, True)) + sympy.sign(x) + sympy.pi

@@ -766,3 +766,78 @@ def test_ensembles_vary_the_arguments_without_compiling_again():
     for row, end in zip(args, found.y_end, strict=True):
         expected = iv.solve_ivp(lotka_volterra, (0, 2), [1.0, 2.0], args=tuple(row), rtol=1e-6)
         np.testing.assert_allclose(end, expected.y[:, -1], rtol=1e-10)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Everyday code
+
+CUBIC = np.poly1d([1.0, -2.0, 3.0])
+WINDOWED = np.polynomial.Polynomial([1.0, -2.0, 0.5], domain=[0, 4])
+CHEBYSHEV = np.polynomial.Chebyshev([1.0, -2.0, 0.5, 0.25])
+
+
+def into_zeros(t, y):
+    slopes = np.zeros(len(y), dtype=float)
+    slopes[:] = -y
+    return slopes
+
+
+def into_empty(t, y):
+    slopes = np.empty((len(y),), np.float64)
+    slopes[0], slopes[1:] = t * y[1], -y[1:]
+    return slopes
+
+
+EVERYDAY = {
+    "array of float": lambda t, y: np.array([-y[0], y[1], y[2]], dtype=float),
+    "array of float64": lambda t, y: np.array([-y[0], y[1], y[2]], dtype=np.float64),
+    "asarray": lambda t, y: -np.asarray(y, dtype=float),
+    "asarray by position": lambda t, y: -np.asarray(y, np.float64),
+    "astype": lambda t, y: -y.astype(float) + np.array([1, 2, 3]).astype(np.float64),
+    "sum": lambda t, y: -y * y.sum(dtype=float) + np.sum(y, dtype=np.float64),
+    "zeros": into_zeros,
+    "empty": into_empty,
+    "ones": lambda t, y: -y * np.ones(3, dtype=np.float64) + np.full(3, 0.5, dtype=float),
+    "polyval": lambda t, y: [np.polyval([1.0, 2.0, 3.0], y[0]), np.polyval([t, 1.0], y[1]), np.polyval([], y[2])],
+    "polyval of an array": lambda t, y: np.polyval([1.0, 2.0, 3.0], y),
+    "poly1d": lambda t, y: [CUBIC(y[0]), CUBIC(t), CUBIC.deriv()(y[1])],
+    "poly1d of an array": lambda t, y: -CUBIC(y),
+    "Polynomial": lambda t, y: [WINDOWED(y[0]), WINDOWED(t), WINDOWED(2.0) * y[2]],
+    "Polynomial of an array": lambda t, y: WINDOWED(y) + CHEBYSHEV(y),
+    "gradient": lambda t, y: np.gradient(y) + np.gradient(y, 0.1, edge_order=2) + np.gradient(y, [0.0, 1.0, 3.0]),
+    "gradient by a value": lambda t, y: np.gradient(y, 1 + t * t),
+    "gradient along an axis": lambda t, y: np.gradient(np.outer(y, y), axis=1).sum(axis=1),
+    "select": lambda t, y: [np.select([y[0] < 0, y[0] < 1], [y[1], 2 * y[0]], -t), -y[1], y[2]],
+    "select of arrays": lambda t, y: np.select([y < 0, y < 1], [y, 2 * y]),
+    "math.fmod": lambda t, y: [math.fmod(y[0], 0.7), math.fmod(t - 5, 2.0), math.fmod(3.0, y[2])],
+    "fmod": lambda t, y: np.fmod(y, [0.7, -0.7, 0.3]),
+    "decay by an exponential": lambda t, y: -y / np.exp(t),
+    "steep sigmoid": lambda t, y: y / (1 + np.exp(-500 * (t - 0.5))),
+    "steep sigmoid of y": lambda t, y: 1 / (1 + np.exp(-2000 * (y - 0.5))),
+    "pulse": lambda t, y: -y / np.cosh(t) ** 2 - y / math.cosh(min(t, 5.0)),
+    "branch of a pulse": lambda t, y: -y / np.cosh(t) if t > 1 else y,
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_everyday_code_is_traced(name):
+    """Machine code has its values but for roundoff, whatever sign they have; NumPy warns of nothing on the way."""
+    fun = EVERYDAY[name]
+    code = iv.compile(fun, by="trace")
+    call = as_python(code.native(3, 3, 0, False), 3)
+    for t, y in zip([0.3, 2.5, 7.0], np.random.default_rng(44).normal(size=(3, 3)), strict=True):
+        with np.errstate(all="ignore"):
+            expected = fun(t, y)
+        np.testing.assert_allclose(call(t, y, np.zeros(0)), expected, rtol=1e-11, atol=1e-13)
+
+
+def test_formulas_follow_ieee_arithmetic_where_python_raises():
+    """Values that overflow, and those beside them, are those of NumPy."""
+
+    def fun(t, y):
+        return [1 / np.exp(t), np.exp(t), np.cosh(t), 1 / (t - 1000), np.log(y[0]), np.sqrt(-1 - y[0]), t]
+
+    found = trace(fun, 1)
+    values = Formula("f", lambda: found.outputs, (7,))(1000.0, [0.0])
+    np.testing.assert_array_equal(values, [0, np.inf, np.inf, np.inf, -np.inf, np.nan, 1000])

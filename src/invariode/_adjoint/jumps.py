@@ -21,7 +21,7 @@ from .._base.arguments import EPS, Array
 from .._functions.directional import Directional
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
-from .._problem.events import Event
+from .._problem.events import Event, titled
 from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
 from .._sensitivity.actions import Rate, is_at_root, restoration
@@ -289,8 +289,8 @@ class Jumps:
         event = self._events[i]
         if event.action is None or not len(sol.t_events[i]):
             return []
-        times = self._derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
-        action = self._derivatives(event.action, f"the action of event {event.__name__}", m=self._n, moves_t=True)
+        times = self._derivatives(event.fun, titled(event.__name__), m=1, moves_t=True, event=True)
+        action = self._derivatives(event.action, f"the action of {titled(event.__name__)}", m=self._n, moves_t=True)
         last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
         occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
         return [Action(t, partial(np.asarray, y), action, times, event.rehold) for t, y in occurred]

@@ -138,10 +138,40 @@ def function(name: str, value: object, signature: str) -> Any:
     return value
 
 
+#: Types of what has no unit.
+_WITHOUT_UNIT = frozenset({float, int, bool, complex, str, np.ndarray, np.float64, type(None)})
+
+
+def require_no_unit(name: str, value: object) -> None:
+    """Require that it is no quantity of a package for units, which NumPy would take for its number in whatever unit.
+
+    Raises
+    ------
+    TypeError
+        It has a unit, or is a list or tuple that contains a quantity.
+    """
+    if type(value) in _WITHOUT_UNIT:
+        return
+    if isinstance(value, (list, tuple)):
+        for i, one in enumerate(value):
+            if type(one) not in _WITHOUT_UNIT:
+                require_no_unit(f"{name}[{i}]", one)
+    # A label, as xarray's arrays may have one, is no unit that the numbers can be converted from.
+    elif hasattr(value, "to_value") or hasattr(value, "magnitude"):
+        for attribute in ("unit", "units"):
+            if (unit := getattr(value, attribute, None)) is not None:
+                text = str(unit) or "a unit without dimension"
+                raise TypeError(
+                    f"{name} is a quantity in {text}, and problems are of plain numbers: pass its number in the unit "
+                    "that the functions of the problem expect"
+                )
+
+
 def number(name: str, value: object) -> float:
     """A real number, and not NaN."""
     if type(value) is float and value == value:  # the common case
         return value
+    require_no_unit(name, value)
     # NumPy makes real numbers of complex ones, and NaN of `masked`, with a warning.
     unfit = (str, bytes, bytearray, np.complexfloating, np.ma.MaskedArray)
     if isinstance(value, unfit) or (isinstance(value, np.ndarray) and (value.ndim or value.dtype.kind == "c")):
@@ -235,6 +265,7 @@ def items(value: object) -> list[Any] | None:
 
 def interval(t_span: object) -> tuple[float, float]:
     """(t0, tf): t0 finite, tf finite or infinite."""
+    require_no_unit("t_span", t_span)
     ends = items(t_span) or ()
     if len(ends) != 2:
         more = "; output times are t_eval=, so pass t_span=(times[0], times[-1]), t_eval=times" * (len(ends) > 2)
@@ -268,6 +299,7 @@ def as_array(name: str, value: object) -> Array:
     """Return `value` as an array of any type and shape."""
     if type(value) is np.ndarray:  # the common case
         return value
+    require_no_unit(name, value)
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
     try:
@@ -298,6 +330,7 @@ def real_numbers(name: str, value: object) -> Array:
     """A new array of float64."""
     if type(value) is np.ndarray and value.dtype is _FLOAT:  # the common case
         return value.copy()
+    require_no_unit(name, value)
     try:
         array = numbers(name, value)
     except TypeError:
@@ -321,6 +354,7 @@ def state(y0: ArrayLike) -> Array:
 
 def tolerance(name: str, value: ArrayLike, n: int) -> Array:
     """A tolerance as an array of shape () or (n,), finite and not negative."""
+    require_no_unit(name, value)
     try:
         result = real_numbers(name, value)
     except TypeError:
@@ -388,6 +422,7 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
 def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
+    require_no_unit("args", args)
     listed = items(args)
     if listed is None:
         raise TypeError(

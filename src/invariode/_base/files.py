@@ -56,6 +56,22 @@ def write_arrays(path: PathLike, arrays: Mapping[str, Any], durable: bool = Fals
     """Writes an archive of arrays, which takes the place of an existing file when it is complete; `durable`: when it
     is on the disk."""
     path = arguments.path("path", path)
+    with _named(path):
+        _write(path, arrays, durable)
+
+
+@contextmanager
+def _named(path: str) -> Iterator[None]:
+    """Adds the file's name to an error that lacks it: writing to an open file says that the disk is full, not which."""
+    try:
+        yield
+    except OSError as wrong:
+        if wrong.errno is not None and wrong.filename is None:
+            wrong.filename = path
+        raise
+
+
+def _write(path: str, arrays: Mapping[str, Any], durable: bool) -> None:
     try:
         there = os.stat(path)
     except FileNotFoundError:

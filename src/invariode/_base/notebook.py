@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import inspect
+import textwrap
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
@@ -144,4 +145,4 @@ def _source(fun: Any) -> str:
         text = inspect.getsource(getattr(fun, "fun", fun))
     except (OSError, TypeError):  # typed at a prompt, or machine code
         return ""
-    return f"<details><summary>fun</summary><pre>{html.escape(inspect.cleandoc(text))}</pre></details>"
+    return f"<details><summary>fun</summary><pre>{html.escape(textwrap.dedent(text).strip())}</pre></details>"

@@ -24,6 +24,7 @@ from .._base.arguments import (
 from .._base.progress import bar
 from .._base.record import Record
 from .._base.types import MethodName
+from .._plan.call_errors import require_taken
 from .._problem.description import Description
 from .._problem.options import (
     TABLE,
@@ -170,14 +171,22 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
     states = problem.y0 if y0 is None else numbers("y0", y0)
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
+    if states.shape[-1] != len(problem.y0) and states.size:
+        raise ValueError(
+            f"y0 of an ensemble must have n = {len(problem.y0)} columns, one for each component of the problem, got "
+            f"shape {states.shape}"
+        )
     args = _named(problem, args)
     if args is None or isinstance(args, tuple):
-        return np.atleast_2d(states), extra_arguments(args) or problem.args
+        own = extra_arguments(args) or problem.args
+        require_taken(problem, own)
+        return np.atleast_2d(states), own
     extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else as_array("args", args)
     if isinstance(extra, list) and len(set(map(len, extra))) > 1:
         raise ValueError(f"rows of args must be of one length, got lengths {sorted(set(map(len, extra)))}")
     if isinstance(extra, np.ndarray) and extra.ndim != 2:
         raise _no_rows(f"shape {extra.shape}")
+    require_taken(problem, extra)
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
     if len(states) != len(extra):

@@ -216,7 +216,8 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
         functions |= {f"event {i}": event.fun, f"the action of event {i}": event.action}
         if isinstance(event, RootOf):
             functions |= {f"event {i}": event.roots.fun, f"the action of event {i}": event.roots.on_roots}
-    for point in () if breakpoints is None else to_breakpoints("breakpoints", breakpoints):
+    given = [] if breakpoints is None else to_breakpoints("breakpoints", breakpoints)
+    for point in [*problem.breakpoints, *given]:
         functions[f"the action at t = {point.t!r}"] = point.action
     found = {name: digest_of_code(one) for name, one in functions.items() if callable(one)}
     return {name: code for name, code in found.items() if code is not None}
@@ -236,6 +237,7 @@ def _described(problem: Description) -> Any:
         "args": problem.args,
         "bounds": problem.bounds,
         "inputs": [vars(one) for one in problem.inputs],
+        "breakpoints (t, action)": [[point.t, point.action] for point in problem.breakpoints],
         "sensitivities": None if problem.sensitivities is None else [one.name for one in problem.parameter_names()],
         **vars(problem.matrices),
     }

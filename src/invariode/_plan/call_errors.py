@@ -12,6 +12,7 @@ from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._functions.second_order import SecondOrder
 from .._problem.description import Description
+from .._problem.events import titled
 
 #: The functions of a problem that are called with its inputs too.
 _FED = ("fun", "jac")
@@ -33,13 +34,27 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
                 f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
                 f"{'them' if several else 'it'} with (t, y, *args)"
             )
-    elif "returned shape (3, 1)" in str(error) and str(error).startswith("event "):
+    elif "returned shape (3, 1)" in str(error) and str(error).startswith("event"):
         error.add_note(
             "an event is one function of (t, y) that returns a number; MATLAB's [value, isterminal, direction] is "
             "events=[invariode.Event(fun, terminal=True, direction=1), ...]"
         )
     elif "returned shape" in str(error) and ", 1)" in str(error):
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+
+
+def require_taken(problem: Description, args: Any) -> None:
+    """Require that fun takes the arguments of an ensemble, a tuple of all trajectories or the rows of each."""
+    if is_native(problem.fun):
+        return
+    row = args if isinstance(args, tuple) else args[0] if len(args) else ()
+    if takes(problem.fun, [*problem.inputs, *row]):
+        return
+    what = "args has" if isinstance(args, tuple) else "rows of args have"
+    raise TypeError(
+        f"{what} {len(row)} value{'s' * (len(row) != 1)}, and {call_name(problem.fun, 'fun')} cannot be called with "
+        f"{'it' if len(row) == 1 else 'them'}: each value is one argument after t and y"
+    )
 
 
 def _one_array(problem: Description) -> str:
@@ -105,8 +120,8 @@ def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
     yield "jac", problem.matrices.jac
     yield from ((f"invariant {call_name(one.fun, 'g')}", one.fun) for one in problem.invariants)
     yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
-    yield from ((f"event {event.__name__}", event.fun) for event in problem.events)
-    yield from ((f"the action of event {event.__name__}", event.action) for event in problem.events)
+    yield from ((titled(event.__name__), event.fun) for event in problem.events)
+    yield from ((f"the action of {titled(event.__name__)}", event.action) for event in problem.events)
 
 
 def takes_time(fun: Any) -> bool:

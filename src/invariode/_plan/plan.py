@@ -40,7 +40,7 @@ from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.description import Description, Posed
-from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, vector_specs
+from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, titled, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.matrices import Matrices
@@ -206,7 +206,9 @@ class Plan(NamedTuple):
             functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
             if varied is not None:
                 functions["the tangent of the invariant"] = varied.tangents[0]
-        return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.functions.events, 1)}
+        return functions | {
+            f"{titled(event.name)} ({k})": event.fun for k, event in enumerate(self.functions.events, 1)
+        }
 
     @property
     def laws(self) -> Laws:
@@ -269,10 +271,10 @@ class Plan(NamedTuple):
         if state == "start_out_of_bounds":
             return ValueError(out_of_bounds("y0", run.component, self.functions.bounds))
         if state == "event_undefined":
-            return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
+            return ValueError(f"{titled(self.event_names[run.event])} returned NaN at t = {run.t}")
         if state == "action_undefined":
             at_event = run.event < len(self.event_names)
-            what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
+            what = f"of {titled(self.event_names[run.event])}" if at_event else "in breakpoints"
             return ValueError(f"the action {what} returned NaN at t = {run.t}")
         if state == "events_endless":
             names = ", ".join(self.event_names[event] for event in run.circle)
@@ -556,11 +558,11 @@ def _highest_order(method: Method, order: int | None) -> int:
 
 
 def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
-    """Return the points where a run of the problem restarts: the breakpoints, and where its inputs jump, in their
-    order."""
-    if not given and not problem.inputs:
+    """Return the points where a run of the problem restarts, in their order: the breakpoints of the problem, those passed
+    for the run, and where its inputs jump."""
+    if not given and not problem.inputs and not problem.breakpoints:
         return []
-    return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
+    return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
 def _with_graph(problem: Description, method: Method) -> Any:

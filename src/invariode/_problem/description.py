@@ -22,13 +22,14 @@ from .._base.arguments import (
     interval,
     items,
     quietly,
+    require_no_unit,
     shown,
     state,
     warn,
 )
 from .._base.notebook import html_of_problem
 from .._base.record import Record, record_of
-from .._base.types import EventsLike, Function, Span
+from .._base.types import BreakpointsLike, EventsLike, Function, Span
 from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
 from .._functions.compiled import is_native, is_plain_function
@@ -36,10 +37,11 @@ from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
+from .breakpoints import Breakpoint, to_breakpoints
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
-from .matrices import Matrices, to_matrices
+from .matrices import Matrices, own_matrix, to_matrices
 from .options import ProblemArguments, unknown_option
 from .parameters import ParameterName
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
@@ -87,6 +89,7 @@ class Description:
     events: list[Any]
     matrices: Matrices
     inputs: list[Input]
+    breakpoints: list[Breakpoint]
     name: str
     bounds: Bounds | None
     sensitivities: Sensitivities | None
@@ -117,12 +120,13 @@ class Description:
         bounds: Any = None,
         sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
+        breakpoints: BreakpointsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
         called, span, start, extra = _posed(fun, t_span, y0, _args_or(parameters, args))
-        is_complex = start.dtype.kind == "c"
-        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
+        jac, jac_sparsity, mass = map(own_matrix, (jac, jac_sparsity, mass))
+        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, start)
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
             "jac": jac,
@@ -133,7 +137,7 @@ class Description:
             "nonnegative": nonnegative,
             "bounds": bounds,
         }
-        others = (invariants, events, second_order or None, sensitivities, inputs, *given.values())
+        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
@@ -143,6 +147,7 @@ class Description:
             events=_checked_events(events),
             matrices=matrices,
             inputs=to_inputs(inputs, span),
+            breakpoints=[] if breakpoints is None else to_breakpoints("breakpoints", breakpoints),
             name=_named(name, called),
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
@@ -253,6 +258,7 @@ class Description:
             "second_order": self.second_order and not states_second_order(self.fun),
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
+            "breakpoints": self.breakpoints or None,
             "name": self._title,
             "labels": self._labels,
         }
@@ -291,6 +297,7 @@ def _posed(
     """f as the solvers call it, the interval, the initial state, which nobody changes, and the extra arguments."""
     plain = plainly_posed(t_span, y0, args)
     if plain is not None:
+        require_no_unit("args", plain[2])
         return _as_called(fun, plain[1]), *plain
     span, start = interval(t_span), state(y0)
     called = _as_called(fun, start)

@@ -238,6 +238,11 @@ def acts(event: Event) -> bool:
     return event.action is not None or isinstance(event, RootOf)
 
 
+def titled(name: str) -> str:
+    """Return what messages call an event of this name: 'event bounce', and 'event' if its function is called so."""
+    return name if name.partition(" ")[0] == "event" else f"event {name}"
+
+
 def _name(name: object) -> str:
     if not isinstance(name, str) or not name:
         raise TypeError(f"name of an event must be a string that is not empty, got {shown(name)}")
@@ -346,8 +351,8 @@ def event_spec(event: Event, n: int, p: Array) -> EventSpec:
     """The event as the core takes it; n and p for native ones."""
     if isinstance(event, RootOf):
         return EventSpec(None, 0, 0, event.__name__, None, event.rehold, 0)
-    fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
-    action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
+    fun = to_native(titled(event.__name__), event.fun, n, 1, p, event=True)
+    action = to_native(f"the action of {titled(event.__name__)}", event.action, n, n, p)
     samples = -1 if event.samples == "adaptive" else event.samples or 0
     count, sign = terminal_count(event), direction_sign(event)
     about = {"touching": event.touching, "at_jumps": event.at_jumps}

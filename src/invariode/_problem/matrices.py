@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from .._base.arguments import either, shown
+from .._base.arguments import Array, either, shown
 from .._base.matrices import as_matrix
 from .._functions.compiled import is_native
 from .grouped import JACOBIANS, Banded, bandwidth
@@ -29,11 +30,16 @@ class Matrices:
 _NOTHING_KNOWN = Matrices()
 
 
-def to_matrices(
-    jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, n: int, *, is_complex: bool
-) -> Matrices:
-    """Return the matrices of a problem of n components. Constants are checked to be matrices of n components, and words
-    to be known ones, whatever the method will use.
+def own_matrix(given: Any) -> Any:
+    """Return a copy of a constant matrix, which the caller could change; functions, words and None as they are."""
+    if isinstance(given, np.ndarray) or hasattr(given, "tocsc"):
+        return given.copy()
+    return deepcopy(given) if isinstance(given, (list, tuple)) else given
+
+
+def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, y0: Array) -> Matrices:
+    """Return the matrices of a problem with this start, of n components. Constants are checked to be matrices of n
+    components, and words to be known ones, whatever the method will use.
 
     Raises
     ------
@@ -42,6 +48,7 @@ def to_matrices(
     """
     if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
         return _NOTHING_KNOWN
+    n, is_complex = len(y0), y0.dtype.kind == "c"
     whole, names, bands = (n, n), ("lband", "uband"), None
     if isinstance(jac, Banded):
         if lband is not None or uband is not None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Any
 
 from .. import _core
 from .._base.arguments import shown
@@ -73,6 +74,9 @@ class Method:
     options: tuple[str, ...]
     scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, ({**vars(self), "scipy_options": {**self.scipy_options}},)  # a proxy cannot be pickled
+
     @property
     def fixed_order(self) -> bool:
         return self.min_order == self.order
@@ -82,6 +86,11 @@ class Method:
         """The `max_step` of the function of this name by default: 'tenth' for MATLAB's codes, whose names begin with
         ode, as it is there; infinite for the others, as in `solve_ivp`."""
         return "tenth" if self.name.startswith("ode") else math.inf
+
+
+def _restored(given: dict[str, Any]) -> Method:
+    """Return a method that was pickled."""
+    return Method(**{**given, "scipy_options": MappingProxyType(given["scipy_options"])})
 
 
 def _from_core(row: _core.Method) -> Method:

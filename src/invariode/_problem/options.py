@@ -267,7 +267,27 @@ class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
     """The options of every kind of run."""
 
 
-class RunningOptions(TypedDict, total=False):
+class ScheduleOptions(TypedDict, total=False):
+    """Options of a problem and of its runs, which are merged."""
+
+    breakpoints: Annotated[
+        BreakpointsLike | None,
+        Option(
+            None,
+            "list of float or of (float, callable), or dict of callables by time",
+            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. A step ends "
+            "exactly at each, and the method restarts there; between two breakpoints the functions are evaluated only "
+            "at times strictly between them. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
+            "``action(t, y, *args)``, of shape (n,); invariants without a prescribed value are held at their new "
+            "values, and the output contains both states. Breakpoints beyond the interval take effect if the run is "
+            "extended. Conditions of `fun` on t alone, such as ``t % 24 < 2``, need none if it is compiled or calls "
+            "nothing but NumPy and `math`: steps end where they change.",
+            to_breakpoints,
+        ),
+    ]
+
+
+class RunningOptions(ScheduleOptions, total=False):
     """Options for stored output, callbacks and limits of a run, alone or in an ensemble."""
 
     keep: Annotated[
@@ -319,21 +339,6 @@ class RunningOptions(TypedDict, total=False):
             "Whether a bar shows t, h and the time left, or the trajectories of an ensemble, at most ten times a "
             "second: under the cell in notebooks, else on standard error (with rich).",
             flag,
-        ),
-    ]
-    breakpoints: Annotated[
-        BreakpointsLike | None,
-        Option(
-            None,
-            "list of float or of (float, callable), or dict of callables by time",
-            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. A step ends "
-            "exactly at each, and the method restarts there; between two breakpoints the functions are evaluated only "
-            "at times strictly between them. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
-            "``action(t, y, *args)``, of shape (n,); invariants without a prescribed value are held at their new "
-            "values, and the output contains both states. Breakpoints beyond the interval take effect if the run is "
-            "extended. Conditions of `fun` on t alone, such as ``t % 24 < 2``, need none if it is compiled or calls "
-            "nothing but NumPy and `math`: steps end where they change.",
-            to_breakpoints,
         ),
     ]
     on_failure: Annotated[
@@ -649,7 +654,7 @@ class ExtensionOptions(TypedDict, total=False):
     progress: bool
 
 
-class ProblemArguments(DescribingOptions, CallingOptions, total=False):
+class ProblemArguments(DescribingOptions, CallingOptions, ScheduleOptions, total=False):
     """The arguments of `Problem`."""
 
     fun: Function

@@ -26,7 +26,7 @@ from .._functions.compiled import CoreFunction
 from .._functions.directional import Directional, Point
 from .._laws.imposing import impose
 from .._problem.description import Description
-from .._problem.events import Event
+from .._problem.events import Event, titled
 from .._problem.invariants import AccuracyWarning, Invariants
 from .._problem.parameters import ParameterName
 from .algebraic import dense_mass
@@ -90,7 +90,7 @@ class EventTime:
 
     def __init__(self, event: Event, derivatives: Callable[..., Directional], rate: Rate, weights: Weights) -> None:
         self._name, self._rate, self._weights = event.__name__, rate, weights
-        self.function = derivatives(event.fun, f"event {event.__name__}", m=1, moves_t=True, event=True)
+        self.function = derivatives(event.fun, titled(event.__name__), m=1, moves_t=True, event=True)
         self._grazing: list[float] = []
 
     def at(self, t: float, Y: Array) -> Array:
@@ -112,7 +112,7 @@ class EventTime:
         times = self.with_slope(before.t, before.start, before.f)
         if not np.allclose(times, before.times, rtol=_ALIKE, atol=_ALIKE * np.abs(before.times).max(initial=0)):
             warn(
-                f"sensitivities: event {self._name} acts at t = {before.t:.6g} together with others, and not so for "
+                f"sensitivities: {titled(self._name)} acts at t = {before.t:.6g} together with others, and not so for "
                 "other parameters. Sensitivities are not reliable from there on",
                 AccuracyWarning,
             )
@@ -135,7 +135,7 @@ class EventTime:
         """A warning if the event has grazed zero, once for each occurrence."""
         if self._grazing:
             warn(
-                f"sensitivities: event {self._name} only grazes zero at t = {self._grazing[0]:.6g}: within the "
+                f"sensitivities: {titled(self._name)} only grazes zero at t = {self._grazing[0]:.6g}: within the "
                 "tolerance it may not occur at all, and its time has no derivative there. Sensitivities are not "
                 "reliable from there on",
                 AccuracyWarning,

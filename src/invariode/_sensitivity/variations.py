@@ -21,7 +21,7 @@ from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
 from .._problem.description import Description
-from .._problem.events import Event, EventSpec, RootOf, event_spec
+from .._problem.events import Event, EventSpec, RootOf, event_spec, titled
 from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
@@ -331,7 +331,7 @@ class _Derivatives:
             None
             if event.action is None
             else ActionOfEvent(
-                self.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True),
+                self.of(event.action, f"the action of {titled(event.__name__)}", m=n, moves_t=True),
                 restored if event.rehold else None,
                 time,
                 rate,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, extra_arguments, interval
+from .._base.arguments import Array, extra_arguments, interval, require_no_unit
 from .._base.types import MethodName, Span
 from .._functions.compiled import CoreFunction, constants, native_parameters
 from .._functions.layout import Arguments, count_of
@@ -62,7 +62,9 @@ class PreparedSolver:
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native and _may_vary(problem, plan) and fits_any_args(problem, method)
         self._any_args = self._any_args and not (plan.schedule is not None and plan.schedule.depends_on_args)
-        free = not problem.inputs and not any(plan.bound.senses)  # what is dissipated depends on the direction of time
+        free = not (problem.inputs or problem.breakpoints) and not any(
+            plan.bound.senses
+        )  # what is dissipated depends on the direction of time
         free = free and plan.schedule is None and (plan.expansion is None or plan.expansion.of_any_span)
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
@@ -126,6 +128,7 @@ class PreparedSolver:
             y0 = y0.view(float)
         run = core.integrate_anew(y0, args, cover)
         if run is None and args is not None:  # not only floats
+            require_no_unit("args", args)
             run = core.integrate_anew(y0, native_parameters(args, [self.problem.fun]), cover)
         self._idle.append(core)  # but not after an exception
         return run
@@ -189,7 +192,8 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
-    """Return y0 as an array, if it is of the same type and shape."""
+    """y0 as an array, if it is of the same type and shape."""
+    require_no_unit("y0", y0)
     if not isinstance(y0, np.ndarray):
         try:
             y0 = np.array(y0)

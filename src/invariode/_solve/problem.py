@@ -45,6 +45,10 @@ class Problem(Description):
     inputs : Input or list of Input, optional
         Tabulated functions of t: `fun` and `jac` are called with their values after y, ``f(t, y, u, *args)``; native
         ones find these at the beginning of p. A run starts anew where an input jumps, as at `breakpoints`.
+    breakpoints : list of float or of (float, callable), or dict of callables by time, optional
+        Times at which functions of the problem may jump, and what the solution does there, such as doses, as in
+        `solve_ivp`. Every run has them, together with those among its own options; at one time the actions of the
+        problem come first. Those beyond `t_span` take effect on other intervals.
     name : str, optional
         For tables and plots.
     labels : sequence of n str, optional

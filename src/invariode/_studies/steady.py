@@ -267,6 +267,7 @@ class SteadyStates:
         self._values: Any = _OfGraph(fun, exact, self._n, self._own) if exact else _OfPython(fun, problem, self._own)
         changes: dict[str, Any] = {
             "fun": fun, "t_span": (self._t, np.inf), "events": None, "invariants": None, "inputs": None,
+            "breakpoints": None,
             "sensitivities": None, "jac": None, "jac_sparsity": None, "lband": None, "uband": None,
         }  # fmt: skip
         self._problem, self._method = problem.replace(**changes), method

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Annotated, Any, cast
 
 import typer
@@ -61,10 +61,15 @@ def stop(message: str, code: int) -> typer.Exit:
     return typer.Exit(code)
 
 
+def _is_ours(frame: FrameType) -> bool:
+    """Whether code of this package runs in a frame; that of dataclasses is in no file."""
+    return _ours(frame.f_code.co_filename) or frame.f_globals.get("__name__", "").partition(".")[0] == "invariode"
+
+
 def print_traceback(error: BaseException) -> None:
     """Print the traceback from the first frame that does not belong to invariode."""
     trace: TracebackType | None = error.__traceback__
-    while trace is not None and _ours(trace.tb_frame.f_code.co_filename):
+    while trace is not None and _is_ours(trace.tb_frame):
         trace = trace.tb_next
     print("".join(traceback.format_exception(error.with_traceback(trace))), end="", file=sys.stderr)
 
@@ -84,7 +89,7 @@ def guarded() -> Iterator[None]:
         except KeyboardInterrupt:
             raise stop("Interrupted.", INTERRUPTED) from None
         except Exception as error:
-            if all(_ours(frame.filename) for frame in traceback.extract_tb(error.__traceback__)):
+            if all(_is_ours(frame) for frame, _ in traceback.walk_tb(error.__traceback__)):
                 if isinstance(error, InvariantError):
                     raise stop(str(error), code=1) from None
                 if isinstance(error, (TypeError, ValueError)):

@@ -63,18 +63,29 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 #: Points per step with --dense, as in the figures of the paper.
 DENSE = 10
 
+
+def _seconds(given: float | None) -> float | None:
+    if given is not None and not given > 0:
+        raise typer.BadParameter(f"must be a positive number of seconds, got {given:g}")
+    return given
+
+
 MaxSteps = Annotated[
     int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after this many steps, exit code 1.")
 ]
 TimeLimit = Annotated[
-    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
+    float | None,
+    typer.Option("--time-limit", metavar="SECONDS", callback=_seconds, help="Stop after this time, exit code 1."),
 ]
 CheckpointFile = Annotated[
     Path | None,
     typer.Option("--checkpoint", metavar="FILE", help="Write the state of the run there while it goes on."),
 ]
 CheckpointEvery = Annotated[
-    float, typer.Option("--checkpoint-every", metavar="SECONDS", help="Least time between two checkpoints.")
+    float,
+    typer.Option(
+        "--checkpoint-every", metavar="SECONDS", callback=_seconds, help="Least time between two checkpoints."
+    ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --checkpoint, if there is one.")]
 

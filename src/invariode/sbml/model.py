@@ -241,6 +241,7 @@ class Model:
             options["invariants"] = self._invariants
         if named:
             options["parameters"] = named
+        options["breakpoints"] = self._times(p, *map(float, t_span)) or None
         return Problem(self.fun, t_span, y0, **options)
 
     @cached_property
@@ -257,7 +258,10 @@ class Model:
         return Invariants(self._function("totals", totals, len(totals)), names=names)
 
     def breakpoints(self, t_span: tuple[float, float], **values: float) -> list[float]:
-        """Return the times within the interval at which conditions on t alone change, in rates, rules and triggers."""
+        """Return the times within the interval at which conditions on t alone change, in rates, rules and triggers.
+
+        They are breakpoints of the problem that `problem` returns.
+        """
         model, p, _ = self._start(values)
         return model._times(p, *t_span)
 
@@ -356,8 +360,7 @@ class Model:
         problem = self._problem((start, end), p, y, moieties, **more)
         if problem.matrices.mass is not None and method == "auto":
             method = "ode15s"
-        stops = self._times(p, start, end)
-        sol = problem.solve(method, t_eval=times, breakpoints=stops, on_failure="return", **options)
+        sol = problem.solve(method, t_eval=times, on_failure="return", **options)
         if sol.status < 0:
             raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}")
         Y = np.array(sol.y)

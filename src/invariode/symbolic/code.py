@@ -287,6 +287,16 @@ def _joined(name: str) -> Callable[..., Node]:
     return lambda graph, *a: reduce(lambda x, y: graph.make(name, x, y), a)
 
 
+def _heaviside(graph: Graph, a: Node, at_zero: Node) -> Node:
+    """0 below zero, 1 above; SymPy writes out the value at zero, 1/2 if none was given. One condition is enough where
+    that is the value on one side."""
+    zero, one = graph.node(0.0), graph.node(1.0)
+    if at_zero.is_number(0.0):
+        return graph.select(graph.make("less", zero, a), one, zero)
+    not_below = one if at_zero.is_number(1.0) else graph.select(graph.make("less_equal", a, zero), at_zero, one)
+    return graph.select(graph.make("less", a, zero), zero, not_below)
+
+
 #: SymPy's names of functions of one number, and ours.
 _NAMES = {name: name for name in ELEMENTARY}
 _MADE: dict[str, Callable[..., Node]] = {
@@ -307,8 +317,6 @@ _MADE: dict[str, Callable[..., Node]] = {
     "GreaterThan": _compared("less_equal", swapped=True),
     "Equality": _compared("equal"),
     "Unequality": _compared("not_equal"),
-    "Heaviside": lambda graph, a, *at_zero: graph.select(
-        graph.make("less", graph.node(0.0), a), graph.node(1.0), graph.node(0.0)
-    ),
+    "Heaviside": _heaviside,
     "DiracDelta": lambda graph, a: graph.node(0.0),
 }

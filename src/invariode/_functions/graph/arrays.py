@@ -10,14 +10,15 @@ import numpy as np
 from ..._base.arguments import Array
 from .nodes import ARITHMETIC, COMPARISONS, Node, in_order
 
-#: NumPy's functions for operations that have no sign of their own.
-_CALLED: dict[str, Any] = {
+#: NumPy's functions for operations.
+CALLED: dict[str, Any] = {
     **{name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh")},
     **{name: getattr(np, name) for name in ("expm1", "log1p", "log10", "log2", "exp2", "cbrt", "hypot", "minimum")},
     **{name: getattr(np, name) for name in ("maximum", "abs", "sign", "floor", "ceil")},
     **{f"a{name}": getattr(np, f"arc{name}") for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
     "atan2": np.arctan2,
     "power": np.power,
+    "divide": np.divide,
     "modulo": np.mod,
     "and": np.logical_and,
     "or": np.logical_or,
@@ -79,6 +80,6 @@ def _written(node: Node, a: list[str], known: dict[str, Any]) -> str:
     elif op in ("solve", "entry", "piece", "pick"):
         raise NotImplementedError(f"values of {op} for many times at once")
     else:
-        known[f"of_{op}"] = _CALLED[op]
+        known[f"of_{op}"] = CALLED[op]
         op = f"of_{op}"
     return f"{op}({', '.join(a)})"

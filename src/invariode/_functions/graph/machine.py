@@ -28,8 +28,11 @@ _NAME = "graph"
 _BLOCK, _OPTIMISED = 100, 3000
 #: From so many nodes on repeated parts become loops.
 _ROLLED = 300
-#: Codes that are kept for equal graphs, and those, in the order of their last use.
-_MOST_KEPT = 256
+#: Bytes that LLVM holds for a compiled function, and for each line of its code: measured as the growth of the process
+#: by functions of 4 to 3000 operations.
+_OF_EACH, _OF_LINE = 1_000_000, 1_000
+#: Bytes of the codes that are kept for equal graphs, and those, in the order of their last use.
+_MOST_BYTES = 256_000_000
 _kept: OrderedDict[bytes, MachineCode] = OrderedDict()
 _keeping = threading.Lock()
 #: Doubles that loops may keep on the stack.
@@ -37,10 +40,11 @@ _MOST_WORK = 2**15
 
 
 class MachineCode(NamedTuple):
-    """An address, and what keeps the code there alive."""
+    """An address, what keeps the code there alive, and about how many bytes that takes."""
 
     address: int
     owner: Any
+    size: int
 
 
 class Form(NamedTuple):
@@ -82,8 +86,10 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
     made = make()
     with _keeping:
         _kept[digest] = made
-        if len(_kept) > _MOST_KEPT:
-            _kept.popitem(last=False)
+        left = sum(code.size for code in _kept.values())
+        while left > _MOST_BYTES and len(_kept) > 1:  # those in use live on with their functions
+            _, oldest = _kept.popitem(last=False)
+            left -= oldest.size
     return made
 
 
@@ -102,7 +108,7 @@ def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node
         llvm.add_symbol(name, address)
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()
-    return MachineCode(engine.get_function_address(_NAME), engine)
+    return MachineCode(engine.get_function_address(_NAME), engine, _OF_EACH + _OF_LINE * text.count("\n"))
 
 
 def _machine() -> Any:

@@ -13,16 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
+from .arrays import CALLED
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, System, as_rows, in_order
 
 #: The name of the function that is executed.
 _CODE = "graph_code"
 
 
-def as_text(name: str, outputs: Sequence[Node]) -> str:
-    """The source of a function (t, y, p) of a list of floats each that returns the list of the values."""
+def as_text(name: str, outputs: Sequence[Node], *, careful: bool = False) -> str:
+    """The source of a function (t, y, p) of a list of floats each that returns the list of the values. Careful: where
+    Python raises, the values are those of IEEE arithmetic."""
     nodes = [*in_order(outputs)]
-    careful = any(node.op == "select" for node in nodes)  # the branch that is not taken may have no value
+    careful = careful or any(node.op == "select" for node in nodes)  # the branch not taken may have no value
     names: dict[Node, str] = {}
     lines = [f"def {name}(t, y, p):"]
     for node in nodes:
@@ -61,7 +63,8 @@ class Pattern(NamedTuple):
 
 
 class Formula:
-    """A graph as a Python function of (t, y, *args); it can be pickled. Where Python raises, its values are NaN.
+    """A graph as a Python function of (t, y, *args); it can be pickled. Where Python raises, its values are those of
+    IEEE arithmetic: exp(1000) is infinite, and 1 / exp(1000) is 0.
 
     Parameters
     ----------
@@ -97,19 +100,32 @@ class Formula:
 
     @cached_property
     def _code(self) -> Callable[[float, list[float], Any], list[float]]:
+        return self._executed(careful=False)
+
+    @cached_property
+    def _careful_code(self) -> Callable[[float, list[float], Any], list[float]]:
+        return self._executed(careful=True)
+
+    def _executed(self, *, careful: bool) -> Callable[[float, list[float], Any], list[float]]:
         namespace: dict[str, Any] = {**vars(math), "solved": solved, "sign": _sign, "bisect_right": bisect_right}
         namespace |= {"nan": math.nan, "inf": math.inf}
-        namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
-        exec(as_text(_CODE, self.outputs), namespace)  # its own name may be that of a function it calls
+        namespace |= {f"ieee_{name}": _careful(name, function) for name, function in (ELEMENTARY | _OF_TWO).items()}
+        exec(
+            as_text(_CODE, self.outputs, careful=careful), namespace
+        )  # its own name may be that of a function it calls
         made: Callable[[float, list[float], Any], list[float]] = namespace[_CODE]
         return made
 
     def __call__(self, t: float, y: Any, *args: Any) -> Any:
         p = np.concatenate([np.ravel(one) for one in args]).tolist() if args else ()
+        at, state = float(t), np.asarray(y, dtype=float).tolist()
         try:
-            found = self._code(float(t), np.asarray(y, dtype=float).tolist(), p)
-        except (ValueError, ArithmeticError):  # as math.sqrt(-1.0) and 1 / 0: it cannot be evaluated here
-            found = [math.nan] * len(self.outputs)
+            found = self._code(at, state, p)
+        except (ValueError, ArithmeticError):  # as math.sqrt(-1.0), math.exp(1000.0) and 1 / 0
+            try:
+                found = self._careful_code(at, state, p)
+            except (ValueError, ArithmeticError):  # as floor of NaN: it cannot be evaluated here
+                found = [math.nan] * len(self.outputs)
         if isinstance(self.layout, Pattern):
             return self.layout.matrix(found)
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
@@ -138,10 +154,10 @@ def _restored(
 
 
 def _written(node: Node, a: list[str], careful: bool) -> str:
-    """The operation on names. Careful: NaN where Python raises."""
+    """The operation on names. Careful: with IEEE's value where Python raises."""
     op = node.op
     if careful and (op in ELEMENTARY or op in _OF_TWO):
-        return f"nan_or_{op}({', '.join(a)})"
+        return f"ieee_{op}({', '.join(a)})"
     if op == "number":
         return f"({node.value!r})" if math.isfinite(node.value) else f'float("{node.value!r}")'
     if op in ("t", "y", "p"):
@@ -185,14 +201,17 @@ _OTHERS = {
 _OF_TWO: dict[str, Callable[..., float]] = {"divide": operator.truediv, "power": math.pow, "modulo": operator.mod}
 
 
-def _careful(function: Callable[..., float]) -> Callable[..., float]:
-    def nan_or_value(*arguments: float) -> float:
+def _careful(name: str, function: Callable[..., float]) -> Callable[..., float]:
+    def value(*arguments: float) -> float:
         try:
             return function(*arguments)
         except (ValueError, ArithmeticError):
-            return math.nan
+            if name not in CALLED:
+                return math.nan
+            with np.errstate(all="ignore"):
+                return float(CALLED[name](*arguments))
 
-    return nan_or_value
+    return value
 
 
 def _sign(x: float) -> float:

@@ -25,7 +25,18 @@ from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
 from .selections import helpers, selecting
 from .tables import Table, is_table
-from .traced import _UNARY, TracedArray, cells_of, condition, has_traced, is_complex, number, wrapped
+from .traced import (
+    _BINARY,
+    _UNARY,
+    TracedArray,
+    cells_of,
+    condition,
+    has_traced,
+    is_complex,
+    number,
+    standing_for,
+    wrapped,
+)
 
 
 class TraceLimits(NamedTuple):
@@ -199,7 +210,8 @@ class _Run:
         given += [] if out is None else [out]
         try:
             given += self._args.made(self._parameter, self._copies.of)
-            returned = self._fun(*given)
+            with np.errstate(all="ignore"):  # what there is to say of numbers in it, a call of the function itself says
+                returned = self._fun(*given)
             values = out if out is not None else returned
             if self._number is condition and isinstance(values, (bool, np.bool_)):  # of a branch
                 values = 1.0 if values else -1.0
@@ -345,6 +357,8 @@ class _Copies:
             return _Interpolation(value, self._run) if value.__name__ == "scipy.interpolate" else value
         if is_table(value):
             return Table(value, self._run.decide)
+        if isinstance(value, _POLYNOMIALS):
+            return _Polynomial(value)
         if isinstance(value, np.ndarray):
             return self._constants(value)
         if type(value) in _READ_ONLY:
@@ -506,7 +520,7 @@ class _NumPy:
                 kwargs = {key: _gathered(one, run) for key, one in kwargs.items()}
             return value(*args, **kwargs)
 
-        return call
+        return standing_for(value, call) if isinstance(value, type) else call
 
 
 class _Joined:
@@ -525,6 +539,28 @@ class _Joined:
         parts = [np.r_[one] if isinstance(one, slice) else one for one in key]
         cells = [np.atleast_1d(cells_of(one, self._run._graph)) for one in parts]
         return TracedArray(np.concatenate(cells), self._run.decide)
+
+
+_POLYNOMIALS = (
+    *(np.polynomial.Polynomial, np.polynomial.Chebyshev, np.polynomial.Legendre, np.polynomial.Laguerre),
+    *(np.polynomial.Hermite, np.polynomial.HermiteE),
+)
+
+
+class _Polynomial:
+    """A polynomial of `numpy.polynomial`, of traced values: of their place in its window, by its own rule."""
+
+    def __init__(self, polynomial: Any) -> None:
+        self._polynomial = polynomial
+
+    def __call__(self, x: Any) -> Any:
+        if not has_traced(x):
+            return self._polynomial(x)
+        offset, scale = self._polynomial.mapparms()
+        return self._polynomial._val(offset + scale * x, self._polynomial.coef)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._polynomial, name)
 
 
 class _Interpolation:
@@ -622,6 +658,7 @@ _MATHEMATICAL: dict[str, Callable[..., Node]] = {
     "pow": lambda a, b: a**b,
     "atan2": lambda a, b: a.graph.make("atan2", a, b),
     "hypot": lambda a, b: a.graph.make("hypot", a, b),
+    "fmod": _BINARY["fmod"],
     "copysign": lambda a, b: a.graph.select(
         a.graph.make("less", b, a.graph.node(0.0)), -a.graph.make("abs", a), a.graph.make("abs", a)
     ),
@@ -656,5 +693,5 @@ def _python(run: Any) -> dict[str, Any]:
 
         return call
 
-    kept = {"max": extreme("maximum"), "min": extreme("minimum"), "float": as_float}
+    kept = {"max": extreme("maximum"), "min": extreme("minimum"), "float": standing_for(float, as_float)}
     return kept | {name: forbidden(name) for name in _FORBIDDEN}

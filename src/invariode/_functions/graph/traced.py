@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 
@@ -13,6 +14,13 @@ from .nodes import ELEMENTARY, Graph, Node, TraceError
 
 #: What the branches that are being tried have written to: arrays, by id, and their cells before.
 JOURNALS: ContextVar[tuple[dict[int, tuple[Any, Any]], ...]] = ContextVar("journals", default=())
+
+
+def standing_for(kind: type, function: Any) -> Any:
+    """Return a function that takes the place of a type in traced code. NumPy takes it as a dtype too, as anything whose
+    attribute `dtype` is one."""
+    function.dtype = np.dtype(kind)
+    return function
 
 
 def _method(name: str) -> Callable[..., Any]:
@@ -194,7 +202,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
             return wrapped(OWN[name](self._graph, *args, **kwargs), self.decide)
         if name not in BY_OPERATORS:
             raise TraceError(f"numpy.{name}")
-        if kwargs.pop("dtype", None) not in (None, float, np.float64) or kwargs.get("out") is not None:
+        if np.dtype(kwargs.pop("dtype", None)) != float or kwargs.get("out") is not None:
             raise TraceError(f"numpy.{name} with dtype= or out=")
         unwrapped = [_unwrapped(one, self._graph) for one in args]
         options = {key: _unwrapped(one, self._graph) for key, one in kwargs.items()}
@@ -434,6 +442,13 @@ def _floor_quotient(a: Node, b: Node) -> Node:
     return graph.select(graph.make("not_equal", exact, exact), graph.make("floor", a / b), exact)
 
 
+def _remainder(a: Node, b: Node) -> Node:
+    """fmod as C has it, with the sign of a."""
+    graph, size = a.graph, a.graph.make("abs", b)
+    below = graph.make("less", a, graph.node(0.0))
+    return graph.select(below, -graph.make("modulo", -a, size), graph.make("modulo", a, size))
+
+
 def _with_nan(name: str) -> Callable[..., Node]:
     """NumPy's maximum and minimum: NaN if one is NaN, where Python's `max` and `min` look at the first."""
 
@@ -486,6 +501,7 @@ _BINARY: dict[str, Callable[..., Node]] = {
     "floor_divide": _of_numbers(_floor_quotient),
     "remainder": _made("modulo"),
     "mod": _made("modulo"),
+    "fmod": _of_numbers(_remainder),
     "maximum": _with_nan("maximum"),
     "fmax": _without_nan("maximum"),
     "minimum": _with_nan("minimum"),
@@ -568,7 +584,6 @@ BY_OPERATORS = {
         "broadcast_to",
         "delete",
         "insert",
-        "polyval",
         "einsum",
     ),
     *("flip", "einsum", "triu", "tril", "pad", "rot90", "flipud", "fliplr", "trapezoid", "trapz", "convolve"),
@@ -580,6 +595,42 @@ def _where(graph: Graph, condition: Any, yes: Any = None, no: Any = None) -> Any
         raise TraceError("numpy.where with one argument")
     given = [cells_of(one, graph) for one in (condition, yes, no)]
     return mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given)
+
+
+def _select(graph: Graph, condlist: Any, choicelist: Any, default: Any = 0.0) -> Any:
+    if len(condlist) != len(choicelist):
+        raise ValueError("numpy.select needs as many choices as conditions")
+    found = cells_of(default, graph)
+    for condition, choice in [*zip(condlist, choicelist, strict=True)][::-1]:
+        given = [cells_of(one, graph) for one in (condition, choice)]
+        found = mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given, found)
+    return found
+
+
+def _polyval(graph: Graph, p: Any, x: Any) -> Any:
+    """By Horner's rule."""
+    first, *others = [*mapped(number, cells_of(p, graph).ravel())] or [graph.node(0.0)]
+    return mapped(lambda x: functools.reduce(lambda total, c: total * x + c, others, first), cells_of(x, graph))
+
+
+def _gradient(graph: Graph, f: Any, *spacing: Any, axis: int | None = None, edge_order: Literal[1, 2] = 1) -> Any:
+    """By the weights that `numpy.gradient` has for unit vectors: it is linear in f."""
+    cells = mapped(number, cells_of(f, graph))
+    if len(spacing) > 1 or (cells.ndim != 1 and not isinstance(axis, int)):
+        raise TraceError("numpy.gradient along several axes")
+    along = 0 if axis is None else axis
+    rows, step = np.moveaxis(cells, along, 0), None
+    if any(map(has_traced, spacing)):
+        step = cells_of(spacing[0], graph)
+        if step.ndim:
+            raise TraceError("numpy.gradient with coordinates that are arguments")
+        spacing = ()
+    weights = np.gradient(np.eye(len(rows)), *spacing, axis=0, edge_order=edge_order)
+    found = np.empty_like(rows)
+    for i, row in enumerate(weights):
+        total = sum(weight * rows[j] for j, weight in enumerate(row.tolist()) if weight)
+        found[i] = total if step is None else total / number(step[()])
+    return np.moveaxis(found, 0, along)
 
 
 def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **options: Any) -> Any:
@@ -653,6 +704,9 @@ def _like(value: float) -> Callable[..., Any]:
 
 OWN: dict[str, Callable[..., Any]] = {
     "where": _where,
+    "select": _select,
+    "polyval": _polyval,
+    "gradient": _gradient,
     "clip": _clip,
     "max": _reduced("maximum"),
     "amax": _reduced("maximum"),

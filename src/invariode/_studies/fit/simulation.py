@@ -16,6 +16,7 @@ from ..._functions.compile import compile
 from ..._functions.compiled import is_native
 from ..._functions.directional import Directional, Point, has_llvm
 from ..._functions.layout import with_numbers
+from ..._problem.events import titled
 from ..._problem.invariants import AccuracyWarning
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
@@ -215,7 +216,7 @@ class Simulation:
         event = [*self.experiment.events][one.row - len(self.experiment.data.values)]
         times, needed = sol.t_events[event], int(one.places[-1]) + 1
         if len(times) < needed:
-            return Failed(f"event {one.name} occurred {len(times)} times, and {needed} times were measured")
+            return Failed(f"{titled(one.name)} occurred {len(times)} times, and {needed} times were measured")
         none = np.zeros((len(times), 0))
         slopes = none if self._sensitivities is None else sol.sensitivities_t_events[event]
         return np.column_stack([times, self._parameters(slopes, start, k)])
