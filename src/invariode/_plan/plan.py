@@ -558,8 +558,8 @@ def _highest_order(method: Method, order: int | None) -> int:
 
 
 def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
-    """Return the points where a run of the problem restarts, in their order: the breakpoints of the problem, those passed
-    for the run, and where its inputs jump."""
+    """Return the points where a run of the problem restarts, in their order: the breakpoints of the problem and of the
+    run, and where its inputs jump."""
     if not given and not problem.inputs and not problem.breakpoints:
         return []
     return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
