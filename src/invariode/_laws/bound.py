@@ -166,7 +166,7 @@ class BoundInvariants:
         t = self._within_pieces(t, pieces)
         for piece in np.unique(pieces):
             here = np.flatnonzero(pieces == piece)
-            yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value
+            yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value[: len(self)]
 
     def _within_pieces(self, t: Array, pieces: Array) -> Array:
         """The times, those of jumps as in the run: on the side of the piece, since the functions may jump too."""
