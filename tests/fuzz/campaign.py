@@ -21,6 +21,7 @@ from random import Random
 from tempfile import TemporaryDirectory, TemporaryFile
 
 import calls
+import combinations
 import exceptions
 import fields
 import files
@@ -40,6 +41,7 @@ KINDS: dict[str, Callable[[Random], str | None]] = {
     "networks": networks.held_network,
     "patterns": patterns.stated_pattern,
     "fields": fields.damaged_field,
+    "seams": combinations.right_meeting,
 }
 
 #: Seconds after which a case hangs.

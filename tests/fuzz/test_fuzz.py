@@ -11,7 +11,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import campaign
 
-CASES = {"calls": 500, "runs": 30, "files": 100, "fields": 50, "exceptions": 100, "networks": 10, "patterns": 30}
+CASES = {
+    "calls": 500,
+    "runs": 30,
+    "files": 100,
+    "fields": 50,
+    "exceptions": 100,
+    "networks": 10,
+    "patterns": 30,
+    "seams": 60,
+}
 SEED = 2026
 
 

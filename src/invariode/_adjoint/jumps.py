@@ -406,16 +406,19 @@ def at_bounds(
     found: list[Rest] = []
     since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
     for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
-        states = y(t)
+        # At the time of an action y(t) is the state behind it: a step ends at the state before.
+        states, ends = y(t[:-1]), y(np.nextafter(t[1:], t[:-1]))
         bounds = (-1, problem.bounds.lower), (1, problem.bounds.upper)
-        sides = [(side, np.abs(states - bound[:, None]) <= near) for side, bound in bounds]
+        sides = [
+            (side, (np.abs(states - bound[:, None]) <= near) & (np.abs(ends - bound[:, None]) <= near))
+            for side, bound in bounds
+        ]
         middle = 0.5 * (t[1:] + t[:-1])
-        if any(there.any() for _, there in sides):
+        if any(stays.any() for _, stays in sides):
             outwards = _directions(problem, middle, y(middle)) * np.sign(t[-1] - t[0])
         else:
             outwards = np.full((len(states), len(middle)), np.nan)
-        for side, there in sides:
-            stays = there[:, 1:] & there[:, :-1]
+        for side, stays in sides:
             for i, row in enumerate(stays & ((outwards == side) | (outwards == 0))):
                 before = since.pop((side, i), None)
                 if t[0] == problem.t_span[0]:  # nothing has come to a bound yet

@@ -166,7 +166,7 @@ class BoundInvariants:
         t = self._within_pieces(t, pieces)
         for piece in np.unique(pieces):
             here = np.flatnonzero(pieces == piece)
-            yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value
+            yield here, t[here], self.value if piece == 0 else self.jumps[piece - 1].value[: len(self)]
 
     def _within_pieces(self, t: Array, pieces: Array) -> Array:
         """Return the times t, where those of jumps are moved to the side of their piece, since the functions may jump

@@ -52,12 +52,16 @@ class Weights(NamedTuple):
 
 
 class Rate:
-    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these."""
+    """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these.
+
+    A component at a bound, where y' leads outside, rests: its y' is 0, as in the run.
+    """
 
     def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
         self._algebraic = AlgebraicOverTime(problem)
         self._derivatives = slope() if self.is_singular else None
+        self._bounds, self._direction = problem.bounds, np.sign(problem.t_span[1] - problem.t_span[0])
 
     @property
     def is_singular(self) -> bool:
@@ -68,9 +72,21 @@ class Rate:
         f = self._slope(np.array([t]), y[:, None])[:, 0]
         if self._derivatives is not None:
             ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
+            # Of a singular M, f_i M_ii stands for y_i', as in the core; algebraic components follow from the others.
+            diagonal = np.diag(np.asarray(dense_mass(self._mass, t, self._args)))
+            f = np.where(self._rests(y, f * diagonal), 0, f)
             return self._algebraic.at(t).rate(self._derivatives.jacobian(t, y), f, ft)
         M = dense_mass(self._mass, t, self._args)
-        return f if M is None else np.asarray(np.linalg.solve(M, f))
+        rate = f if M is None else np.asarray(np.linalg.solve(M, f))
+        return np.where(self._rests(y, rate), 0, rate)
+
+    def _rests(self, y: Array, rate: Array) -> Array:
+        """Which components are at a bound and would leave it outwards."""
+        if self._bounds is None:
+            return np.zeros(len(y), dtype=bool)
+        outwards = self._direction * rate
+        at_lower, at_upper = y <= self._bounds.lower, y >= self._bounds.upper
+        return np.asarray((at_lower & (outwards < 0)) | (at_upper & (outwards > 0)))
 
 
 def is_at_root(event: Directional, t: float, y: Array, f: Array) -> bool:
