@@ -131,7 +131,7 @@ def cite(sol: Solution | str) -> str:
 
 
 def _sources(sol: object) -> Iterator[str]:
-    """What the run used, as texts in the form of `Method.source`."""
+    """Return the sources of what the run used, as texts in the form of `Method.source`."""
     if isinstance(sol, str):
         yield find_method(sol)[0].source
         return

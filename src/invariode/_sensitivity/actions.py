@@ -81,7 +81,7 @@ class Rate:
         return np.where(self._rests(y, rate), 0, rate)
 
     def _rests(self, y: Array, rate: Array) -> Array:
-        """Which components are at a bound and would leave it outwards."""
+        """Return which components, (n,), are at a bound and would leave it outwards."""
         if self._bounds is None:
             return np.zeros(len(y), dtype=bool)
         outwards = self._direction * rate

@@ -62,7 +62,7 @@ def stop(message: str, code: int) -> typer.Exit:
 
 
 def _is_ours(frame: FrameType) -> bool:
-    """Whether code of this package runs in a frame; that of dataclasses is in no file."""
+    """Return whether code of this package runs in a frame; that of dataclasses is in no file."""
     return _ours(frame.f_code.co_filename) or frame.f_globals.get("__name__", "").partition(".")[0] == "invariode"
 
 
