@@ -11,8 +11,8 @@
 namespace invariode {
 namespace {
 
-constexpr double kept = 1.0 / 8;  // of the change, which a jump keeps,
-constexpr int halvings = 4;       // while a derivative that is linear along the line leaves 1/16
+constexpr double part_kept = 1.0 / 8;  // of the change, which a jump keeps,
+constexpr int halvings = 4;            // while a derivative that is linear along the line leaves 1/16
 
 }  // namespace
 
@@ -32,13 +32,13 @@ KinkSearch::Verdict KinkSearch::search(Callback& f, double t0, const double* y0,
   if (!evaluate(line, a_) || !evaluate(line, b_)) return stopped_ ? Verdict::stop : Verdict::smooth;
   end_ = b_.difference;
   const double whole = change(a_, b_);
-  if (!(whole > kept * max_norm(w.size(), [&](std::size_t i) { return a_.difference[i] / w[i]; })))
+  if (!(whole > part_kept * max_norm(w.size(), [&](std::size_t i) { return a_.difference[i] / w[i]; })))
     return Verdict::smooth;
   for (int k = 0; k < halvings; ++k) {
     middle_.theta = std::midpoint(a_.theta, b_.theta);
     if (!evaluate(line, middle_)) return stopped_ ? Verdict::stop : Verdict::smooth;
     const double before = change(a_, middle_), after = change(middle_, b_);
-    if (!(std::max(before, after) > kept * whole)) return Verdict::smooth;
+    if (!(std::max(before, after) > part_kept * whole)) return Verdict::smooth;
     std::swap(before > after ? b_ : a_, middle_);
   }
   return Verdict::kink;

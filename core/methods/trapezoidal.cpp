@@ -11,13 +11,14 @@ namespace {
 
 /// The cubic through the last y serves as a prediction up to this many last steps ahead, the parabola beyond.
 constexpr double longest_reach = 2;
-constexpr double looked_at[] = {0.5};     // where P is tested
-constexpr double extension_error = 0.75;  // of P, in units of the estimate: smooth parts, and stiff ones that ring
+constexpr double looked_at_in_trapezoid[] = {0.5};  // where P is tested
+constexpr double trapezoid_extension_error =
+    0.75;  // of P, in units of the estimate: smooth parts, and stiff ones that ring
 
 }  // namespace
 
 Trapezoidal::Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear)
-    : OrderTwo(f, weights, linear, d, {.theta = looked_at, .error = extension_error}) {
+    : OrderTwo(f, weights, linear, d, {.theta = looked_at_in_trapezoid, .error = trapezoid_extension_error}) {
   for (std::vector<double>* v : {&z0_, &z1_, &bent_, &missed_, &last_missed_, &rise_[0], &rise_[1], &rise_[2]})
     v->resize(weights.size());
 }

@@ -7,9 +7,9 @@ namespace {
 
 // Where P is tested: in each of its cubics, of which neither knows the other. In the middle of the first one the error
 // of stiff components vanishes as h grows by 3/2, and the controller finds that h; here no ratio of steps hides it.
-constexpr double looked_at[] = {std::numbers::sqrt2 - 1, (1 + TrBdf2::gamma) / 2};
+constexpr double looked_at_in_trbdf2[] = {std::numbers::sqrt2 - 1, (1 + TrBdf2::gamma) / 2};
 // Of P, in units of the estimate: 0.3 in smooth parts, 0.3 to 0.5 in stiff ones that follow t³, unless h grows.
-constexpr double extension_error = 0.5;
+constexpr double trbdf2_extension_error = 0.5;
 
 /// The derivative at u of the cubic that rises by `rise` from u = 0 to 1, with derivatives da and db there.
 double hermite_slope(double rise, double da, double db, double u) {
@@ -30,7 +30,7 @@ void two_hermite_cubics(const double* data, std::size_t, std::size_t n, double t
 }
 
 TrBdf2::TrBdf2(Callback& f, const Weights& weights, const LinearAlgebra& linear)
-    : OrderTwo(f, weights, linear, d, {.theta = looked_at, .error = extension_error}) {
+    : OrderTwo(f, weights, linear, d, {.theta = looked_at_in_trbdf2, .error = trbdf2_extension_error}) {
   for (std::vector<double>* v : {&z0_, &z1_, &z2_, &middle_}) v->resize(weights.size());
 }
 
