@@ -320,7 +320,7 @@ TEST(a_user_function_that_stops_ends_the_run_at_once_whichever_call_it_is) {
         CHECK(functions.run(method, fsal, user_jacobian, 0) == State::reached_end);
         const std::int64_t all = functions.calls;
         CHECK(all > 50);
-        for (std::int64_t k = 1; k <= all; ++k) {
+        for (std::int64_t k = 1; k <= all; k += 1 + all / 500) {  // each run repeats all calls before
           const check::Case label(method.name, ", call ", k, " of ", all);
           CHECK(functions.run(method, fsal, user_jacobian, k) == State::interrupted);
           CHECK(functions.calls == k);

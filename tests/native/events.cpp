@@ -231,14 +231,15 @@ TEST(roots_are_located_to_a_few_ulp_of_t) {
 }
 
 TEST(locating_a_root_takes_few_evaluations) {
-  // Bisection of a step down to 2 ulp takes some 50, superlinear convergence some 10.
+  // Bisection of a step down to 2 ulp takes some 50, superlinear convergence some 10; where the values leave room for a
+  // pair of roots, an interpolant of degree 16, which is tested at two more points, rules it out.
   for (const Method& method : general_methods()) {
     std::int64_t calls = 0;
     Watch watch;
     watch.add([&calls](double t, const double*, double* e) { e[0] = std::exp(t) - 2, ++calls; }, 1);
     Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
     CHECK(run.run() == State::terminal_event);
-    CHECK(calls <= 20);
+    CHECK(calls <= 40);
   }
 }
 
