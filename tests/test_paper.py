@@ -292,7 +292,7 @@ def test_entry_point():
     assert command("--version").stdout.strip() == f"invariode {iv.__version__}"
     help_text = command("--help")
     assert help_text.returncode == 0
-    assert "Example: invariode solve" in help_text.stdout
+    assert "invariode solve pendulum.py" in help_text.stdout
     assert command("papers").returncode == 2
 
 

@@ -152,19 +152,22 @@ def require_no_unit(name: str, value: object) -> None:
     """
     if type(value) in _WITHOUT_UNIT:
         return
-    if isinstance(value, (list, tuple)):
-        for i, one in enumerate(value):
-            if type(one) not in _WITHOUT_UNIT:
-                require_no_unit(f"{name}[{i}]", one)
-    # A label, as xarray's arrays may have one, is no unit that the numbers can be converted from.
-    elif hasattr(value, "to_value") or hasattr(value, "magnitude"):
-        for attribute in ("unit", "units"):
-            if (unit := getattr(value, attribute, None)) is not None:
-                text = str(unit) or "a unit without dimension"
-                raise TypeError(
-                    f"{name} is a quantity in {text}, and problems are of plain numbers: pass its number in the unit "
-                    "that the functions of the problem expect"
-                )
+    waiting, seen = [(name, value)], set[int]()
+    while waiting:
+        called, one = waiting.pop()
+        if isinstance(one, (list, tuple)):
+            if id(one) not in seen:  # it may contain itself
+                seen.add(id(one))
+                waiting += [(f"{called}[{i}]", x) for i, x in enumerate(one) if type(x) not in _WITHOUT_UNIT]
+        # A label, as xarray's arrays may have one, is no unit that the numbers can be converted from.
+        elif hasattr(one, "to_value") or hasattr(one, "magnitude"):
+            for attribute in ("unit", "units"):
+                if (unit := getattr(one, attribute, None)) is not None:
+                    text = str(unit) or "a unit without dimension"
+                    raise TypeError(
+                        f"{called} is a quantity in {text}, and problems are of plain numbers: pass its number in the "
+                        "unit that the functions of the problem expect"
+                    )
 
 
 def number(name: str, value: object) -> float:

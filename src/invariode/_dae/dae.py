@@ -1,4 +1,4 @@
-"""`Dae`: F(t, y, y', *args) = 0 of any index, analysed once."""
+"""`Dae`: ``F(t, y, y', *args) = 0`` of any index, analysed once."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class _Traced(NamedTuple):
 
 
 class Dae:
-    """Differential-algebraic equations F(t, y, y', *args) = 0 of any index, analysed for what they determine.
+    """Differential-algebraic equations ``F(t, y, y', *args) = 0`` of any index, analysed for what they determine.
 
     F is called once with symbolic values. From its expressions follow how often each equation has to be differentiated
     to determine the highest derivatives (Pryce's Σ-method), an ordinary differential equation for them, and the hidden

@@ -36,7 +36,7 @@ def solve_dae(
     sensitivities: SensitivitiesLike | None = None,
     **options: Unpack[Options],
 ) -> Solution:
-    """Solve differential-algebraic equations F(t, y, y', *args) = 0 of any index.
+    """Solve differential-algebraic equations ``F(t, y, y', *args) = 0`` of any index.
 
     `Dae` finds what has to be differentiated, and consistent initial values; the resulting ODE is solved by any method,
     and all constraints, hidden ones included, are imposed by projection.
@@ -136,7 +136,7 @@ def ode15i(
     args: Iterable[Any] = (),
     **options: Unpack[Options],
 ) -> Solution:
-    """Solve F(t, y, y', *args) = 0 with the formulas of ode15s, as MATLAB's function of this name does.
+    """Solve ``F(t, y, y', *args) = 0`` with the formulas of ode15s, as MATLAB's function of this name does.
 
     Unlike MATLAB's it solves equations of any index, and moves initial values that are not consistent.
 

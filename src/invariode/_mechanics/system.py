@@ -264,7 +264,7 @@ class MechanicalSystem(HasPoints):
         A multiplier is a force per unit of its constraint. If a constraint φ is a length, such as the distance of two
         points minus that of a rod, its multiplier is a force, positive where it pushes φ up: the tension of the rod is
         −λ. If φ is the difference of two points, a row for each coordinate, λ is the force on the first point. For
-        φ = |q|² − l² the multiplier is −T / (2 l): write lengths where you want forces.
+        φ = q·q − l² the multiplier is −T / (2 l): write lengths where you want forces.
 
         Parameters
         ----------

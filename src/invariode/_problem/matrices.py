@@ -32,9 +32,10 @@ _NOTHING_KNOWN = Matrices()
 
 def own_matrix(given: Any) -> Any:
     """Return a copy of a constant matrix, which the caller could change; functions, words and None as they are."""
-    if isinstance(given, np.ndarray) or hasattr(given, "tocsc"):
+    if isinstance(given, np.ndarray):
         return given.copy()
-    return deepcopy(given) if isinstance(given, (list, tuple)) else given
+    # What is wrong with a sparse matrix is said later: its own copy would raise, or read beyond its arrays.
+    return deepcopy(given) if isinstance(given, (list, tuple)) or hasattr(given, "tocsc") else given
 
 
 def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, y0: Array) -> Matrices:

@@ -579,7 +579,7 @@ class Result(dict[str, Any]):
     def __repr__(self) -> str:
         width = max((len(str(name)) for name in self), default=0)
         shown = {name: _shape_or_value(value) for name, value in self.items()}
-        if self.sol is None and "sol" in shown:
+        if "sol" in shown and self["sol"] is None:
             shown["sol"] = "None (solve with dense_output=True)"
         return "\n".join(f"{name:>{width}}: {value}" for name, value in shown.items())
 
