@@ -45,7 +45,7 @@ class Local:
 
 @dataclass(frozen=True)
 class Fit:
-    """The best parameters of a search from many starts, as returned by `Problem.fit`.
+    """The best parameters of a search from many starts, as returned by ``Problem.fit``.
 
     Attributes
     ----------

@@ -105,7 +105,7 @@ class Problem:
     ----------
     name : str
         The name of its file.
-    model : invariode.sbml.Model
+    model : invariode.sbml.model.Model
         The model.
     names : list of str
         The estimated parameters.

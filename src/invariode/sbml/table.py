@@ -13,7 +13,7 @@ from .._base.suggestions import meant
 
 
 class Table(Mapping[str, Array]):
-    """Values over time by column name, as `Model.simulate` returns them.
+    """Values over time by column name, as ``Model.simulate`` returns them.
 
     Attributes
     ----------
