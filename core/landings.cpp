@@ -13,7 +13,7 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// Rounding of the quotient moves k by one at most. Where no double lies between the times there are none to land on.
+/// Rounding of the quotient moves k by one at most. If the times are closer than doubles, no landing is possible.
 double beyond_in(const Landings::Progression& one, double t, double forward) {
   double k = std::floor((t - one.first) / one.period) + (forward > 0 ? -1 : 2);
   for (int tried = 0; tried < 5; ++tried, k += forward) {

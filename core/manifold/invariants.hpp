@@ -56,7 +56,7 @@ class Invariants {
   [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
   [[nodiscard]] std::int64_t jacobian_calls() const;
-  /// Of `calls`, those for Jacobians.
+  /// Evaluations of g for Jacobians by differences, which `calls` includes.
   [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
   [[nodiscard]] bool by_differences(std::size_t i) const {

@@ -65,7 +65,7 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
 }
 
 /// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
-/// What is soon is measured by the reach of the coefficients: after sliding the length has the size of the tolerance.
+/// The reach of the coefficients measures how soon that is: after sliding, the length has the size of the tolerance.
 Status Taylor::look_ahead(double t, const Expansion& expansion, double length, double reach) {
   h_ = free_ = std::abs(length);
   if (!conditions_.any()) return Status::ok;

@@ -23,8 +23,8 @@ class RootSeparator {
     double a, ea, b, eb;
   };
   /// Appends points between a and b to `points`, in their order, so that no two roots that the function's interpolant
-  /// has lie between neighbours. False: a sample was. `noise` is asked for what roundoff makes of the function, where
-  /// it is not soon resolved. `zero_at_start`: a is a root.
+  /// has lie between neighbours. False: a sample was. `noise` returns the size of roundoff in the function, and is
+  /// called if the function is not soon resolved. `zero_at_start`: a is a root.
   bool separate(const Sample& sample, const std::function<bool(double& value)>& noise, const Ends& ends,
                 bool zero_at_start, std::vector<double>& points);
 

@@ -1,4 +1,4 @@
-"""The combinatorial part of Pryce's Σ-method: assignment, offsets, blocks, and what is wrong where there are none.
+"""The combinatorial part of Pryce's Σ-method: assignment, offsets, blocks, and what is wrong if there is no assignment.
 
 J. D. Pryce, A simple structural analysis method for DAEs, BIT 41 (2001) 364-394.
 """

@@ -209,7 +209,7 @@ class Reduction:
         return flow
 
     def mass(self) -> Array | None:
-        """Return the singular mass matrix of the algebraic equations, as its diagonal; None: there are none."""
+        """Return the diagonal of the singular mass matrix, or None without algebraic equations."""
         if not self.algebraic:
             return None
         return np.array([1.0] * (len(self.states) - self.algebraic) + [0.0] * self.algebraic)
