@@ -20,7 +20,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest test-newer test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-newer test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint analyze format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
@@ -122,17 +122,26 @@ fuzz-sanitize: $(VENV)/.installed-test  ## the same with the extension built und
 	LD_PRELOAD="$(foreach lib,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(lib).so))" PYTHONMALLOC=malloc \
 	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=$(SANITIZED) $(BIN)/python $(FUZZ)
 
+# $(call tidy,CHECKS): clang-tidy with .clang-tidy's checks changed by CHECKS, over every file of the core by itself.
+define tidy
+	$(CMAKE) -S . -B $(NATIVE)-lint -DINVARIODE_UNITY=OFF
+	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint $(1)
+endef
+
 lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tests/typing/mypy.ini tests/typing
 	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
-	$(CMAKE) -S . -B $(NATIVE)-lint -DINVARIODE_UNITY=OFF
-	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint
+	$(call tidy,"--checks=-clang-analyzer-*")
 	mkdir -p build/_base build/_problem build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
+
+analyze: $(VENV)/.installed-lint  ## clang's static analyser over the core, three quarters of clang-tidy's time; once a day
+	$(call tidy,"--checks=-*$(comma)clang-analyzer-*$(comma)-clang-analyzer-unix.Malloc$(comma)-clang-analyzer-security.ArrayBound$(comma)-clang-analyzer-optin.performance.Padding")
 
 format: $(VENV)/.installed-lint
 	$(BIN)/ruff format .

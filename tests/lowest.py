@@ -8,9 +8,9 @@ import tomllib
 from pathlib import Path
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
-#: What the tests import. The annotations are not tested here: scipy-stubs asks for SciPy 1.14.
+#: What the tests import.
 EXTRAS = ("compiled", "plot", "data", "symbolic", "sbml", "petab", "cli", "paper", "test")
-NOT_HERE = {"mypy", "scipy-stubs", "invariode"}
+NOT_HERE = {"invariode"}
 
 
 def lowest(requirement: str) -> str:

@@ -242,6 +242,7 @@ def test_checkpoints_change_no_bit_of_the_gradient(method):
     assert np.array_equal(sol.gradient([1.0, 0.0], wrt="y0"), whole.gradient([1.0, 0.0], wrt="y0"))
 
 
+@pytest.mark.slow
 @families
 def test_checkpoints_of_a_run_that_is_extended_limited_or_imposed(method):
     given = {"invariants": conserved, "max_steps": 60} | of_some_hundred_steps(method)

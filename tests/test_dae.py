@@ -297,6 +297,7 @@ def test_prescribed_motion_has_no_error_whatever_the_tolerance():
     np.testing.assert_allclose(sol.yp[1], -np.sin(times), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_all_constraints_are_satisfied_to_roundoff_by_every_method_at_every_tolerance():
     """At the steps and between them, in units of a bound of roundoff; index 3 to 9."""
     cases = [PROBLEMS["pendulum"], PROBLEMS["two pendula"], PROBLEMS["squeezer"], pendula(4)]

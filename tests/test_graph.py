@@ -163,6 +163,7 @@ def test_derivatives_are_those_of_40_digits(outputs):
     assert in_python(along)[0] == pytest.approx(exact @ direction, abs=condition * EPS * size)
 
 
+@pytest.mark.slow
 @settings(RANDOM, max_examples=15)
 @given(graphs(("add", "multiply", "divide", "negate", "sin", "exp", "power", "atan2"), select=False))
 def test_functions_for_derivatives_along_a_direction_are_those_of_40_digits(outputs):
@@ -377,6 +378,7 @@ def sparse_system(k):
     return graph, y, rows, [y[(i + 3) % k] * y[i] for i in range(k)]
 
 
+@pytest.mark.slow
 def test_sparse_systems_are_solved_as_dense_ones():
     """In Python and in machine code, with several patterns in turn; derivatives and Taylor series follow."""
     start = np.linspace(0.1, 1, 40)

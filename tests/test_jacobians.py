@@ -358,6 +358,7 @@ def test_a_search_gives_up_in_good_time():
     assert len(calls) <= 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method_code", ["ode15s", "radau"])
 def test_an_entry_that_appears_later_is_found(method_code):
     """From t = 1 on the last component acts on the first one."""

@@ -559,6 +559,7 @@ def test_a_chain_has_the_accelerations_of_dense_equations_of_motion(mass):
     np.testing.assert_allclose(problem.fun(0, problem.y0)[n:], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sparse", [False, True])
 def test_a_given_jacobian_of_a_chain_may_be_sparse(sparse):
     q, v = tangled(20)

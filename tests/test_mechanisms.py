@@ -41,6 +41,7 @@ def test_errors_of_positions_velocities_and_multipliers_fall_with_the_tolerance(
         assert (errors(case, method, rtol) <= allowed * rtol + reference).all(), rtol
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ode45", "ode113"])
 def test_in_levels_the_squeezing_mechanism_has_no_fewer_digits_than_plain(method):
     """As the test set counts them, of the worst position: within 0.2 at each tolerance, and in the mean one more."""

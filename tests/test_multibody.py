@@ -129,6 +129,7 @@ def test_of_rows_that_depend_on_each_other_only_here_those_that_are_needed_here_
     assert np.abs(sol.y[:4, -1] - np.tile(alone.y[:2, -1], 2)).max() < 20 * 1e-7
 
 
+@pytest.mark.slow
 def test_a_redundant_constraint_that_becomes_independent_ends_the_run_there(tmp_path):
     """Also where it holds again at the end, whatever is kept, and in ensembles."""
 

@@ -71,11 +71,13 @@ def written(method):
     return found
 
 
+@pytest.mark.slow
 @pairs
 def test_the_numbers_in_the_core_are_those_derived(method):
     assert written(method) == tableau(method)
 
 
+@pytest.mark.slow
 @pairs
 def test_the_order_conditions_hold_with_sixty_digits(method):
     """Of both formulas and of the extension, up to the order that the method states."""

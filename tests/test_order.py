@@ -205,6 +205,7 @@ def kepler_rhs_jacobian(t, y):
     ]
 
 
+@pytest.mark.slow
 @dealt(12, method=METHODS, project=[False, True])
 def test_error_follows_the_tolerance(method, project):
     """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or

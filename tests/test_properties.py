@@ -24,6 +24,7 @@ def invariants() -> iv.Invariants:
     return iv.Invariants(kepler_invariants, kepler_jacobian)
 
 
+@pytest.mark.slow
 @LIMITS
 @given(METHOD, ECCENTRICITY)
 def test_reversing_time_is_reversing_velocities(method, e):

@@ -85,6 +85,7 @@ ENZYME = model(
 # The test suite
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sbml_campaign.shared("sbml-cases.tar.xz") is None, reason="the cases lie beside the project")
 @pytest.mark.parametrize("method", ["auto", "ode15s"])
 def test_cases_of_the_suite(method):

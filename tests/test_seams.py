@@ -12,6 +12,7 @@ import seams
 from cases import IMPLICIT, explicit_and_implicit
 
 
+@pytest.mark.slow
 def test_each_triple_that_is_possible_is_met():
     """Each three levels of different factors stand together in a row, and no row is excluded."""
     rows = seams.covering_array()
@@ -21,6 +22,7 @@ def test_each_triple_that_is_possible_is_met():
     assert all(row[name] in levels for row in rows for name, levels in seams.FACTORS.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(4))
 def test_where_three_capabilities_meet(part):
     rows = list(enumerate(seams.covering_array()))

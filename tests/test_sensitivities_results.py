@@ -50,6 +50,7 @@ def test_extensions_files_and_checkpoints_are_the_run(method, tmp_path):
         iv.load(tmp_path / "part.npz", problem.replace(sensitivities=None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
 def test_the_next_step_is_that_of_the_whole_run_wherever_it_stops(method):
     """Nothing of S depends on what attempts have left in memory that is not kept."""

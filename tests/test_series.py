@@ -110,6 +110,7 @@ def expected():
     return {name: exactly(node) for name, node in SAMPLES.items()}
 
 
+@pytest.mark.slow
 @forms
 def test_coefficients_of_functions_are_those_of_60_digits(most, expected):
     """Along a polynomial, within the roundoff of sums with growing terms."""

@@ -42,6 +42,7 @@ def solve(name: str, rtol: float, method: str = "ode15s", **options) -> iv.Solut
     return iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, **about)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rtol"), [(name, rtol) for name in PROBLEMS for rtol in TOLERANCES.get(name, DECADES)]
 )
@@ -305,6 +306,7 @@ def test_work_on_the_stiff_circle_is_bounded(method):
         assert 10 <= sol.stats.steps <= 250
 
 
+@pytest.mark.slow
 def test_sparse_system_of_many_components():
     """N = 1e5 in one dimension: memory and time grow with the number of entries."""
     n = 100_000

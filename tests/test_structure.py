@@ -60,6 +60,7 @@ def _imported(name, path):
                 yield source
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_a_detour():
     graph = {name: set() for name in MODULES}
     for name, path in SOURCES:

@@ -49,6 +49,7 @@ def test_solutions_are_those_of_dop853(name):
     assert np.abs(sol.y[:, -1] - tight).max() < amplified
 
 
+@pytest.mark.slow
 def test_the_order_follows_the_tolerance_unless_it_is_given():
     """It is higher where coefficients cost little: the circle has no products, many oscillators in a ring do."""
     n = 20

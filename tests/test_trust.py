@@ -53,10 +53,12 @@ def test_a_coefficient_wrong_by_less_than_one_in_a_million_is_found_where_it_mat
     assert sol.status == -2, sol.message
 
 
+@pytest.mark.slow
 def test_right_invariants_are_never_accused_in_random_runs():
     assert [str(case) for case in campaign.cases(30, 5, right=True) if campaign.accused(case)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 def test_what_is_not_found_costs_little():
     """In random runs with derivatives of all kinds, and errors of a coefficient from 1e-9 to 1e-2 of it."""
