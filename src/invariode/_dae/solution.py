@@ -235,6 +235,13 @@ class _Origin:
     def field(self, y: Array) -> None:
         """See `RunOrigin.field`: a DAE has no f."""
 
+    def positions(self) -> int:
+        """See `RunOrigin.positions`: F does not say which unknowns are velocities of others."""
+        return 0
+
+    def parameters(self) -> None:
+        """See `RunOrigin.parameters`: a DAE has no sensitivities."""
+
 
 class DaeSolution(Solution):
     """A solution of a DAE: a `Solution` in the unknowns of F, in their order.

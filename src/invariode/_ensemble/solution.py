@@ -400,11 +400,16 @@ class EnsembleSolution:
             The median with the ranges that hold the middle 50 % and 90 % of the trajectories; lines at the quantiles
             5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
         ax : matplotlib.axes.Axes, optional
-            Where to draw. Default: a new figure.
+            Where to draw everything. Default: a new figure, with a panel for each component.
         components : int or str, or sequence of these, optional
             Default: all, of more than six the first six.
         **line
             Properties of the lines, as for ``Axes.plot``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The first panel; all are in ``ax.figure.axes``.
 
         Raises
         ------

@@ -219,6 +219,12 @@ class _OriginInFile(NamedTuple):
     def field(self, y: Array) -> None:
         return None
 
+    def positions(self) -> int:
+        return 0
+
+    def parameters(self) -> None:
+        return None
+
     def identity(self) -> Identity:
         return self.known
 
