@@ -200,7 +200,8 @@ class EnsembleSolution:
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given invariant is not
         conserved, -3 a limit was reached, -4 an error that raises an exception in a single solve: the initial value is
-        off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
+        off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function raised;
+        -128 not solved, since Ctrl-C stopped the ensemble (see `on_interrupt`).
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str

@@ -30,7 +30,7 @@ from .._base.arguments import (
     warn,
 )
 from .._base.failures import InvariantError
-from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
+from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt, Progress
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
 from .._functions.graph.derived import derived
@@ -176,7 +176,7 @@ class Plan(NamedTuple):
     records_events: bool  # also none at all, where a list of none was given
     rtol: Numbers  # as given
     atol: Numbers
-    progress: bool
+    progress: Progress
     on_interrupt: OnInterrupt
     on_failure: OnFailure | None
     checkpoint: Checkpoint | None

@@ -390,8 +390,8 @@ class Solution(Exports):
             'lines': a panel for each component, with a line for each parameter. 'map': a row of colours for each
             derivative (a heat map), red where y increases with p and blue where it decreases, for at most 60 of them.
         relative : bool, optional
-            True: |p| ∂y_i/∂p divided by the largest |y_i| among the outputs, numbers without unit that can be compared:
-            0.5 means that 1 % more of p changes y_i by 0.5 % of its largest value. Default: True for a map.
+            True: ``|p| ∂y_i/∂p`` divided by the largest ``|y_i|`` among the outputs, numbers without unit that can be
+            compared: 0.5 means that 1 % more of p changes y_i by 0.5 % of its largest value. Default: True for a map.
         ax : matplotlib.axes.Axes, optional
             Where to draw everything. Default: a new figure.
         **line

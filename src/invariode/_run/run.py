@@ -474,7 +474,7 @@ def _integrated(
     with ExitStack() as around:
         report = request = None
         if plan.progress:
-            report = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
+            report = around.enter_context(run_bar(plan.progress, name, plan.settings.t0, plan.settings.tf))
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
