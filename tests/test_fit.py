@@ -955,3 +955,40 @@ class TestPictures:
             assert np.interp(end, *curve.get_data()) == pytest.approx(profile.quantile**2, rel=2e-2)
         assert profile.quantile == pytest.approx(1.6449, abs=1e-4)  # of the normal distribution: sigma is known
         assert ax.get_xlabel() == "k"
+
+
+class TestRemarks:
+    def test_an_interval_wider_than_its_bounds_and_a_symmetric_start_are_remarked(self) -> None:
+        """The interval is no warning; a search that stalls at k = 0 of a model in k² is one."""
+        data = np.exp(-0.49 * T)
+        square = iv.Problem(lambda t, y, k: [-k * k * y[0]], (0, 4), [1.0], args=(1.0,))
+        wide = iv.fit(square, T, data, {"k": iv.Parameter(0.8, (0.5, 1.0))}, sigma=1.0)
+        assert wide.remarks == ["the 95 % interval of k is wider than its bounds: use profile('k')"]
+        assert wide.remarks[0] in repr(wide)
+        profile = wide.profile("k")
+        assert (profile.lower, profile.upper) == (0.5, 1.0)
+        assert iv.fit(square, T, data, {"k": iv.Parameter(0.8, (0.5, 1.0))}, sigma=0.001).remarks == []
+        with pytest.warns(UserWarning, match="give k other starts, or starts=10"):
+            stalled = iv.fit(square, T, data, {"k": iv.Parameter(0.0, (-5, 5))}, sigma=0.01)
+        assert stalled.parameters["k"] == 0
+        found = iv.fit(square, T, data, {"k": iv.Parameter(0.0, (-5, 5))}, sigma=0.01, starts=10)
+        assert abs(found.parameters["k"]) == pytest.approx(0.7, rel=1e-5)
+
+    def test_a_table_stands_in_the_place_of_times_and_data(self) -> None:
+        pd = pytest.importorskip("pandas")
+        xr = pytest.importorskip("xarray")
+        problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 4), [2.0], args=(1.0,), labels=["drug"])
+        values = 2 * np.exp(-0.5 * T) + 0.01 * np.cos(7 * T)
+        want = {"k": (0.1, 3)}
+        expected = iv.fit(problem, T, values, want, sigma=0.1).parameters
+        table = pd.DataFrame({"time": T, "drug": values})
+        tables = [
+            table, table.set_index("time"), table.rename(columns={"time": "t"}), {"t": T, "drug": values},
+            xr.Dataset({"drug": ("t", values)}, {"t": T}),
+        ]  # fmt: skip
+        for data in tables:
+            assert iv.fit(problem, data, want, sigma=0.1).parameters == expected
+            assert iv.fit(problem, data, parameters=want, sigma=0.1).parameters == expected
+            assert iv.fit([iv.Experiment(problem, data, sigma=0.1)], want).parameters == expected
+        with pytest.raises(TypeError, match="t is a table of data, and data were given too"):
+            iv.fit(problem, table, values, want)

@@ -442,16 +442,41 @@ class Fit:
             found.append((name, f"{value:.6g}", "" if plain else f"{error:.2g}", ends, remark))
         return found
 
+    @property
     def remarks(self) -> list[str]:
-        """Remarks on convergence, undetermined parameters, bounds and failed runs."""
+        """Remarks on convergence, undetermined parameters, bounds, intervals and failed runs."""
+        found = self._concerns()
+        found += [
+            f"the 95 % interval of {name} is wider than its bounds: use profile({name!r})" for name in self._too_wide()
+        ]
+        if self.failures:
+            found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
+        return found
+
+    def _concerns(self) -> list[str]:
+        """Return the remarks on parameters that the fit cannot give, or not as well as it seems."""
         found = [] if self.success else [self.message]
         for group in self.undetermined:
             what = f"{group[0]}" if len(group) == 1 else f"a combination of {' and '.join(group)}"
             found.append(f"the data do not determine {what}")
+            alike = [name for name in group if self.parameters[name] == self.parameters[group[0]]]
+            idle = not self._found.at.jacobian[:, self.names.index(group[0])].any()
+            if len(alike) > 1 or (len(group) == 1 and idle):
+                found.append(
+                    f"a search that begins where the model is symmetric stalls there: give {' and '.join(alike)} other "
+                    "starts, or starts=10"
+                )
         found += [f"{name} is at its {side} bound, {value:g}" for name, side, value in self.at_bound]
-        found += [self._no_sigma()] if self._unscaled else []
-        if self.failures:
-            found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
+        return found + ([self._no_sigma()] if self._unscaled else [])
+
+    def _too_wide(self) -> list[str]:
+        """Return the parameters whose 95 % interval from standard errors extends beyond their bounds."""
+        intervals = self.confidence()
+        found = []
+        for one in self._model.space.free:
+            (low, high), (lower, upper) = intervals[one.name], one.parameter.limits
+            if math.isfinite(self.standard_errors[one.name]) and (low < lower or high > upper):
+                found.append(one.name)
         return found
 
     def _no_sigma(self) -> str:
@@ -467,7 +492,7 @@ class Fit:
         rows = [head, *self.rows()]
         widths = [max(len(row[i]) for row in rows) for i in range(5)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        return "\n".join([*lines, self.summary(), *self.remarks()])
+        return "\n".join([*lines, self.summary(), *self.remarks])
 
     def summary(self) -> str:
         """Summary line: the number of data and the goodness of fit."""
