@@ -286,7 +286,7 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
       integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);
   };
   const auto left = static_cast<std::uint32_t>(ensemble.size - first);
-  on_workers(left, solvers.size(), watch_interval, work, progress);
+  (void)on_workers(left, solvers.size(), watch_interval, work, progress);  // the states say what is not solved
   return result;
 }
 

@@ -140,10 +140,10 @@ class Queue {
 };
 
 /// Calls work(worker, queue) on each of `workers` threads, whose queues share out all indices < count; meanwhile, every
-/// `interval` and at the end, watch(done) on the calling thread, which cancels what is left by returning false. What
-/// work or watch throws first cancels the rest, and is thrown again when all threads have ended.
+/// `interval` and at the end, watch(done) on the calling thread, which cancels what is left by returning false. True:
+/// all were done. What work or watch throws first cancels the rest, and is thrown again when all threads have ended.
 template <class Work, class Watch>
-void on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work, Watch watch) {
+bool on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work, Watch watch) {
   WorkerPool pool(count, workers);
   const auto worker = [&](std::size_t w) {
     Queue queue(pool, w);
@@ -165,6 +165,7 @@ void on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseco
   for (std::thread& thread : threads) thread.join();
   pool.rethrow();
   look();
+  return !pool.cancelled();
 }
 
 }  // namespace invariode

@@ -227,8 +227,9 @@ def _step_failed(run: Run, names: list[str], pairs: bool, labels: Sequence[str] 
         return f"{what} ({_WRONG_JACOBIAN}), {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
         return (
-            f"{_capitalized(_component(run, pairs, labels))} of y leaves its bounds by more than the tolerance even with "
-            f"the smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+            f"{_capitalized(_component(run, pairs, labels))} of y leaves its bounds by more than the tolerance even "
+            f"with the smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an "
+            "atol > 0."
         )
     if run.cause == "projection" and run.finding == "undefined":
         return (
