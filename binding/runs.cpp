@@ -497,11 +497,12 @@ LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
 
 /// Integrates from each row of y0, with the rows of `parameters`, and of `tolerances` of sensitivities, of the same
 /// number, on as many threads as there are solvers, all of the same problem and native. `progress(done)` is called now
-/// and then.
+/// and then. A `request` cancels the rest.
 std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0,
                                                const ConstMatrix& parameters, const nb::object& progress,
                                                const std::optional<LaneCodes>& lanes,
-                                               const std::optional<ConstMatrix>& tolerances) {
+                                               const std::optional<ConstMatrix>& tolerances,
+                                               const StopRequest* request) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
     require(one->bound.native(), "functions of an ensemble on threads must be native");
@@ -518,6 +519,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
       raised = true;
       return false;
     }
+    if (request != nullptr && request->made) return false;
     if (progress.is_none()) return true;
     try {
       progress(done);
@@ -541,7 +543,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
                         .tolerances = tolerances ? tolerances->data() : nullptr};
     result = integrate_all(solvers, rows, watch, form);
   }
-  if (!result) throw nb::python_error();
+  if (raised) throw nb::python_error();
   return result;
 }
 
@@ -602,9 +604,11 @@ void define_ensemble(nb::module_& module) {
   module.def(
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(), nb::arg("tolerances") = nb::none(),
+      nb::arg("request") = nb::none(),
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
       "set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, "
-      "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows.");
+      "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows. A "
+      "`request` cancels the trajectories that are not solved yet, whose states are then the last one.");
   module.def(
       "instruction_sets",
       [] {

@@ -6,8 +6,6 @@ import sys
 from importlib.metadata import metadata
 from pathlib import Path
 
-from PIL import Image, ImageOps
-
 import invariode
 
 sys.path.insert(0, str(Path(__file__).parent))  # for our own extensions
@@ -29,6 +27,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "gallery_look",
     "mathml",
     "formulas",
     "tables",
@@ -77,6 +76,8 @@ sphinx_gallery_conf = {
     "min_reported_time": 1000,
     "remove_config_comments": True,
     "show_signature": False,
+    "image_scrapers": ("gallery_look.scraper",),
+    "reset_modules": ("matplotlib", "gallery_look.palette"),
     "thumbnail_size": (400, 300),
     "within_subsection_order": "FileNameSortKey",
 }
@@ -133,23 +134,6 @@ def every_public_name_is_here(app):
         raise ValueError(f"docs/reference.md and invariode.__all__ differ in {listed ^ set(invariode.__all__)}")
 
 
-#: Width by height of figures with two panels side by side, at least.
-WIDE = 1.7
-
-
-def left_halves(app):
-    """The thumbnails of wide figures show the left panel: both would be too small to be read."""
-    images = Path(app.srcdir) / "gallery" / "images"
-    for path in images.glob("sphx_glr_*_001.png"):
-        with Image.open(path) as whole:
-            width, height = whole.size
-            if width < WIDE * height:
-                continue
-            half = whole.convert("RGB").crop((0, 0, width // 2, height))
-        thumbnail = ImageOps.pad(half, sphinx_gallery_conf["thumbnail_size"], color="white")
-        thumbnail.save(images / "thumb" / path.name.replace("_001.png", "_thumb.png"))
-
-
 def no_signature_of_results(app, what, name, obj, options, signature, returns):
     """What calls return is not made by hand: its fields are documented as such."""
     return ("", None) if what == "class" and name.removeprefix("invariode.") in RESULTS else None
@@ -158,4 +142,3 @@ def no_signature_of_results(app, what, name, obj, options, signature, returns):
 def setup(app):
     app.connect("autodoc-process-signature", no_signature_of_results)
     app.connect("builder-inited", every_public_name_is_here)
-    app.connect("builder-inited", left_halves, priority=900)  # after the gallery

@@ -518,3 +518,15 @@ def test_a_bound_is_met_where_t_does_not_resolve_the_tolerance(method):
     sol = iv.solve_ivp(lambda t, y: [-1.0], (0, 2e6), [1e6], method, atol=1e-10, nonnegative=True)
     assert sol.success
     assert sol.y[0, -1] == 0
+
+
+def test_messages_about_bounds_give_labels():
+    """Components are named as the problem names them."""
+    about = {"labels": ["prey", "fox"]}
+    with pytest.raises(ValueError, match=r"bounds of fox are contradictory: 1\.0 <= y\[1\] <= -1\.0"):
+        iv.Problem(lambda t, y: 0 * y, (0, 1), [0.5, 0.0], bounds=([0, 1], [1, -1]), **about)
+    with pytest.raises(ValueError, match=r"y0\[fox\] is outside its bounds, 0\.0 to inf"):
+        iv.Problem(lambda t, y: 0 * y, (0, 1), [0.5, -1.0], nonnegative=True, **about).solve()
+    doses = [(0.5, lambda t, y: [y[0], -1.0])]
+    sol = iv.Problem(lambda t, y: 0 * y, (0, 1), [0.5, 1.0], nonnegative=True, breakpoints=doses, **about).solve()
+    assert "component 1 (fox) is outside its bounds" in sol.message

@@ -166,3 +166,17 @@ def test_a_lambda_is_copied_and_named_where_pickle_refuses_it(method):
     np.testing.assert_array_equal(copy.deepcopy(sol).sol(1.1), sol.sol(1.1))
     with pytest.raises((AttributeError, pickle.PicklingError), match="<lambda>"):
         pickle.dumps(sol)
+
+
+def test_outside_its_interval_a_solution_extrapolates_or_refuses():
+    """As in SciPy by default; with extrapolate=False the error names the time and the interval, ends included."""
+    for span in ((0, 2), (2, 0)):
+        sol = iv.solve_ivp(lambda t, y: -y, span, [1.0], dense_output=True).sol
+        assert np.isfinite(sol(2.5)).all()
+        np.testing.assert_array_equal(sol([0.0, 1.0, 2.0], extrapolate=False), sol([0.0, 1.0, 2.0]))
+        for t in (2.5, [1.0, 2.5], -1e-9, np.nan):
+            with pytest.raises(ValueError, match="outside the solution's interval, 0 to 2: extend the run"):
+                sol(t, extrapolate=False)
+    dae = iv.solve_dae(lambda t, y, yp: [yp[0] + y[0]], (0, 2), [1.0], dense_output=True).sol
+    with pytest.raises(ValueError, match="outside the solution's interval"):
+        dae(3, extrapolate=False)

@@ -147,3 +147,20 @@ def test_indices_and_exponents_written_as_text_are_small_in_print(monkeypatch):
 def test_every_public_name_is_documented():
     for name in invariode.__all__:
         assert name == "METHODS" or getattr(invariode, name).__doc__, name
+
+
+#: Lists of what a standard asks for, or of guides, which are no how-tos.
+NO_HOWTO = {"index", "sbml-conformance"}
+
+
+def test_howtos_say_first_what_one_has_at_the_end_and_have_at_most_900_words():
+    """Code does not count."""
+    for page in sorted((ROOT / "docs/howto").glob("*.md")):
+        if page.stem in NO_HOWTO:
+            continue
+        text = re.sub(r"\A---\n.*?\n---\n", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        first = re.search(r"^# .+\n\n(.+)", text, re.MULTILINE)
+        assert first, page.name
+        assert first[1].startswith("At the end of this page you have "), page.name
+        words = len(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split())
+        assert words <= 900, (page.name, words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -892,3 +893,102 @@ class TestWhere:
         given = iv.Problem(lambda t, y, k, ambient: -k * y, (0, 4), [1.0, 2.0], args=(1.0, 0.7))
         with pytest.raises((TypeError, ValueError), match=message):
             iv.Experiment(given, [1.0], [[1.0], [2.0]], where=where)
+
+
+class TestPictures:
+    """Pictures of a fit show its numbers."""
+
+    @pytest.fixture
+    def fitted(self) -> Any:
+        """Two doses, absorbed and eliminated: jumps of y at t = 4."""
+        pytest.importorskip("matplotlib")
+        dose = lambda t, y, *k: [y[0] + 1, y[1]]  # noqa: E731
+        problem = iv.Problem(
+            lambda t, y, k, a: [-a * y[0], a * y[0] - k * y[1]], (0, 8), [1.0, 0.0], args=(0.3, 1.2),
+            labels=["gut [mg]", "blood [mg/l]"], breakpoints=[(4.0, dose)],
+        )  # fmt: skip
+        t = np.linspace(0.5, 7.5, 15)
+        data = problem.solve("ode45", t_eval=t).y + 0.03 * np.random.default_rng(1).standard_normal((2, 15))
+        data[1, 3] = np.nan
+        return iv.fit(problem, t, data, {"k": (0.05, 2), "a": (0.2, 5)}, sigma=0.03, starts=3)
+
+    @pytest.fixture(autouse=True)
+    def _closed(self) -> Any:
+        yield
+        sys.modules["matplotlib.pyplot"].close("all")
+
+    def test_curves_are_interrupted_at_doses_and_each_unit_has_a_panel(self, fitted: Any) -> None:
+        panels = fitted.plot().figure.axes
+        assert [ax.get_ylabel() for ax in panels] == ["gut [mg]", "blood [mg/l]"]
+        assert [text.get_text() for text in panels[0].get_legend().get_texts()] == ["fit", "95 % band", "data"]
+        t, gut = panels[0].lines[0].get_data()
+        (cut,) = np.flatnonzero(np.isnan(gut))
+        assert t[cut - 1] == np.nextafter(4.0, 0)
+        assert t[cut + 1] == 4
+        assert gut[cut + 1] - gut[cut - 1] == pytest.approx(1, abs=1e-5)
+
+    def test_residuals_and_correlations_are_those_of_the_fit(self, fitted: Any) -> None:
+        ax = fitted.plot_residuals()
+        drawn = [line.get_ydata() for line in ax.lines if line.get_marker() == "o"]
+        for own, values in zip(drawn, fitted.residuals, strict=True):
+            np.testing.assert_array_equal(own, values[np.isfinite(values)])
+        ax = fitted.plot_correlation()
+        np.testing.assert_array_equal(ax.images[0].get_array(), fitted.correlation)
+        assert [label.get_text() for label in ax.get_xticklabels()] == ["k", "a"]
+
+    def test_the_waterfall_has_the_costs_in_increasing_order(self, fitted: Any) -> None:
+        ax = fitted.plot_starts()
+        heights = ax.lines[0].get_ydata()
+        assert len(heights) == 3
+        assert (np.diff(heights) >= 0).all()
+        costs = np.sort([cost for cost, _ in fitted.starts])
+        np.testing.assert_allclose(heights, np.maximum(costs - costs[0], 1e-6 * max(costs[0], 1)))
+        alone = iv.fit(straight(), T, LINE_DATA, LINE, sigma=0.1)
+        with pytest.raises(ValueError, match="the fit had one start: compare several"):
+            alone.plot_starts()
+
+    def test_a_profile_meets_its_quantile_at_the_ends_of_the_interval(self, fitted: Any) -> None:
+        profile = fitted.profile("k", level=0.9)
+        ax = profile.plot()
+        curve = next(line for line in ax.lines if line.get_label() == "profile")
+        for end in (profile.lower, profile.upper):
+            assert np.interp(end, *curve.get_data()) == pytest.approx(profile.quantile**2, rel=2e-2)
+        assert profile.quantile == pytest.approx(1.6449, abs=1e-4)  # of the normal distribution: sigma is known
+        assert ax.get_xlabel() == "k"
+
+
+class TestRemarks:
+    def test_an_interval_wider_than_its_bounds_and_a_symmetric_start_are_remarked(self) -> None:
+        """The interval is no warning; a search that stalls at k = 0 of a model in k² is one."""
+        data = np.exp(-0.49 * T)
+        square = iv.Problem(lambda t, y, k: [-k * k * y[0]], (0, 4), [1.0], args=(1.0,))
+        wide = iv.fit(square, T, data, {"k": iv.Parameter(0.8, (0.5, 1.0))}, sigma=1.0)
+        assert wide.remarks == ["the 95 % interval of k is wider than its bounds: use profile('k')"]
+        assert wide.remarks[0] in repr(wide)
+        profile = wide.profile("k")
+        assert (profile.lower, profile.upper) == (0.5, 1.0)
+        assert iv.fit(square, T, data, {"k": iv.Parameter(0.8, (0.5, 1.0))}, sigma=0.001).remarks == []
+        with pytest.warns(UserWarning, match="give k other starts, or starts=10"):
+            stalled = iv.fit(square, T, data, {"k": iv.Parameter(0.0, (-5, 5))}, sigma=0.01)
+        assert stalled.parameters["k"] == 0
+        found = iv.fit(square, T, data, {"k": iv.Parameter(0.0, (-5, 5))}, sigma=0.01, starts=10)
+        assert abs(found.parameters["k"]) == pytest.approx(0.7, rel=1e-5)
+
+    def test_a_table_stands_in_the_place_of_times_and_data(self) -> None:
+        pd = pytest.importorskip("pandas")
+        xr = pytest.importorskip("xarray")
+        problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 4), [2.0], args=(1.0,), labels=["drug"])
+        values = 2 * np.exp(-0.5 * T) + 0.01 * np.cos(7 * T)
+        want = {"k": (0.1, 3)}
+        expected = iv.fit(problem, T, values, want, sigma=0.1).parameters
+        table = pd.DataFrame({"time": T, "drug": values})
+        tables = [
+            table, table.set_index("time"), table.rename(columns={"time": "t"}), {"t": T, "drug": values},
+            xr.Dataset({"drug": ("t", values)}, {"t": T}),
+        ]  # fmt: skip
+        for data in tables:
+            assert iv.fit(problem, data, want, sigma=0.1).parameters == expected
+            assert iv.fit(problem, data, parameters=want, sigma=0.1).parameters == expected
+            assert iv.fit([iv.Experiment(problem, data, sigma=0.1)], want).parameters == expected
+        with pytest.raises(TypeError, match="t is a table of data, and data were given too"):
+            iv.fit(problem, table, values, want)

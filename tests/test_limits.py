@@ -252,6 +252,91 @@ def test_classes_for_scipy_say_what_they_cannot():
             invariode.scipy.ODE45(circle, 0, [1.0, 0.0], 1, **{name: 1})
 
 
-def test_an_ensemble_cannot_be_returned_half_done():
-    with pytest.raises(ValueError, match="on_interrupt is not possible for an ensemble"):
-        iv.solve_ensemble(circle, (0, 1), [[1.0, 0.0]], workers=1, on_interrupt="return")
+def endless(native):
+    """Trajectories of which the even ones end at t = 1, by an event, and the others never."""
+
+    def rate(t, y, k):
+        return [k]
+
+    def reached(t, y, k):
+        return y[0] - 1
+
+    if native:
+        pytest.importorskip("llvmlite")
+        rate, reached = iv.compile(rate, by="trace"), iv.compile(reached, by="trace")
+    event = iv.Event(reached, terminal=True)
+    return iv.Problem(rate, (0, 1e12), [0.0], args=(1.0,), events=event), [(1.0,), (0.0,)] * 10
+
+
+@pytest.mark.parametrize(("native", "workers"), [(True, 2), (False, 1), (False, 2)])
+@pytest.mark.parametrize("from_iterator", [False, True])
+def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, from_iterator):
+    """Those that are there are the ones of an ensemble without the others; the others have status -128 and are NaN."""
+    problem, args = endless(native)
+    if from_iterator:  # parts: the first ones end, another never does
+        args = [(1.0,)] * 10 + [(0.0,)]
+        given = {"y0": iter([([0.0], one) for one in args]), "chunk": 5}
+    else:
+        given = {"args": args}
+        if not native:
+            given["args"] = args = [*args[::2], *args[1::2]]
+    options = {"workers": workers, "max_step": 0.01 if native else 1e-4, "first_step": 1e-4, **given}
+    finished = np.array([k for (k,) in args]) == 1
+    if not native:
+        options["max_step"] = 0.1
+    t_eval = [0.0, 0.5]
+    timer = interrupted_after(0.8)
+    timer.start()
+    with pytest.warns(UserWarning, match=r"Ctrl-C stopped the ensemble: \d+ of \d+ trajectories are solved"):
+        many = problem.solve_ensemble(t_eval=t_eval, on_interrupt="return", **options)
+    timer.join()
+    solved = many.status != -128
+    assert solved.any()
+    assert not (solved & ~finished[: len(many)]).any()
+    np.testing.assert_array_equal(many.status[solved], 1)
+    np.testing.assert_allclose(many.y[solved, 0], [[0, 0.5]] * int(solved.sum()), atol=1e-12)
+    assert np.isnan(many.y[~solved]).all()
+    assert np.isnan(many.y_end[~solved]).all()
+    assert many.failed.tolist() == np.flatnonzero(~solved).tolist()
+    assert set(many.messages.values()) == {"not solved: Ctrl-C stopped the ensemble"}
+    assert not many[int(np.flatnonzero(~solved)[0])].success
+
+
+def test_the_exception_of_ctrl_c_has_the_finished_trajectories():
+    problem, args = endless(native=False)
+    timer = interrupted_after(0.6)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt, match="1 of 20 trajectories are solved") as raised:
+        problem.solve_ensemble(args=args, workers=1, max_step=0.1)
+    timer.join()
+    assert raised.value.solution.status.tolist() == [1] + [-128] * 19
+
+
+def test_progress_is_reported_to_a_function(monkeypatch):
+    """Runs and ensembles report how much is done, and what the whole is, at the end in any case."""
+    from invariode._base import progress
+
+    monkeypatch.setattr(progress, "CALLS", 0.0)
+    for of in (lambda t, y: [-y[0]], iv.compile(lambda t, y: [-y[0]], by="trace")):
+        for span, whole in (((0, 3), 3.0), ((3, 0), 3.0)):
+            heard = []
+            sol = iv.solve_ivp(of, span, [1.0], progress=lambda *news, heard=heard: heard.append(news))
+            assert heard[-1] == (whole, whole)
+            assert [done for done, _ in heard] == sorted(done for done, _ in heard)
+            np.testing.assert_array_equal(sol.y, iv.solve_ivp(of, span, [1.0]).y)
+        heard = []
+        iv.solve_ensemble(of, (0, 1), np.ones((30, 1)), workers=1, progress=lambda *news: heard.append(news))  # noqa: B023
+        assert heard[-1] == (30, 30)
+    heard = []
+    iv.solve_ensemble(
+        lambda t, y: [-y[0]], (0, 1), iter([([1.0], ())] * 7), chunk=3, progress=lambda *news: heard.append(news)
+    )
+    assert heard[-1] == (7, None)
+    with pytest.raises(TypeError, match=r"progress must be True, False or a function progress\(done, total\), got 3"):
+        iv.solve_ivp(circle, (0, 1), [1.0, 0.0], progress=3)
+
+    def broken(done, total):
+        raise ArithmeticError("from the function")
+
+    with pytest.raises(ArithmeticError, match="from the function"):
+        iv.solve_ivp(circle, (0, 1), [1.0, 0.0], progress=broken)

@@ -742,3 +742,117 @@ class TestWorkAndPrecision:
             iv.plot_work_precision(turning(mass=np.eye(2), invariants=None), ["ode45"])
         with pytest.raises(ValueError, match="draws on two axes, got 1"):
             iv.plot_work_precision(turning((0, 1)), ["ode45"], rtols=[1e-3], axes=axes())
+
+
+class TestKindsOfComponents:
+    def test_units_positions_and_velocities_have_panels_of_their_own(self):
+        """Components of two kinds never share an axis, of whatever origin the kinds are; on given axes all do."""
+        units = iv.Problem(lambda t, y: 0 * y, (0, 1), [1, 2, 3], labels=["a [m]", "b (K)", "c [m]"]).solve()
+        panels = units.plot().figure.axes
+        assert [ax.get_ylabel() for ax in panels] == ["m", "b (K)"]
+        assert legend(panels[0]) == ["a [m]", "c [m]"]
+        indices = iv.Problem(lambda t, y: 0 * y, (0, 1), [1, 2], labels=["x[0]", "x[1]"]).solve()
+        assert len(indices.plot().figure.axes) == 1  # an index is no unit
+        pendulum = iv.MechanicalSystem(
+            np.eye(2), lambda t, q, v: np.array([0, -1.0]), constraints=lambda t, q: q @ q - 1
+        ).problem((0, 1), [1.0, 0.0], [0.0, 0.0])
+        start = [1.0, 2.0, 0.0, 0.0]
+        second = iv.Problem(lambda t, y: [y[2], y[3], -y[0], -y[1]], (0, 1), start, second_order=True)
+        dashed = second.replace(second_order=False, labels=["x", "z", "x'", "z'"])
+        for problem in (pendulum, second, dashed):
+            sol = problem.solve("ode45")
+            panels = sol.plot().figure.axes
+            assert [ax.get_ylabel() for ax in panels] == ["positions", "velocities"]
+            colours = [[line.get_color() for line in shown(ax)] for ax in panels]
+            assert colours[0] == colours[1]  # a velocity has the colour of its position
+            assert len(set(colours[0])) == 2
+            assert len(sol.plot([0, 1]).figure.axes) == 1
+            ax = axes()
+            assert sol.plot(ax=ax) is ax
+            assert len(ax.lines) == 4
+
+
+class TestDrift:
+    def test_the_first_point_does_not_stretch_the_axis(self):
+        """A residual of rounding where a value is taken is left out; one above later residuals is drawn."""
+        sol = turning((0, 20), invariants=None).solve("ode45", rtol=1e-3)
+        energy = lambda t, y: (y[0] ** 2 + y[1] ** 2) * (1 + 1e-16)  # noqa: E731
+        ax = sol.plot_drift(ax=axes(), invariants=energy)
+        (line,) = shown(ax)
+        drawn, later = line.get_ydata(), np.abs(energy(sol.t, sol.y) - energy(0, sol.y[:, 0]))[1:]
+        assert np.isnan(drawn[0])
+        np.testing.assert_allclose(drawn[1:], later, atol=1e-12)  # zeros are drawn below the others
+        assert ax.get_ylim()[0] > np.nanmin(drawn) / 10
+
+    def test_the_legend_lists_curves_from_the_largest_residual_to_the_smallest(self):
+        sol = turning((0, 20), invariants=None).solve("ode45", rtol=1e-3)
+        given = {"small": lambda t, y: 1e-3 * y @ y, "large": lambda t, y: y @ y, "middle": lambda t, y: 0.1 * y @ y}
+        assert legend(sol.plot_drift(ax=axes(), invariants=given))[:3] == ["large", "middle", "small"]
+
+
+def decay_and_growth(**options):
+    """y0' = -a y0, y1' = b y0 from (1, 0), with a dose of 1 at t = 1."""
+    problem = iv.Problem(
+        lambda t, y, a, b: [-a * y[0], b * y[0]], (0, 2), [1.0, 0.0], args=(0.5, 2.0), sensitivities=True,
+        labels=["drug", "effect"], breakpoints=[(1.0, lambda t, y, a, b: [y[0] + 1, y[1]])],
+    )  # fmt: skip
+    return problem.solve("ode45", rtol=1e-8, atol=1e-10, **options)
+
+
+class TestSensitivities:
+    def test_curves_are_the_derivatives_and_interrupted_at_jumps(self):
+        """∂drug/∂a = −t e^(−at) before the dose, whatever the output, and NaN separates the pieces."""
+        for options in ({}, {"dense_output": True}, {"t_eval": np.linspace(0, 2, 21)}):
+            sol = decay_and_growth(**options)
+            first, second = sol.plot_sensitivities().figure.axes
+            assert [first.get_ylabel(), second.get_ylabel()] == ["∂drug/∂p", "∂effect/∂p"]
+            assert legend(first) == ["a", "b"]
+            t, values = shown(first)[0].get_data()
+            early = t < 1
+            np.testing.assert_allclose(values[early], -t[early] * np.exp(-0.5 * t[early]), atol=1e-6)
+            assert np.isnan(values).any()
+
+    def test_relative_ones_are_numbers_without_unit(self):
+        sol = decay_and_growth()
+        ax = sol.plot_sensitivities("effect", "b", relative=True, ax=axes())
+        (line,) = shown(ax)
+        np.testing.assert_allclose(line.get_ydata()[-1], 1, rtol=1e-6)  # effect is proportional to b
+        assert line.get_label() == "b ∂effect/∂b / max |effect|"
+
+    def test_a_map_has_a_row_for_each_derivative(self):
+        sol = decay_and_growth()
+        ax = sol.plot_sensitivities(kind="map")
+        assert [label.get_text() for label in ax.get_yticklabels()] == [
+            "∂drug/∂a", "∂drug/∂b", "∂effect/∂a", "∂effect/∂b"
+        ]  # fmt: skip
+        shown_values = ax.collections[0].get_array().reshape(4, -1)
+        expected = sol.sensitivities.reshape(4, -1) * np.outer(
+            (1 / np.abs(sol.y).max(axis=1))[[0, 0, 1, 1]] * np.array([0.5, 2, 0.5, 2]), np.ones(len(sol.t))
+        )
+        np.testing.assert_allclose(shown_values, expected)
+        raw = sol.plot_sensitivities(kind="map", relative=False, ax=axes())
+        np.testing.assert_array_equal(raw.collections[0].get_array().reshape(4, -1), sol.sensitivities.reshape(4, -1))
+
+    def test_what_cannot_be_drawn_says_why(self, tmp_path):
+        sol = decay_and_growth()
+        with pytest.raises(ValueError, match="there is no parameter 'bb'"):
+            sol.plot_sensitivities(parameters="bb")
+        with pytest.raises(ValueError, match="there is no component 'drog'"):
+            sol.plot_sensitivities("drog")
+        with pytest.raises(ValueError, match="kind must be one of 'lines', 'map'"):
+            sol.plot_sensitivities(kind="heat")
+        with pytest.raises(ValueError, match="the run had no sensitivities: solve with sensitivities=True"):
+            turning().solve().plot_sensitivities()
+        sol.save(tmp_path / "run.npz")
+        loaded = iv.load(tmp_path / "run.npz")
+        assert len(loaded.plot_sensitivities().figure.axes) == 2
+        with pytest.raises(ValueError, match="need the values of the parameters"):
+            loaded.plot_sensitivities(kind="map")
+        k = np.arange(1.0, 70)
+        wide = iv.solve_ivp(lambda t, y, *k: [-sum(k) * y[0]], (0, 1e-3), [1.0], args=tuple(k), sensitivities=True)
+        with pytest.raises(ValueError, match="a map of 1 components and 69 parameters has 69 rows"):
+            wide.plot_sensitivities(kind="map")
+        wave = iv.solve_ivp(lambda t, y, k: 1j * k * y, (0, 1), [1 + 0j], args=(1.0,), sensitivities=True)
+        assert legend(wave.plot_sensitivities(ax=axes())) == ["Re ∂y0/∂k", "Im ∂y0/∂k"]
+        with pytest.raises(ValueError, match="a map shows real sensitivities"):
+            wave.plot_sensitivities(kind="map", relative=False)

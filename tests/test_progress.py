@@ -142,7 +142,7 @@ def test_bars_are_drawn_at_most_ten_times_a_second_and_in_passing_not_at_first(m
 
 def test_a_bar_in_passing_leaves_the_screen_as_it_was(monkeypatch):
     screen, clock = on_a_terminal(monkeypatch), Clock(monkeypatch)
-    with progress.in_passing(), progress.run_bar("pendulum", 0, 10) as told:
+    with progress.in_passing(), progress.run_bar(True, "pendulum", 0, 10) as told:
         told(1.0, 0.1)
         assert screen.getvalue() == ""
         clock.now = 1.0
@@ -176,7 +176,7 @@ def test_a_function_that_raises_ends_the_bar(capsys):
 
 
 def test_it_is_a_flag_and_needs_rich(monkeypatch):
-    with pytest.raises(TypeError, match="progress must be True or False, got 1"):
+    with pytest.raises(TypeError, match="progress must be True, False or a function"):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=1)
     monkeypatch.setitem(sys.modules, "rich.progress", None)
     with pytest.raises(ModuleNotFoundError, match=r'progress=True needs rich: pip install "invariode\[cli\]"'):
@@ -292,7 +292,7 @@ def notebook(monkeypatch):
 
 def test_in_a_notebook_the_bar_is_html(notebook, monkeypatch):
     monkeypatch.setattr(progress, "INTERVAL", 0.0)
-    with progress.run_bar("a < b", 0, 20) as report:
+    with progress.run_bar(True, "a < b", 0, 20) as report:
         report(5.0, 0.125)
     first, underway, last = notebook.shown
     assert 'value="0.0000"' in first

@@ -125,7 +125,7 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       discontinuity(size, undefined),
       accumulation(size, undefined),
       count(size * counts),
-      state(size),
+      state(size, unsolved),
       occurrences(solver.problem().events.size()) {}
 
 void EnsembleResult::refuse(std::size_t i, std::int8_t why, double t0, const double* y0) {
@@ -275,7 +275,10 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
       form && is_complete(*form, solvers.front()->problem()) && obstacle_to_lanes(*solvers.front()) == nullptr;
   const std::size_t first = in_lanes ? 0 : integrate_first(*solvers.front(), ensemble, *result);
   const auto progress = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
-  if (first == ensemble.size) return progress(0) ? std::move(result) : nullptr;
+  if (first == ensemble.size) {
+    progress(0);
+    return result;
+  }
   const auto work = [&](std::size_t worker, Queue& queue) {
     Solver& solver = *solvers[worker];
     if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
@@ -283,7 +286,7 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
       integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);
   };
   const auto left = static_cast<std::uint32_t>(ensemble.size - first);
-  if (!on_workers(left, solvers.size(), watch_interval, work, progress)) return {};
+  (void)on_workers(left, solvers.size(), watch_interval, work, progress);  // the states say what is not solved
   return result;
 }
 

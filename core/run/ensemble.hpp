@@ -35,6 +35,9 @@ class EnsembleResult {
   };
   /// In place of a State, of a trajectory that could not start: its initial value is not finite, or not consistent.
   static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3, undetermined = -4;
+  /// In place of a State, of a trajectory that was not solved to its end since the ensemble was cancelled. Its row of
+  /// outputs may be written in part.
+  static constexpr std::int8_t unsolved = -5;
   static constexpr std::size_t counts = RunResult::count_size;
   /// Trajectories that were left to the code for one at a time, by `lanes::Why`.
   using Left = std::array<std::size_t, lanes::whys>;
@@ -71,7 +74,7 @@ class EnsembleResult {
   /// of an event that came closer and closer are missing; NaN: nowhere.
   std::vector<double> stiff_since, discontinuity, accumulation;
   std::vector<std::int64_t> count;  ///< (size, counts)
-  std::vector<std::int8_t> state;   ///< a State, or why it could not start
+  std::vector<std::int8_t> state;   ///< a State, or why it could not start, or `unsolved`
   std::vector<Occurrences> occurrences;
   std::vector<Failure> failures;
   Left alone{};  ///< of an ensemble in lanes
@@ -115,8 +118,8 @@ void integrate_one(Solver& solver, const Ensemble& ensemble, std::size_t i, cons
 /// Integrates from each row, on as many threads as there are solvers: one for each, all of the same problem, with
 /// functions that need no interpreter; in lanes, if f has a form for them and nothing speaks against it
 /// (`obstacle_to_lanes`). Every `watch_interval`, and at the end, watch(done) is called on this thread; by
-/// returning false it cancels the rest, and there is no result. Throws std::invalid_argument where sizes do not match
-/// or where solvers share the place of their parameters.
+/// returning false it cancels the rest, whose states stay `EnsembleResult::unsolved`. Throws std::invalid_argument
+/// where sizes do not match or where solvers share the place of their parameters.
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
                                               const std::function<bool(std::uint32_t done)>& watch,
                                               const std::optional<LaneForm>& form = {});

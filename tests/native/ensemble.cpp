@@ -145,13 +145,16 @@ TEST(terminal_events_end_trajectories_where_they_occur) {
     }
 }
 
-TEST(a_cancelled_ensemble_has_no_result) {
+TEST(a_cancelled_ensemble_has_the_trajectories_that_were_solved) {
   Rows rows;
   Settings longer = Oscillator::settings();
   longer.tf = 1e6;
   for (const std::size_t workers : {1, 4}) {
     Solvers solvers(*find_method("ode45"), workers, longer, 0);
-    CHECK(integrate_all(solvers.all(), rows.ensemble(), [](std::uint32_t) { return false; }) == nullptr);
+    const auto all = integrate_all(solvers.all(), rows.ensemble(), [](std::uint32_t) { return false; });
+    CHECK(std::ranges::count(all->state, EnsembleResult::unsolved) > 0);
+    for (std::size_t i = 0; i < all->size; ++i)
+      CHECK(all->state[i] == EnsembleResult::unsolved || all->t[i] == longer.tf);
   }
 }
 

@@ -252,6 +252,15 @@ def flag(name: str, value: object) -> bool:
     raise TypeError(f"{name} must be True or False, got {shown(value)}")
 
 
+def progress_or_function(name: str, value: Any) -> Any:
+    """Return a flag, or a function that is called with the progress."""
+    if callable(value):
+        return value
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise TypeError(f"{name} must be True, False or a function {name}(done, total), got {shown(value)}")
+
+
 def items(value: object) -> list[Any] | None:
     """The items of a list, a tuple, an array and the like; None for what has no items."""
     if type(value) is tuple or type(value) is list:  # the common case

@@ -77,7 +77,7 @@ def html_of_fit(fit: Any) -> str:
     """The parameters with their errors, how well the data are met, and what else must be known."""
     head = ("parameter", "value", "standard error", "95 % interval", "")
     rows = [(*row[:4], row[4] or "\N{NO-BREAK SPACE}") for row in fit.rows()]
-    listed = "".join(f"<li>{html.escape(remark)}</li>" for remark in fit.remarks())
+    listed = "".join(f"<li>{html.escape(remark)}</li>" for remark in fit.remarks)
     return _titled("Fit", _table(rows, head) + html.escape(fit.summary()) + (f"<ul>{listed}</ul>" if listed else ""))
 
 

@@ -17,9 +17,10 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from .extras import extra
+from .types import Progress
 
-#: Seconds between two updates, and before a transient bar appears.
-INTERVAL, DELAY = 0.1, 0.3
+#: Seconds between two updates, before a transient bar appears, and between two calls of a user's function.
+INTERVAL, DELAY, CALLS = 0.1, 0.3, 1.0
 
 _in_passing = ContextVar("_in_passing", default=False)
 
@@ -35,11 +36,11 @@ def in_passing() -> Iterator[None]:
 
 
 @contextmanager
-def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
-    """Show a bar while the block runs; call the function that it yields with the amount done, and with the total if
-    that changes.
+def bar(shown: Progress, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
+    """Show a bar while the block runs, or call the user's function; call the function that it yields with the amount
+    done, and with another description of the bar if that changes.
 
-    It yields None if no bar was asked for.
+    It yields None if nothing was asked for.
 
     Raises
     ------
@@ -48,6 +49,10 @@ def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., N
     """
     if not shown:
         yield None
+        return
+    if callable(shown):
+        with _called(shown, total) as told:
+            yield told
         return
     with _drawn(what, total) as update:
 
@@ -58,11 +63,35 @@ def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., N
 
 
 @contextmanager
-def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None]]:
-    """Show a bar over t for one run; it yields a function of t and h. On an infinite interval the bar pulses."""
+def run_bar(shown: Progress, what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None]]:
+    """Show a bar over t for one run, or call the user's function; it yields a function of t and h. On an infinite
+    interval the bar pulses."""
     total = abs(tf - t0) if math.isfinite(tf) else None
+    if callable(shown):
+        with _called(shown, total) as told:
+            yield lambda t, h: told(abs(t - t0))
+        return
     with _drawn(what, total, "t = {task.fields[t]:.6g}  h = {task.fields[h]:.2e}", t=t0, h=0.0) as update:
         yield lambda t, h: update(completed=abs(t - t0), t=t, h=h)
+
+
+@contextmanager
+def _called(function: Callable[[float, float | None], object], total: float | None) -> Iterator[Callable[..., None]]:
+    """Call the user's function at most once in `CALLS` seconds while the block runs, and once with the last news at its
+    end, unless it raises."""
+    due, latest, reported = perf_counter() + CALLS, 0.0, -1.0
+
+    def report(done: float, of: str = "") -> None:
+        nonlocal due, latest, reported
+        latest = done
+        if perf_counter() >= due:
+            due = perf_counter() + CALLS
+            reported = done
+            function(done, total)
+
+    yield report
+    if latest != reported:
+        function(latest, total)
 
 
 @contextmanager

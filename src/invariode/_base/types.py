@@ -56,3 +56,5 @@ JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
 OnFailure: TypeAlias = Literal["return", "warn", "raise"]
 OnInterrupt: TypeAlias = Literal["raise", "return"]
+#: A bar, or a function of the amount done and of the total, None if that is unknown.
+Progress: TypeAlias = bool | Callable[[float, float | None], object]

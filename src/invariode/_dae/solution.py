@@ -136,6 +136,8 @@ class Unknowns:
 class DenseUnknowns:
     """The unknowns as a continuous function of t: ``sol(t)`` has shape (n,) or (n, n_t).
 
+    Outside [t_min, t_max] it extrapolates; ``sol(t, extrapolate=False)`` raises a ValueError instead.
+
     Attributes
     ----------
     t_min, t_max : float
@@ -150,16 +152,16 @@ class DenseUnknowns:
         self._dense_states, self._unknowns, self._p = dense, unknowns, p
         self.t_min, self.t_max, self.ts = dense.t_min, dense.t_max, dense.ts
 
-    def __call__(self, t: ArrayLike) -> Array:
-        return self._values(self._unknowns.y, t)
+    def __call__(self, t: ArrayLike, *, extrapolate: bool = True) -> Array:
+        return self._values(self._unknowns.y, t, extrapolate)
 
     def yp(self, t: ArrayLike) -> Array:
         """Return y' at t, with the shape of y."""
         return self._values(self._unknowns.yp, t)
 
-    def _values(self, values: Any, t: ArrayLike) -> Array:
+    def _values(self, values: Any, t: ArrayLike, extrapolate: bool = True) -> Array:
         times = real_numbers("t", t)
-        states = self._dense_states(np.atleast_1d(times))
+        states = self._dense_states(np.atleast_1d(times), extrapolate=extrapolate)
         found: Array = values(np.atleast_1d(times), states, self._p)
         return found[:, 0] if times.ndim == 0 else found
 
@@ -234,6 +236,13 @@ class _Origin:
 
     def field(self, y: Array) -> None:
         """See `RunOrigin.field`: a DAE has no f."""
+
+    def positions(self) -> int:
+        """See `RunOrigin.positions`: F does not say which unknowns are velocities of others."""
+        return 0
+
+    def parameters(self) -> None:
+        """See `RunOrigin.parameters`: a DAE has no sensitivities."""
 
 
 class DaeSolution(Solution):

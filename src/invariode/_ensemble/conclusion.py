@@ -7,12 +7,12 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, warn
 from .._base.failures import FailureWarning, SolveError
-from .._base.types import OnFailure
+from .._base.types import OnFailure, OnInterrupt
 from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import accumulating_in, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
-from .outcomes import Outcomes, counts_by_name
+from .outcomes import UNSOLVED, Outcomes, counts_by_name
 from .solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .store import EnsembleStore
 from .task import Task
@@ -22,8 +22,18 @@ _WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
 assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
 
 
-def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> EnsembleSolution:
-    """Return the result of the ensemble, after its warnings."""
+def solution(
+    task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure, on_interrupt: OnInterrupt
+) -> EnsembleSolution:
+    """Return the result of the ensemble, after its warnings.
+
+    Raises
+    ------
+    SolveError
+        A trajectory failed, and `on_failure` is "raise".
+    KeyboardInterrupt
+        Ctrl-C stopped the ensemble, and `on_interrupt` is "raise". Its `solution` is the result.
+    """
     times = plan.settings.times
     remarks = Remarks()
     remarks.add(found)
@@ -57,8 +67,26 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
         if plan.varied is None
         else EnsembleSensitivities.of(plan.varied.names, None if times is None else found.S, found.S_end, found.status),
     )
-    remarks.conclude(result, on_failure)
+    if found.interrupted:
+        _conclude_interrupted(result, on_interrupt)
+    else:
+        remarks.conclude(result, on_failure)
     return result
+
+
+def _conclude_interrupted(result: EnsembleSolution, on_interrupt: OnInterrupt) -> None:
+    """Warn of trajectories that Ctrl-C left, or raise KeyboardInterrupt with the others."""
+    left = int(np.count_nonzero(result.status == UNSOLVED))
+    text = f"Ctrl-C stopped the ensemble: {len(result) - left} of {len(result)} trajectories are solved"
+    if on_interrupt == "return":
+        warn(f"{text}; the status of the others is {UNSOLVED}")
+        return
+    error = KeyboardInterrupt(
+        f"{text}, and are in the `solution` of this exception (in a notebook: sys.last_value.solution); "
+        'on_interrupt="return" returns them'
+    )
+    error.solution = result  # type: ignore[attr-defined]  # as a SolveError has it
+    raise error
 
 
 class Remarks:

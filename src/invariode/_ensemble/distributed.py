@@ -11,15 +11,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.arguments import Array, positive_integer, quietly
+from .._base.arguments import Array, positive_integer, quietly, warn
 from .._base.progress import bar
+from .._base.types import OnInterrupt, Progress
 from .._files.identity import in_words
 from .._plan.plan import Plan, solver
 from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table_of
 from .conclusion import Remarks, solution
 from .executors import on_executor, packed, places_of, shares_memory
 from .outcomes import Outcomes, joined
-from .rows import attempted
+from .rows import Locally, attempted, unsolved
 from .solution import EnsembleSolution
 from .sources import Part, Rows, rejoined, rows_of
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
@@ -38,8 +39,9 @@ class Means(NamedTuple):
 
     executor: Any
     workers: int  # threads for each part
-    shown: bool  # a progress bar
+    shown: Progress
     chunk: int | None  # trajectories in a part
+    on_interrupt: OnInterrupt
 
 
 class Place(NamedTuple):
@@ -79,7 +81,7 @@ def _unpacked(data: bytes) -> _Prepared:
 def _solve_part(what: bytes | _Prepared, y0: Array, args: Any, workers: int) -> Outcomes:
     """Solve the rows of a part where an executor runs this."""
     with quietly():
-        return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, workers)
+        return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, Locally(workers))
 
 
 def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> float:
@@ -137,7 +139,7 @@ class _Parted:
 
     def _solved_here(self, y0: Array, args: Any, workers: int) -> Outcomes:
         with quietly():  # the first plan has said it
-            return attempted(*self._here, y0, args, workers)
+            return attempted(*self._here, y0, args, Locally(workers))
 
     def outcomes(self, parts: Iterator[Part]) -> Generator[tuple[Part, Outcomes]]:
         """Yield each part with its outcomes, as parts are finished."""
@@ -152,18 +154,34 @@ class _Parted:
 def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
     """Solve all rows on an executor, or from an iterator, and return their results in memory."""
     run = _Parted(ensemble, rows, means)
-    done: list[tuple[Part, Outcomes]] = []
-    with (
-        bar(means.shown, "trajectories", rows.size) as report,
-        closing(run.outcomes(rows.parts(run.length()))) as found,
-    ):
-        for one in found:
-            done.append(one)
-            if report:
-                report(sum(len(part.y0) for part, _ in done))
-    done.sort(key=lambda one: one[0].number)
-    task = ensemble.task(*rejoined([part for part, _ in done]))
-    return solution(task, run.plan, joined([outcomes for _, outcomes in done]), ensemble.on_failure)
+    done: dict[int, Outcomes] = {}
+    parts = rows.parts(run.length())
+    drawn: list[Part] = []
+
+    def remembered() -> Iterator[Part]:
+        for part in parts:
+            drawn.append(part)
+            yield part
+
+    interrupted = False
+    try:
+        with bar(means.shown, "trajectories", rows.size) as report, closing(run.outcomes(remembered())) as found:
+            for part, outcomes in found:
+                done[part.number] = outcomes
+                if report:
+                    report(sum(map(len, done.values())))
+    except KeyboardInterrupt:
+        interrupted = True
+        drawn += [] if rows.size is None else parts  # those that an iterator has not made yet nobody knows
+        if not drawn:
+            raise
+        for part in drawn:
+            if part.number not in done:
+                done[part.number] = unsolved(ensemble.task(part.y0, part.args), run.plan)
+    task = ensemble.task(*rejoined(drawn))
+    whole = joined([done[part.number] for part in drawn])
+    whole.interrupted |= interrupted
+    return solution(task, run.plan, whole, ensemble.on_failure, means.on_interrupt)
 
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
@@ -171,18 +189,23 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
     with writer:
-        remarks = _filled(writer, run, rows, means)
+        remarks = Remarks()
+        try:
+            _fill(writer, run, rows, means, remarks)
+        except KeyboardInterrupt:
+            if means.on_interrupt == "raise":
+                raise
+            warn("Ctrl-C stopped the ensemble: the store has the parts that are finished; resume=True solves the rest")
     remarks.say(run.plan)
     result = EnsembleStore(place.store)
     remarks.conclude(result, ensemble.on_failure)
     return result
 
 
-def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Remarks:
-    """Solve the rows that the store lacks, and return their warnings."""
+def _fill(writer: StoreWriter, run: _Parted, rows: Rows, means: Means, remarks: Remarks) -> None:
+    """Solve the rows that the store lacks, and add their warnings."""
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
-    remarks = Remarks()
     size = done = 0
 
     def counted() -> Iterator[Part]:
@@ -202,13 +225,16 @@ def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Rema
             if report:
                 report(done)
     writer.finish(size)
-    return remarks
 
 
 def _layout(run: _Parted) -> Layout:
     plan, problem, attempts = run.plan, run.ensemble.problem, run.ensemble.attempts
     y0, args = run.rows.first(1)
-    running = table_of(ProblemEnsembleOptions).keys() - ManyOptions.__annotations__.keys() - {"on_failure", "progress"}
+    running = (
+        table_of(ProblemEnsembleOptions).keys()
+        - ManyOptions.__annotations__.keys()
+        - {"on_failure", "progress", "on_interrupt"}
+    )
     defaults = {name: row.default for name, row in TABLE.items() if name in running}
     about = {
         "fun": problem.fun,

@@ -23,7 +23,7 @@ from .._base.arguments import (
 )
 from .._base.progress import bar
 from .._base.record import Record
-from .._base.types import MethodName
+from .._base.types import MethodName, OnInterrupt, Progress
 from .._plan.call_errors import require_taken
 from .._problem.description import Description
 from .._problem.options import (
@@ -38,7 +38,7 @@ from .._problem.options import (
 )
 from .conclusion import solution
 from .distributed import Means, Place, in_parts, stored
-from .rows import attempted
+from .rows import Locally, attempted
 from .solution import EnsembleSolution
 from .sources import GivenRows, Rows, StreamedRows
 from .store import EnsembleStore
@@ -49,7 +49,9 @@ __all__ = ["Wanted", "solve_rows"]
 _OF_MANY = table_of(ManyOptions)
 #: What another attempt at trajectories that failed may change.
 _OF_RETRIES = (
-    table_of(ProblemEnsembleOptions).keys() - _OF_MANY - {"keep", "callback", "breakpoints", "on_failure", "progress"}
+    table_of(ProblemEnsembleOptions).keys()
+    - _OF_MANY
+    - {"keep", "callback", "breakpoints", "on_failure", "progress", "on_interrupt"}
 )
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(ProblemEnsembleOptions).keys()
 
@@ -73,7 +75,8 @@ def solve_rows(
         )
     many, running = parted(options, ManyOptions)
     on_failure = TABLE["on_failure"].check("on_failure", running.pop("on_failure", None) or "warn")
-    drawn = flag("progress", running.pop("progress", False))
+    drawn = TABLE["progress"].check("progress", running.pop("progress", False))
+    on_interrupt = TABLE["on_interrupt"].check("on_interrupt", running.pop("on_interrupt", "raise"))
     attempts = _attempts(method, _options_of_each(running, wanted.t_eval), many.get("retry"))
     ensemble = Ensemble(problem, attempts, _side_by_side(many.get("lanes", "auto")), on_failure)
     executor, chunk, seed = many.get("executor"), many.get("chunk"), many.get("seed")
@@ -82,9 +85,9 @@ def solve_rows(
         if chunk is not None or seed is not None or resume:
             raise ValueError("chunk, seed and resume are for ensembles with an executor or a store: give store= too")
         workers = positive_integer("workers", _processors() if workers is None else workers)
-        return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn)
+        return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt)
     rows = _source(problem, wanted)
-    means = Means(executor, _threads_of_part(executor, workers), drawn, chunk)
+    means = Means(executor, _threads_of_part(executor, workers), drawn, chunk, on_interrupt)
     if wanted.store is not None:
         return stored(ensemble, rows, means, Place(wanted.store, resume, seed))
     if seed is not None or resume:
@@ -92,14 +95,16 @@ def solve_rows(
     return in_parts(ensemble, rows, means)
 
 
-def _at_once(ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: bool) -> EnsembleSolution:
+def _at_once(
+    ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: Progress, on_interrupt: OnInterrupt
+) -> EnsembleSolution:
     """Solve all rows on this machine."""
     task = ensemble.task(y0, args)
     first, plan = first_plan(task)
     plans = [plan, *(ensemble.task(y0, args, k).plan(first) for k in range(1, len(ensemble.attempts)))]
     with bar(shown, "trajectories", len(y0)) as report:
-        found = attempted(ensemble, plans, y0, args, workers, report)
-    return solution(task, plan, found, ensemble.on_failure)
+        found = attempted(ensemble, plans, y0, args, Locally(workers, report, keep=True))
+    return solution(task, plan, found, ensemble.on_failure, on_interrupt)
 
 
 def _attempts(method: MethodName, options: Options, retry: Any) -> list[Attempt]:

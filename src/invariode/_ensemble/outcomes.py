@@ -23,6 +23,11 @@ def counts_by_name(counts: Array) -> dict[str, Any]:
     return by_name
 
 
+#: The status of a trajectory that is not solved, by Ctrl-C or not yet, and its message.
+UNSOLVED = -128
+NOT_SOLVED = "not solved: Ctrl-C stopped the ensemble"
+
+
 @dataclasses.dataclass
 class Outcomes:
     """Rows of the fields of `EnsembleSolution` of the same names, and of the counts of the core."""
@@ -47,6 +52,7 @@ class Outcomes:
     lanes: str  # as `EnsembleStats` says it
     error: tuple[int, BaseException] | None = None  # of the first trajectory that raised one
     attempt: Array = dataclasses.field(init=False)
+    interrupted: bool = dataclasses.field(init=False, default=False)  # by Ctrl-C: some rows are not solved
 
     def __post_init__(self) -> None:
         self.attempt = np.zeros(len(self.status), dtype=np.int8)
@@ -67,6 +73,15 @@ class Outcomes:
     def failed(self) -> Array:
         """The rows that failed."""
         return np.flatnonzero(self.status < 0)
+
+    def leave(self, rows: Array) -> None:
+        """Mark rows as not solved; what was written into them in part is removed."""
+        self.interrupted = True
+        self.status[rows] = UNSOLVED
+        for name in ("y", "y_end", "S", "S_end", "value", "stiff_since", "discontinuity", "accumulation"):
+            getattr(self, name)[rows] = np.nan
+        for i in rows.tolist():
+            self.messages[i] = NOT_SOLVED
 
     def replace(self, rows: Array, other: Outcomes, attempt: int) -> None:
         """Put the outcomes of another attempt in the place of these rows if it did not fail."""
@@ -92,7 +107,7 @@ class Outcomes:
 ROWS = tuple(
     field.name
     for field in dataclasses.fields(Outcomes)
-    if field.name not in ("messages", "events", "lanes", "error", "attempt")
+    if field.name not in ("messages", "events", "lanes", "error", "interrupted", "attempt")
 )
 
 
@@ -117,6 +132,7 @@ def joined(parts: Sequence[Outcomes]) -> Outcomes:
             ((start + one.error[0], one.error[1]) for start, one in zip(starts, parts, strict=False) if one.error), None
         ),
     )
+    whole.interrupted = any(part.interrupted for part in parts)
     whole.attempt = np.concatenate([part.attempt for part in parts])
     return whole
 

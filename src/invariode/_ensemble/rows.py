@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .outcomes import Outcomes, in_order, picklable
+from .._run.interruption import stopped_by_interrupt
+from .outcomes import UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
@@ -48,9 +49,11 @@ _EXCEPTIONS = (
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high", -4: "undetermined"}
-#: The status for each state; states of ensembles only are negative and count from the end.
+#: The status for each state; states of ensembles only are negative and count from the end: the first of these is that
+#: of a row which was cancelled.
 _CODES = np.array(
     [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES]
+    + [UNSOLVED]
     + (1 + len(_INCONSISTENT)) * [_RAISED],
     dtype=np.int8,
 )
@@ -59,30 +62,48 @@ _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 Failures = Sequence[tuple[int, _core.Run]]
 
 
+class Locally(NamedTuple):
+    """Means of solving rows on this machine.
+
+    Attributes
+    ----------
+    workers : int
+        The number of threads or processes.
+    report : callable or None
+        Called with the number of rows that are solved.
+    keep : bool
+        Whether Ctrl-C leaves the rows that are not solved, instead of ending everything.
+    """
+
+    workers: int
+    report: Callable[[float], None] | None = None
+    keep: bool = False
+
+
 def attempted(
     ensemble: Ensemble,
     plans: Sequence[Plan],
     y0: Array,
     args: Any,
-    workers: int,
-    report: Callable[[float], None] | None = None,
+    means: Locally,
 ) -> Outcomes:
     """Solve the rows and return their outcomes; rows that failed are solved again as long as there are other
     attempts."""
-    found = _solved(ensemble.task(y0, args), plans[0], workers, report)
+    found = _solved(ensemble.task(y0, args), plans[0], means)
     for k, plan in enumerate(plans[1:], 1):
         failed = found.failed
-        if failed.size:
-            again = ensemble.task(y0[failed], rows_of(args, failed), k)
-            found.replace(failed, _solved(again, plan, workers), k)
+        if failed.size and not found.interrupted:
+            again = _solved(ensemble.task(y0[failed], rows_of(args, failed), k), plan, means._replace(report=None))
+            found.replace(failed, again, k)
+            found.interrupted |= again.interrupted
     return found
 
 
-def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
-    core, workers = solver(plan), min(workers, len(task.y0))
+def _solved(task: Task, plan: Plan, means: Locally) -> Outcomes:
+    core, means = solver(plan), means._replace(workers=min(means.workers, len(task.y0)))
     if core.native and _own_to_each(plan, task.args) is None and _fits_all(task):
-        return _on_threads(task, plan, core, workers, report)
-    return _in_processes(task, plan, workers, report)
+        return _on_threads(task, plan, core, means)
+    return _in_processes(task, plan, means)
 
 
 def _own_to_each(plan: Plan, args: Any) -> str | None:
@@ -106,16 +127,15 @@ def _fits_all(task: Task) -> bool:
 # On threads, in the core
 
 
-def _on_threads(
-    task: Task, plan: Plan, core: _core.Solver, workers: int, report: Callable[[float], None] | None
-) -> Outcomes:
+def _on_threads(task: Task, plan: Plan, core: _core.Solver, means: Locally) -> Outcomes:
     y0 = np.ascontiguousarray(task.y0)
-    solvers = [core, *(solver(plan) for _ in range(workers - 1))]
+    solvers = [core, *(solver(plan) for _ in range(means.workers - 1))]
     series = None if plan.expansion is None else plan.expansion.in_lanes
     lanes = choose_lanes(core, plan.in_lanes(), series, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
     parameters = _parameters(task, plan)
     rows, tolerances = _augmented(plan, y0.view(float).reshape(len(y0), -1), parameters)
-    run = _core.integrate_all(solvers, rows, parameters, report, lanes.for_core(), tolerances)
+    with stopped_by_interrupt() if means.keep else nullcontext() as request:
+        run = _core.integrate_all(solvers, rows, parameters, means.report, lanes.for_core(), tolerances, request)
     dtype = y0.dtype
     states = run.take_states()
     failures = run.failures() if (_CODES[states] < 0).any() else []
@@ -129,7 +149,7 @@ def _on_threads(
     status[list(misshapen)] = _RAISED
     y_end[status == _RAISED] = np.nan
     S_end[status == _RAISED] = np.nan
-    return Outcomes(
+    found = Outcomes(
         y=y,
         t_end=run.take_t(),
         y_end=y_end,
@@ -152,6 +172,9 @@ def _on_threads(
         S_end=S_end,
         lanes=lanes.described(run.alone),
     )
+    if (left := np.flatnonzero(status == UNSOLVED)).size:
+        found.leave(left)
+    return found
 
 
 def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array | None]:
@@ -320,6 +343,14 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     }
 
 
+def unsolved(task: Task, plan: Plan) -> Outcomes:
+    """Return the outcomes of rows that Ctrl-C left."""
+    found = _unsolved(task, plan)
+    found.events = [_events([], found.y_end) for _ in plan.called.events]
+    found.leave(np.arange(len(found)))
+    return found
+
+
 def _unsolved(task: Task, plan: Plan) -> Outcomes:
     """Return the rows before they are solved: values that remain for rows that cannot be solved."""
     size, n = task.y0.shape
@@ -372,8 +403,9 @@ def _events(happened: list[tuple[int, Array, Array]], like: Array) -> EnsembleEv
     return in_order(trajectory, t, np.concatenate([like[:0], *(y for _, _, y in happened)]))
 
 
-def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> Outcomes:
-    found, done = _unsolved(task, plan), 0
+def _in_processes(task: Task, plan: Plan, means: Locally) -> Outcomes:
+    found, done, workers = _unsolved(task, plan), 0, means.workers
+    solved = np.zeros(len(task.y0), dtype=bool)
     happened: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.called.events]
     if workers > 1 and not may_start():
         warn(
@@ -381,15 +413,21 @@ def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float]
             "workers"
         )
         workers = 1
-    with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
-        for outcomes in chunks:
-            for one in outcomes:
-                _keep(found, one)
-                for these, (t, y) in zip(happened, one.events, strict=False):
-                    these.append((one.trajectory, t, y))
-            done += len(outcomes)
-            if report:
-                report(done)
+    try:
+        with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
+            for outcomes in chunks:
+                for one in outcomes:
+                    _keep(found, one)
+                    for these, (t, y) in zip(happened, one.events, strict=False):
+                        these.append((one.trajectory, t, y))
+                    solved[one.trajectory] = True
+                done += len(outcomes)
+                if means.report:
+                    means.report(done)
+    except KeyboardInterrupt:
+        if not means.keep:
+            raise
+        found.leave(np.flatnonzero(~solved))
     found.messages = dict(sorted(found.messages.items()))
     found.events = [_events(these, found.y_end) for these in happened]
     return found

@@ -200,7 +200,8 @@ class EnsembleSolution:
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given invariant is not
         conserved, -3 a limit was reached, -4 an error that raises an exception in a single solve: the initial value is
-        off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
+        off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function raised;
+        -128 not solved, since Ctrl-C stopped the ensemble (see `on_interrupt`).
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str
@@ -400,11 +401,16 @@ class EnsembleSolution:
             The median with the ranges that hold the middle 50 % and 90 % of the trajectories; lines at the quantiles
             5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
         ax : matplotlib.axes.Axes, optional
-            Where to draw. Default: a new figure.
+            Where to draw everything. Default: a new figure, with a panel for each component.
         components : int or str, or sequence of these, optional
             Default: all, of more than six the first six.
         **line
             Properties of the lines, as for ``Axes.plot``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The first panel; all are in ``ax.figure.axes``.
 
         Raises
         ------

@@ -21,7 +21,7 @@ from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
 from .._results.saving import apart, together
-from .outcomes import ROWS, Outcomes, counts_by_name
+from .outcomes import ROWS, UNSOLVED, Outcomes, counts_by_name
 from .solution import (
     OF_TRAJECTORIES,
     REAL_STATS,
@@ -44,7 +44,6 @@ _UNFINISHED = "invariode store, unfinished"
 #: The version in which what an array holds where nothing was written is no missing value.
 _ZARR_FORMAT = 3
 #: The status of a trajectory that is not solved yet.
-UNSOLVED = -128
 #: The arrays with a row for each trajectory.
 _ROWS = {
     "y0": Field(None, "trajectory component"),

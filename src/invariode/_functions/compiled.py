@@ -70,6 +70,8 @@ class CoreFunction:
     derivatives: Mapping[str, str] = MappingProxyType({})
     #: The user's functions that it calls.
     functions: Sequence[Any] = ()
+    #: The number of leading components of y that are positions, whose velocities follow; 0 if there are none.
+    positions = 0
 
     def watch(
         self, t0: float, y0: Array, args: tuple[Any, ...], rtol: ArrayLike, atol: ArrayLike, callback: Callback

@@ -383,6 +383,10 @@ class MotionFunction(CoreFunction):
         return self._motion.native
 
     @property
+    def positions(self) -> int:  # type: ignore[override]  # a constant for others
+        return self._motion.n_q
+
+    @property
     def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
         """Methods by which the derivatives of the constraints are formed."""
         return self._motion.derivatives

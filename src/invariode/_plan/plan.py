@@ -30,7 +30,7 @@ from .._base.arguments import (
     warn,
 )
 from .._base.failures import InvariantError
-from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
+from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt, Progress
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
 from .._functions.graph.derived import derived
@@ -176,7 +176,7 @@ class Plan(NamedTuple):
     records_events: bool  # also none at all, where a list of none was given
     rtol: Numbers  # as given
     atol: Numbers
-    progress: bool
+    progress: Progress
     on_interrupt: OnInterrupt
     on_failure: OnFailure | None
     checkpoint: Checkpoint | None
@@ -252,7 +252,9 @@ class Plan(NamedTuple):
             limit = self.settings.limit(run.limit)
             message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
             return LIMIT_REACHED, remarked(message, run, self.event_names)
-        status, message = status_and_message(run, self.laws, self.event_names, self.functions.complex)
+        status, message = status_and_message(
+            run, self.laws, self.event_names, self.functions.complex, self.called.labels
+        )
         if run.state == "start_undefined" and (undefined := undefined_arguments(self.bound.args)):
             return status, f"{undefined}, and fun is not finite at the start, t = {run.t}. Correct args."
         return status, message
@@ -269,7 +271,7 @@ class Plan(NamedTuple):
                 "Widen the bounds, or correct the values"
             )
         if state == "start_out_of_bounds":
-            return ValueError(out_of_bounds("y0", run.component, self.functions.bounds))
+            return ValueError(out_of_bounds("y0", run.component, self.functions.bounds, self.called.labels))
         if state == "event_undefined":
             return ValueError(f"{titled(self.event_names[run.event])} returned NaN at t = {run.t}")
         if state == "action_undefined":

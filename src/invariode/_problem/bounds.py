@@ -41,7 +41,8 @@ def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | 
     crossed = np.flatnonzero(~(lower <= upper))
     if crossed.size:
         i = int(crossed[0])
-        raise ValueError(f"bounds of component {i} are contradictory: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
+        name = f"component {i}" if labels is None else labels[i]
+        raise ValueError(f"bounds of {name} are contradictory: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
     return Bounds(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
 
 

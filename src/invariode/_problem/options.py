@@ -24,6 +24,7 @@ from .._base.arguments import (
     kept,
     positive,
     positive_integer,
+    progress_or_function,
     shown,
     warn,
 )
@@ -40,6 +41,7 @@ from .._base.types import (
     Numbers,
     OnFailure,
     OnInterrupt,
+    Progress,
     Span,
 )
 from .breakpoints import to_breakpoints
@@ -332,13 +334,26 @@ class RunningOptions(ScheduleOptions, total=False):
         ),
     ]
     progress: Annotated[
-        bool,
+        Progress,
         Option(
             False,
-            "bool",
-            "Whether a bar shows t, h and the time left, or the trajectories of an ensemble, at most ten times a "
-            "second: under the cell in notebooks, else on standard error (with rich).",
-            flag,
+            "bool or callable",
+            "True: a bar shows t, h and the time left, or the trajectories of an ensemble, at most ten times a second: "
+            "under the cell in notebooks, else on standard error (with rich). A function ``progress(done, total)`` is "
+            "called at most once a second, and at the end: with the part of the interval, or the number of "
+            "trajectories, that is done, and the whole, None if that is infinite or unknown.",
+            progress_or_function,
+        ),
+    ]
+    on_interrupt: Annotated[
+        OnInterrupt,
+        Option(
+            "raise",
+            "{'raise', 'return'}",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
+            "so far, with status 2. A second Ctrl-C always raises. For an ensemble: return the trajectories that are "
+            "solved, the others with status -128; if it raises, the exception has them as its `solution`.",
+            partial(choice, known=get_args(OnInterrupt)),
         ),
     ]
     on_failure: Annotated[
@@ -371,16 +386,6 @@ class RunOptions(SteppingOptions, RunningOptions, total=False):
             "It is replaced every minute, or as often as `Checkpoint` says. An extension continues to write it.",
             to_checkpoint,
             command=True,
-        ),
-    ]
-    on_interrupt: Annotated[
-        OnInterrupt,
-        Option(
-            "raise",
-            "{'raise', 'return'}",
-            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
-            "so far, with status 2. A second Ctrl-C always raises.",
-            partial(choice, known=get_args(OnInterrupt)),
         ),
     ]
 
@@ -651,7 +656,7 @@ class ExtensionOptions(TypedDict, total=False):
     limits: Limits | None
     on_failure: OnFailure | None
     on_interrupt: OnInterrupt
-    progress: bool
+    progress: Progress
 
 
 class ProblemArguments(DescribingOptions, CallingOptions, ScheduleOptions, total=False):

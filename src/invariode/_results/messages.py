@@ -43,9 +43,11 @@ class Laws(NamedTuple):
     senses: list[int]
 
 
-def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool) -> tuple[int, str]:
-    """Return the status of the Solution and its message. `events`: names of the events."""
-    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
+def status_and_message(
+    run: Run, laws: Laws, events: Sequence[str], pairs: bool, labels: Sequence[str] | None = None
+) -> tuple[int, str]:
+    """Return the status of the Solution and its message. `events`: names of the events; `labels`: of components."""
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs, labels)
     return status, remarked(message, run, events)
 
 
@@ -123,11 +125,15 @@ _INSTEAD_OF_ACCUMULATING = (
 )
 
 
+def _capitalized(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}"
+
+
 def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
+    return f"{_capitalized(text)}."
 
 
-def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
+def _ended(run: Run, laws: Laws, pairs: bool, labels: Sequence[str] | None) -> tuple[int, str]:
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
@@ -141,12 +147,12 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
         return -1, f"{_without_series(run, pairs)} at the start, t = {run.t}. {_OTHER_METHODS}"
     if run.state == "start_undefined":
         return -1, (
-            f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
-            "y0."
+            f"fun is not finite at the start, t = {run.t}: {_component(run, pairs, labels)} is NaN or infinite. "
+            "Correct fun or y0."
         )
     if run.state == "action_out_of_bounds":
         return -1, (
-            f"After the action at t = {run.t:.6g} component {run.component} is outside its bounds by "
+            f"After the action at t = {run.t:.6g} {_component(run, pairs, labels)} is outside its bounds by "
             "more than the tolerance. Let the action return a point within them."
         )
     if run.state == "restart_inconsistent":
@@ -154,13 +160,14 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
             f"No consistent values of the algebraic variables were found behind the breakpoint or action at t = "
             f"{run.t!r}. Give it an action that returns a state near the consistent one."
         )
-    return -1, _step_failed(run, laws.names, pairs)
+    return -1, _step_failed(run, laws.names, pairs, labels)
 
 
-def out_of_bounds(what: str, component: int, bounds: Bounds | None) -> str:
+def out_of_bounds(what: str, component: int, bounds: Bounds | None, labels: Sequence[str] | None = None) -> str:
     """Return the text of the ValueError for a start that is outside its bounds."""
     within = "" if bounds is None else f", {bounds.lower[component]} to {bounds.upper[component]},"
-    return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
+    name = component if labels is None else labels[component]
+    return f"{what}[{name}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
 def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
@@ -175,8 +182,10 @@ def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
     return f"{text}. All results so far are kept. To get further, {advice}; or extend the solution from here."
 
 
-def _component(run: Run, pairs: bool) -> str:
-    return f"component {run.component // 2 if pairs else run.component}"
+def _component(run: Run, pairs: bool, labels: Sequence[str] | None = None) -> str:
+    """Return the component that a run names, with its label if the problem has labels."""
+    i = run.component // 2 if pairs else run.component
+    return f"component {i} ({labels[i]})" if labels is not None and 0 <= i < len(labels) else f"component {i}"
 
 
 #: What to do where there is no Taylor series.
@@ -190,7 +199,7 @@ def _without_series(run: Run, pairs: bool) -> str:
     )
 
 
-def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
+def _step_failed(run: Run, names: list[str], pairs: bool, labels: Sequence[str] | None) -> str:
     if run.cause == "spacing":
         return (
             f"fun changes within {abs(run.h):.2g} of t = {run.t!r}, but times near {run.t:.6g} are "
@@ -201,7 +210,7 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     if run.cause == "not_finite" and run.coefficient is not None:
         return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"
     if run.cause == "not_finite":
-        what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
+        what = _component(run, pairs, labels) + " of fun is" if run.component >= 0 else "the solution becomes"
         return (
             f"{what} NaN or infinite even with the smallest step, {where}. If the exact solution does "
             "not go there, reduce rtol and atol; if it does, stop the run earlier with a terminal event."
@@ -218,8 +227,9 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         return f"{what} ({_WRONG_JACOBIAN}), {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
         return (
-            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance even with the "
-            f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+            f"{_capitalized(_component(run, pairs, labels))} of y leaves its bounds by more than the tolerance even "
+            f"with the smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an "
+            "atol > 0."
         )
     if run.cause == "projection" and run.finding == "undefined":
         return (
@@ -239,8 +249,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         return text
     if run.pure_relative:
         text += (
-            f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
-            "impossible there. Give an atol > 0."
+            f" {_capitalized(_component(run, pairs, labels))} of y is 0 and its atol is 0: pure relative error control "
+            "is impossible there. Give an atol > 0."
         )
     else:
         text += (

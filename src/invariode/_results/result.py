@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, real_numbers
+from .._base.arguments import Array, flag, real_numbers
 from .._core import Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
@@ -317,7 +317,7 @@ class DenseSolution:
 
     ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
     values; between them the option `interpolation` decides. Outside [t_min, t_max] it extrapolates the outermost step,
-    as SciPy does.
+    as SciPy does; ``sol(t, extrapolate=False)`` raises a ValueError instead.
 
     Attributes
     ----------
@@ -346,10 +346,12 @@ class DenseSolution:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
 
-    def __call__(self, t: ArrayLike) -> Array:
+    def __call__(self, t: ArrayLike, *, extrapolate: bool = True) -> Array:
         times = t if type(t) is np.ndarray and t.dtype == float else real_numbers("t", t)
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
+        if not flag("extrapolate", extrapolate):
+            require_inside(times, self.t_min, self.t_max)
         g = self._invariants
         rows = g.evaluate(self._dense, np.atleast_1d(times))
         y = as_columns(rows[:, : self._dense.n] if self._dense.parameters else rows, self._dtype)
@@ -390,6 +392,22 @@ class DenseSolution:
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
         """Return the continuous solution with its values projected to roundoff."""
         return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+
+
+def require_inside(times: Array, t_min: float, t_max: float) -> None:
+    """Require that times are in an interval.
+
+    Raises
+    ------
+    ValueError
+        One is not; it is named, with the interval.
+    """
+    outside = np.atleast_1d(times)[~((times >= t_min) & (times <= t_max)).reshape(-1)]
+    if outside.size:
+        raise ValueError(
+            f"t = {outside[0]:.10g} is outside the solution's interval, {t_min:.10g} to {t_max:.10g}: extend the run, "
+            "sol.extend(t), or leave out extrapolate=False"
+        )
 
 
 @dataclasses.dataclass

@@ -16,7 +16,7 @@ from .._problem.invariants import InvariantsLike
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
-from .pictures import drift, over_time, phase, steps
+from .pictures import derivatives, drift, over_time, phase, steps
 from .pictures.canvas import require_matplotlib
 from .pictures.thumbnail import thumbnail
 
@@ -260,8 +260,10 @@ class Solution(Exports):
         components : int, str, or sequence of these, optional
             Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
         ax : matplotlib.axes.Axes, optional
-            Where to draw everything. Default: a new figure, with a panel for each group of components whose sizes
-            differ from those of the others by a factor of more than 1000.
+            Where to draw everything. Default: a new figure, with a panel for each group of components of one kind and
+            of similar sizes, which differ from those of other groups by a factor of more than 1000. The kind is the
+            unit at the end of the label, as in "drug [mg/l]"; the positions and the velocities of mechanical systems
+            and second-order problems, and those of labels such as x and x', are two kinds.
         log : {'x', ''}, optional
             'x': a logarithmic axis of time, on which t = 0 has no place; '': a linear one. Default: linear, but in a
             new figure logarithmic if half of the output lies in the first thousandth of the time and the steps span
@@ -356,11 +358,61 @@ class Solution(Exports):
         Notes
         -----
         Zeros have no logarithm. They are drawn at half the smallest residual that is not zero; nothing is drawn below
-        ε/2 times the larger of ``|value|`` and the largest residual. Zeros at points that define a value are left out.
-        If there are more than twelve invariants, the first twelve are drawn, or the largest of each level. Lines of
-        level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and its rate share a colour.
+        ε/2 times the larger of ``|value|`` and the largest residual. At points that define a value, such as the first
+        one, residuals below all later ones are rounding, and left out. The legend lists curves from that with the
+        largest residual to the smallest. If there are more than twelve invariants, the first twelve are drawn, or the
+        largest of each level. Lines of level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and
+        its rate share a colour.
         """
         return drift.draw(self, ax, invariants, flag("relative", relative), line)
+
+    def plot_sensitivities(
+        self,
+        components: Any = None,
+        parameters: Any = None,
+        *,
+        kind: Literal["lines", "map"] = "lines",
+        relative: bool | None = None,
+        ax: Axes | None = None,
+        **line: Any,
+    ) -> Axes:
+        """Draw ∂y/∂p over t, of a run with `sensitivities`.
+
+        With dense output the curves are continuous; otherwise lines join the outputs. They are interrupted at jumps.
+
+        Parameters
+        ----------
+        components : int, str, or sequence of these, optional
+            Indices or labels. Default: all; in a new figure with lines, of more than six the first six.
+        parameters : int, str, or sequence of these, optional
+            Indices or names of parameters, among `sensitivity_names`. Default: all.
+        kind : {'lines', 'map'}, default 'lines'
+            'lines': a panel for each component, with a line for each parameter. 'map': a row of colours for each
+            derivative (a heat map), red where y increases with p and blue where it decreases, for at most 60 of them.
+        relative : bool, optional
+            True: ``|p| ∂y_i/∂p`` divided by the largest ``|y_i|`` among the outputs, numbers without unit that can be
+            compared: 0.5 means that 1 % more of p changes y_i by 0.5 % of its largest value. Default: True for a map.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw everything. Default: a new figure.
+        **line
+            Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The first of several panels; all are in ``ax.figure.axes``.
+
+        Raises
+        ------
+        ValueError
+            The run had no sensitivities; there is no such component or parameter; there are fewer than two outputs; a
+            map of a complex solution, or of more than 60 rows; `relative`, of a solution from a file, which has no
+            values of parameters.
+        """
+        choice("kind", kind, ("lines", "map"))
+        if relative is not None:
+            flag("relative", relative)
+        return derivatives.draw(self, components, parameters, kind, relative, ax, line)
 
     def plot_steps(self, *, axes: Any = None, **line: Any) -> Array:
         """Draw the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.

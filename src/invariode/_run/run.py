@@ -33,6 +33,7 @@ from .._problem.description import Description, Posed
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
+from .._problem.parameters import values_of
 from .._results.messages import (
     MESSAGES,
     accumulating,
@@ -202,6 +203,19 @@ class RunOrigin:
         if problem.matrices.mass is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
+
+    def positions(self) -> int:
+        """Return the number of leading components that are positions, whose velocities follow: of mechanical systems
+        and second-order problems; otherwise 0."""
+        problem = self.source.problem
+        if isinstance(problem.fun, CoreFunction):
+            return problem.fun.positions
+        return len(problem.y0) // 2 if problem.second_order else 0
+
+    def parameters(self) -> Array:
+        """Return the values of the parameters of the sensitivities, (k,)."""
+        problem = self.source.problem
+        return values_of(problem.args, problem.y0, problem.parameter_names())
 
     def imposing(self) -> RunOrigin:
         """Return the origin for the projected solution: its extension will be projected too."""
@@ -460,7 +474,7 @@ def _integrated(
     with ExitStack() as around:
         report = request = None
         if plan.progress:
-            report = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
+            report = around.enter_context(run_bar(plan.progress, name, plan.settings.t0, plan.settings.tf))
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:

@@ -219,6 +219,12 @@ class _OriginInFile(NamedTuple):
     def field(self, y: Array) -> None:
         return None
 
+    def positions(self) -> int:
+        return 0
+
+    def parameters(self) -> None:
+        return None
+
     def identity(self) -> Identity:
         return self.known
 
@@ -374,14 +380,14 @@ class _Unprojected(DenseSolution):
 
     _told = False
 
-    def __call__(self, t: ArrayLike) -> Array:
+    def __call__(self, t: ArrayLike, *, extrapolate: bool = True) -> Array:
         if not self._told and (self._imposed or not np.isin(t, self.ts).all()):
             self._told = True
             warn(
                 "sol(t) is not projected onto the invariants: their functions are not in the file; give them, "
                 "invariode.load(path, invariants=...)"
             )
-        return DenseSolution(self._dense, self._dtype, self._invariants)(t)
+        return DenseSolution(self._dense, self._dtype, self._invariants)(t, extrapolate=extrapolate)
 
 
 #: At this many outputs the invariants given to `load` are compared with those of the run.

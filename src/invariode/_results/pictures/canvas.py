@@ -12,6 +12,7 @@ import numpy as np
 from ..._base.arguments import EPS, Array, shown
 from ..._base.extras import extra
 from ..._base.style import COLOURS, DASHES, LOOK
+from ..._base.suggestions import meant
 from ..result import Result
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
@@ -110,8 +111,19 @@ def drawable(name: str) -> str:
     return name
 
 
-def legend(ax: Axes, title: str | None = None) -> None:
-    """Draw a legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
+def legend(ax: Axes, title: str | None = None, *, by_height: bool = False) -> None:
+    """Draw a legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it.
+
+    Parameters
+    ----------
+    ax : Axes
+        The axes, with everything drawn.
+    title : str, optional
+        The title of the legend.
+    by_height : bool, default False
+        Whether curves are listed from the one with the highest peak to the lowest. False: in the order in which they
+        were drawn. Marks come last.
+    """
     from matplotlib.lines import Line2D
 
     handles, labels = ax.get_legend_handles_labels()
@@ -119,15 +131,23 @@ def legend(ax: Axes, title: str | None = None) -> None:
         return  # the label of the axis says it
     beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1), "borderaxespad": 0, "frameon": False}
     marks = [isinstance(handle, Line2D) and handle.get_linestyle() == "None" for handle in handles]
-    order = np.argsort(marks, kind="stable")  # curves first
+    heights = [-_height(handle) if by_height else 0.0 for handle in handles]
+    order = np.lexsort((heights, marks))  # curves first
     handles, labels = [handles[k] for k in order], [labels[k] for k in order]
     figure = ax.get_figure()
     where = {"loc": "best"} if figure is None or figure.get_layout_engine() is None else beside
     ax.legend(handles, labels, title=title, alignment="left", ncols=1 + len(handles) // 18, **where)
 
 
-def component(names: Sequence[str], one: Any) -> int:
-    """Return the index of a component given by index or label."""
+def _height(handle: Any) -> float:
+    """Return the largest value of a curve that has one, or -inf."""
+    values = np.asarray(handle.get_ydata(), dtype=float) if hasattr(handle, "get_ydata") else np.zeros(0)
+    values = values[np.isfinite(values)]
+    return float(values.max(initial=-np.inf))
+
+
+def component(names: Sequence[str], one: Any, what: str = "component") -> int:
+    """Return the index of a component, or of something else with a name, given by index or name."""
     if isinstance(one, str) and one in names:
         return names.index(one)
     try:
@@ -135,7 +155,9 @@ def component(names: Sequence[str], one: Any) -> int:
     except TypeError:
         index = len(names)
     if not -len(names) <= index < len(names):
-        raise ValueError(f"there is no component {shown(one)}: choose from {listed(names)}, or by index")
+        raise ValueError(
+            f"there is no {what} {shown(one)}{meant(one, names)}: choose from {listed(names)}, or by index"
+        )
     return index % len(names)
 
 

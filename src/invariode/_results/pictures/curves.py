@@ -48,6 +48,12 @@ def curve(sol: Result) -> Curve:
 
 
 def _by_interpolant(sol: Result) -> Curve:
+    t, cuts = continuous_times(sol)
+    return Curve(np.insert(t, cuts, np.nan), np.insert(sol.sol(t), cuts, np.nan, axis=1), smooth=True)
+
+
+def continuous_times(sol: Result) -> tuple[Array, Array]:
+    """Return times (k,) at which a continuous solution is drawn, and the places among them where it jumps."""
     knots = sol.sol.ts
     inside = _inside(len(knots))
     pieces = []
@@ -57,8 +63,7 @@ def _by_interpolant(sol: Result) -> Curve:
     for piece in pieces[:-1]:
         piece[-1] = np.nextafter(piece[-1], knots[0])  # at the jump itself sol.sol has the later value
     t = np.concatenate(pieces)
-    cuts = np.cumsum([len(piece) for piece in pieces[:-1]], dtype=int)
-    return Curve(np.insert(t, cuts, np.nan), np.insert(sol.sol(t), cuts, np.nan, axis=1), smooth=True)
+    return t, np.cumsum([len(piece) for piece in pieces[:-1]], dtype=int)
 
 
 def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:

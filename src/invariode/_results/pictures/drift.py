@@ -32,7 +32,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     largest = np.zeros(len(g)) if given_ones else sol._drift.residual[: len(g)]
     if relative:
         g, residual, largest = _relative(g, residual, largest)
-    defining = np.diff(pieces, prepend=-1) > 0
+    defining = np.diff(pieces, prepend=-1) > 0  # the outputs at which values are taken: their residuals are rounding
     t = interrupted(sol, sol.t)
     ax = new(sol._names.title) if ax is None else ax
     ax.set_yscale("log")
@@ -41,7 +41,9 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
         colour, dashes = unused(ax, style)
         floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
         floor = floor if 0 < floor < np.inf else EPS / 2
-        drawn = interrupted(sol, np.where(defining & (r == 0), np.nan, np.maximum(r, floor)))
+        later = np.min(r[~defining & (r > 0)], initial=np.inf)
+        stretching = defining & ((r == 0) | (r < later)) & (later < np.inf)
+        drawn = interrupted(sol, np.where(stretching | (defining & (r == 0)), np.nan, np.maximum(r, floor)))
         label = joined(drawable(name), given)
         few = {"linewidth": 1.4, "marker": "." if len(sol.t) <= FEW else "none", "markersize": 5}
         paint = {**few, "color": colour, "linestyle": dashes[0], "label": label, **line}
@@ -55,7 +57,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     ax.set_xlabel("$t$")
     ax.set_ylabel(_label(g, relative))
     left_out = len(g) > MOST and not _has_levels(g)
-    legend(ax, f"{MOST} of {len(g)} invariants" if left_out else None)
+    legend(ax, f"{MOST} of {len(g)} invariants" if left_out else None, by_height=True)
     return ax
 
 

@@ -1,4 +1,5 @@
-"""Many trajectories over t: as bands, as quantiles, or one by one. Imaginary parts are dashed."""
+"""Many trajectories over t, a panel for each component: as bands, as quantiles, or one by one. Imaginary parts are
+dashed."""
 
 from __future__ import annotations
 
@@ -8,13 +9,13 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.style import COLOURS
-from .canvas import component, joined, legend, new, once, properties
+from .canvas import component, drawable, joined, legend, new_panels, once, properties
 from .curves import parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: The most components that are drawn: the ranges of more would cover each other.
+#: The most components that are drawn by default: more panels would be too small to read.
 _MOST = len(COLOURS)
 
 #: The most trajectories that are drawn one by one.
@@ -22,6 +23,9 @@ _THREADS = 500
 
 #: Parts of the trajectories that are below a line.
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+#: The name of the curve of each kind of picture, where the axis has that of the component.
+_CURVE = {"bands": "median", "quantiles": "median", "spaghetti": "trajectories"}
 
 #: Which of them bound each band, from the outermost inwards, and how opaque it is.
 _BANDS = ((0, 4, 0.15), (1, 3, 0.25))
@@ -34,11 +38,13 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     names = ensemble.labels
     several = [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen
     rows = [*range(min(len(names), _MOST))] if chosen is None else [component(names, one) for one in several]
-    ax = new(None) if ax is None else ax
+    own_panels = ax is None and len(rows) > 1
+    panels: list[Axes] = list(new_panels(None, [1] * len(rows))) if ax is None else [ax] * len(rows)
     look, given = properties(line)
-    for place, k in enumerate(rows):
+    for place, (panel, k) in enumerate(zip(panels, rows, strict=True)):
         for part, values, dashes in zip(*parts(ensemble.y[:, k]), ("-", "--"), strict=False):
-            label = joined(f"{part}{names[k]}", given)
+            name = _CURVE[kind] if own_panels else drawable(names[k])
+            label = joined(f"{part}{name}".strip(), given)
             own = {
                 "color": COLOURS[place % len(COLOURS)],
                 "linestyle": dashes,
@@ -46,14 +52,14 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
                 "linewidth": 1.4,
                 **look,
             }
-            {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](ax, ensemble.t, values, own)
+            {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](panel, ensemble.t, values, own)
+        if own_panels or len(rows) == 1:
+            panel.set_ylabel(drawable(names[k]))
     if kind == "bands":
-        _name_bands(ax)
-    ax.set_xlabel("$t$")
-    if len(rows) == 1:
-        ax.set_ylabel(names[rows[0]])
-    legend(ax, f"{len(rows)} of {len(names)} components" if chosen is None and len(rows) < len(names) else None)
-    return ax
+        _name_bands(panels[0])
+    panels[-1].set_xlabel("$t$")
+    legend(panels[0], f"{len(rows)} of {len(names)} components" if chosen is None and len(rows) < len(names) else None)
+    return panels[0]
 
 
 def _of_those_there(values: Array) -> tuple[Array, Array]:

@@ -1,7 +1,9 @@
-"""Components over t: one panel, or one for each scale."""
+"""Components over t: one panel, or one for each kind and each scale."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,8 +32,11 @@ if TYPE_CHECKING:
 #: Components whose sizes differ by more than this cannot be seen on one axis.
 _APART = 1e3
 
-#: More panels would be too small to read: the smallest components then share one.
+#: More panels of one kind would be too small to read: the smallest components then share one.
 _PANELS = 4
+
+#: The unit at the end of a label, such as "drug [mg/l]" or "T (K)".
+_UNIT = re.compile(r"\s[\[(]([^\[\]()]+)[\])]$")
 
 #: Half of the outputs in this part of the interval, and steps that differ by this factor, need a logarithmic axis.
 _BEGINNING, _DECADES = 1e-3, 1e6
@@ -45,7 +50,7 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[
     require_points(sol)
     those = components(sol, chosen)
     whole = curve(sol)
-    groups = groups_of_scale(whole.y, those) if ax is None else [those]
+    groups = groups_of(kinds_of(sol), whole.y, those) if ax is None else [those]
     panels: list[Axes] = list(new_panels(sol._names.title, [1] * len(groups))) if ax is None else [ax]
     draw_groups(panels, sol, whole, groups, line)
     if log == "x" or (log is None and ax is None and _piles_up(sol.t)):
@@ -66,16 +71,51 @@ def _piles_up(t: Array) -> bool:
 
 def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:
     """Draw a group of components on each panel, with legends or labels."""
-    names = sol._names.components
+    names, kinds = sol._names.components, kinds_of(sol)
     look, given = properties(line)
     for panel, group in zip(panels, groups, strict=True):
         _draw_group(panel, sol, whole, group, look, given)
-        if len(group) == 1:
-            panel.set_ylabel(drawable(names[group[0]]))
+        panel.set_ylabel(axis_label([names[k] for k in group], {kinds[k] for k in group}))
         legend(panel, f"{len(group)} components" if len(group) > MOST else None)
 
 
-def groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
+def axis_label(names: Sequence[str], kinds: set[str]) -> str:
+    """Return the label of an axis with these components: the name of a single one, or what they have in common."""
+    return drawable(names[0] if len(names) == 1 else next(iter(kinds)) if len(kinds) == 1 else "")
+
+
+def units_of(names: Sequence[str]) -> list[str]:
+    """Return the unit at the end of each label, '' if there is none."""
+    return [found[1] if (found := _UNIT.search(name)) else "" for name in names]
+
+
+def kinds_of(sol: Result) -> list[str]:
+    """Return the kind of each component, whose values may share an axis only with those of its kind: the unit in its
+    label, 'positions' and 'velocities' of problems that have both, or ''."""
+    names = sol._names.components
+    units = units_of(names)
+    if any(units):
+        return units
+    first = sol._origin and sol._origin.positions()
+    if first:
+        return ["positions" if k < first else "velocities" for k in range(len(names))]
+    known = set(names)
+    rates = [name.endswith("'") and name[:-1] in known for name in names]  # as `invariode.symbolic` labels them
+    if not any(rates):
+        return [""] * len(names)
+    moving = {name[:-1] for name, rate in zip(names, rates, strict=True) if rate}
+    return [
+        "velocities" if rate else "positions" if name in moving else "" for name, rate in zip(names, rates, strict=True)
+    ]
+
+
+def groups_of(kinds: Sequence[str], y: Array, chosen: list[int]) -> list[list[int]]:
+    """Return components of one kind and of similar sizes, in the order of their first ones."""
+    those = [[k for k in chosen if kinds[k] == kind] for kind in dict.fromkeys(kinds[k] for k in chosen)]
+    return [group for one in those for group in _groups_of_scale(y, one)]
+
+
+def _groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
     """Return components whose sizes are alike; those of the group with the first component come first."""
     with np.errstate(invalid="ignore"):
         sizes = np.nanmax(np.abs(y[chosen]), axis=1, initial=0) if y.shape[1] else np.zeros(len(chosen))

@@ -8,7 +8,7 @@ from ..result import Result
 from . import drift
 from .canvas import components, drawable, log_axis, require_matplotlib, require_points
 from .curves import curve
-from .over_time import draw_groups, groups_of_scale
+from .over_time import draw_groups, groups_of, kinds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ def draw(sol: Result, title: str, chosen: Any = None, log: bool = False) -> Figu
     require_points(sol)
     those = components(sol, chosen)
     whole = curve(sol)
-    groups = groups_of_scale(whole.y, those)
+    groups = groups_of(kinds_of(sol), whole.y, those)
     heights = [_PANEL + (1 if len(groups) == 1 else 0)] * len(groups) + [_DRIFT] * (len(sol._invariants) > 0)
     figure = Figure(figsize=(_WIDTH, _MARGINS + sum(heights)), layout="tight")
     panels = list(figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)[:, 0])

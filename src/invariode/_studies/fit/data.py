@@ -12,6 +12,9 @@ from ..._base.arguments import Array, real_numbers, shown
 #: The name of the dimension of time in labelled arrays, which is that of `Solution.to_xarray`.
 _TIME = "t"
 
+#: Names of a column of times, in the order in which they are looked for.
+_COLUMNS = ("t", "time")
+
 
 class Data(NamedTuple):
     """Values by quantity and time; NaN where nothing was measured."""
@@ -19,6 +22,16 @@ class Data(NamedTuple):
     t: Array  # (n_t,)
     values: Array  # (m, n_t)
     names: list[str] | None  # of the quantities; None: the data have none
+
+
+def is_table(value: Any) -> bool:
+    """Return whether a value is a table of data with its own times, not the times alone."""
+    return (
+        isinstance(value, Mapping)
+        or hasattr(value, "data_vars")
+        or (hasattr(value, "columns") and hasattr(value, "index"))
+        or (hasattr(value, "dims") and hasattr(value, "coords") and getattr(value, "ndim", 0) == 2)
+    )
 
 
 def read(t: Any, data: Any, m: int) -> Data:
@@ -29,7 +42,9 @@ def read(t: Any, data: Any, m: int) -> Data:
     if isinstance(data, Mapping) and not hasattr(data, "dims"):
         return _of_columns(t, data)
     if hasattr(data, "columns") and hasattr(data, "index"):
-        return _of_columns(data.index.to_numpy() if t is None else t, {name: data[name] for name in data.columns})
+        columns = {name: data[name] for name in data.columns}
+        own = t is None and not any(name in columns for name in _COLUMNS)
+        return _of_columns(data.index.to_numpy() if own else t, columns)
     if hasattr(data, "data_vars"):
         if "y" not in data.data_vars:
             return _of_columns(data[_TIME].values if t is None else t, dict(data.data_vars))
@@ -123,6 +138,7 @@ def _times(t: Any) -> Array:
 
 def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
     """Return a column for each quantity."""
+    t = next((name for name in _COLUMNS if name in columns), None) if t is None else t
     if isinstance(t, str):
         if t not in columns:
             raise ValueError(f"t names the column {t!r}, and the data have {', '.join(map(str, columns))}")

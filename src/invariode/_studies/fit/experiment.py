@@ -18,7 +18,7 @@ from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
 from ..._solve.problem import Problem
-from .data import Data, in_order, read
+from .data import Data, in_order, is_table, read
 
 #: Types of `observe`: components by label or index, or a function.
 Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
@@ -40,8 +40,9 @@ class Experiment:
     problem : Problem
         The problem, with the conditions of this experiment: y0, args, t_span, inputs, events.
     t : array_like of shape (n_t,), str, or None
-        The times of the data, in any order, within the problem's t_span; times may be repeated. None: the index of a
-        DataFrame, or the coordinate `t` of a labelled array. A str: the name of the column of times.
+        The times of the data, in any order, within the problem's t_span; times may be repeated. None: the column "t" or
+        "time" of a table, otherwise the index of a DataFrame, or the coordinate `t` of a labelled array. A str: the
+        name of the column of times. A table may stand here alone: ``Experiment(problem, table)``.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
         The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
         shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
@@ -103,6 +104,8 @@ class Experiment:
             raise TypeError(f"an experiment needs an invariode.Problem, got {shown(problem)}")
         if np.iscomplexobj(problem.y0):
             raise ValueError("fits take problems with real y0")
+        if data is None and is_table(t):
+            t, data = None, t
         if data is None and event_times is None:
             raise TypeError("an experiment needs data, or event_times")
         if data is None and t is not None:

@@ -50,7 +50,8 @@ def fit(
     problem : Problem or list of Experiment
         The problem; or several experiments, ``fit(experiments, parameters)``, each with its data.
     t, data, observe, sigma, noise, event_times, event_sigma, y0
-        The data and their description, as in `Experiment`.
+        The data and their description, as in `Experiment`. A table with its times may stand in the place of both t and
+        data: ``fit(problem, table, parameters)``.
     parameters : dict
         The parameters by name, each a `Parameter` or a pair of bounds. Names are those of the arguments of f, such as
         ``k``, ``p[2]`` in an array, ``args[0]``; ``y0[label]`` is an initial value; keyword-only arguments of `observe`
@@ -201,7 +202,6 @@ def _best(ends: list[_End]) -> tuple[Found, list[tuple[float, bool]]]:
 
 
 def _tell(found: Fit) -> None:
-    """Issue a warning with the remarks on the fit, except failed runs."""
-    remarks = found.remarks()[: len(found.remarks()) - bool(found.failures)]
-    if remarks:
+    """Issue a warning with the remarks on the fit that concern its parameters."""
+    if remarks := found._concerns():
         warn("fit: " + "; ".join(remarks))

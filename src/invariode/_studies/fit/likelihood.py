@@ -13,6 +13,7 @@ import numpy as np
 from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
 from ..._problem.options import Options
+from .data import is_table
 from .experiment import Experiment
 from .failed import Failed
 from .parameters import Parameter, Space, to_parameters
@@ -238,6 +239,12 @@ def to_model(
     there are priors, which have to be weighed against the data."""
     if parameters is None and data is None:  # several experiments: fit(experiments, parameters)
         t, parameters = None, t
+    elif is_table(t):  # fit(problem, table, parameters)
+        if parameters is None:
+            data, parameters = None, data
+        if data is not None:
+            raise TypeError("t is a table of data, and data were given too: pass one of them")
+        t, data = None, t
     experiments = to_experiments(problem, {"t": t, "data": data, **described})
     wanted = to_parameters(parameters)
     series = [one for each in experiments for one in each.series]

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.public import public
+from . import picture
 from .likelihood import Evaluation, Model
 from .search import Found, NoStartError, search
+
+if TYPE_CHECKING:  # an extra, imported when a picture is drawn
+    from matplotlib.axes import Axes
 
 #: An end of an interval is found when its statistic is this close to the quantile, relatively.
 _CLOSE = 1e-3
@@ -41,6 +45,8 @@ class Profile:
         The interval: an end is a bound if the profile reaches it, infinite if the data do not limit the parameter.
     level : float
         The confidence level.
+    quantile : float
+        The size of `statistic` at the ends of the interval.
     fits : int
         The number of fits.
     """
@@ -51,7 +57,26 @@ class Profile:
     lower: float
     upper: float
     level: float
+    quantile: float
     fits: int
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Plot the likelihood ratio over the parameter, the square of `statistic`, with the interval.
+
+        A parabola belongs to a model that is linear in the parameter; a curve that stays below the dashed line to one
+        side, to data that do not limit it there.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        ends = (self.lower, self.upper)
+        return picture.draw_profile(self.name, self.values, self.statistic, ends, self.quantile, self.level, ax)
 
     def __repr__(self) -> str:
         ends = f"{self.lower:.6g} to {self.upper:.6g}"
@@ -189,4 +214,4 @@ def profile(model: Model, found: Found, place: int, covariance: Array, scale: Sc
         values.append(float(model.space.natural(moved)[place]))
     statistic = np.array([one.z for one in points])
     name = model.space.free[place].name
-    return Profile(name, np.array(values), statistic, ends[0], ends[1], level, len(points) - 1)
+    return Profile(name, np.array(values), statistic, ends[0], ends[1], level, scale.quantile, len(points) - 1)

@@ -337,6 +337,8 @@ class Fit:
     def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
         """Plot the data, the model and its confidence band over time.
 
+        Curves are interrupted where y jumps, as at doses.
+
         Parameters
         ----------
         experiment : int, default 0
@@ -344,16 +346,77 @@ class Fit:
         level : float, default 0.95
             The probability of the band.
         ax : matplotlib.axes.Axes, optional
-            The axes for everything. Default: a new figure, with a panel for each scale.
+            The axes for everything. Default: a new figure, with a panel for each unit at the end of labels, such as
+            "drug [mg/l]", and for each scale.
 
         Returns
         -------
         matplotlib.axes.Axes
-            The first panel.
+            The first panel; all are in ``ax.figure.axes``.
         """
         one = self._experiment(experiment)
-        band = self.predict(picture.times(one), experiment=experiment, level=level)
-        return picture.draw(one, band, self._errors_of_data(experiment), ax)
+        t, cuts = picture.times(one, self._solutions[experiment])
+        band = self.predict(t, experiment=experiment, level=level)
+        return picture.draw(one, band, cuts, self._errors_of_data(experiment), level, ax)
+
+    def plot_residuals(self, *, experiment: int = 0, ax: Axes | None = None) -> Axes:
+        """Plot the residuals of the data over time, in standard deviations.
+
+        If the model and the noise are right, 95 % of the residuals are in the shaded range from −1.96 to 1.96, without
+        a pattern.
+
+        Parameters
+        ----------
+        experiment : int, default 0
+            The index of the experiment.
+        ax : matplotlib.axes.Axes, optional
+            The axes. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return picture.draw_residuals(self._experiment(experiment), self._residuals(experiment)[0], ax)
+
+    def plot_correlation(self, *, ax: Axes | None = None) -> Axes:
+        """Plot the correlations of the free parameters as a map: near 1 or −1 the data determine only a combination.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            Parameters at a bound, and those that the data do not determine, have no correlations: their rows are empty.
+        """
+        return picture.draw_correlation(self.names, self.correlation, ax)
+
+    def plot_starts(self, *, ax: Axes | None = None) -> Axes:
+        """Plot the final costs of all starts in increasing order, above that of the best (a waterfall plot).
+
+        A first step of many starts means that the best minimum is found from most of the region; a single point there
+        that others may be better: use more `starts`.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            Starts at which the model could not be evaluated are counted in the title of the legend.
+
+        Raises
+        ------
+        ValueError
+            The fit had one start.
+        """
+        if len(self.starts) < 2:
+            raise ValueError("the fit had one start: compare several, fit(..., starts=20)")
+        return picture.draw_starts(self.starts, ax)
 
     def _errors_of_data(self, e: int) -> list[Array]:
         """Return the standard deviations of the data, series by series."""
@@ -379,16 +442,41 @@ class Fit:
             found.append((name, f"{value:.6g}", "" if plain else f"{error:.2g}", ends, remark))
         return found
 
+    @property
     def remarks(self) -> list[str]:
-        """Remarks on convergence, undetermined parameters, bounds and failed runs."""
+        """Remarks on convergence, undetermined parameters, bounds, intervals and failed runs."""
+        found = self._concerns()
+        found += [
+            f"the 95 % interval of {name} is wider than its bounds: use profile({name!r})" for name in self._too_wide()
+        ]
+        if self.failures:
+            found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
+        return found
+
+    def _concerns(self) -> list[str]:
+        """Return the remarks on parameters that the fit cannot give, or not as well as it seems."""
         found = [] if self.success else [self.message]
         for group in self.undetermined:
             what = f"{group[0]}" if len(group) == 1 else f"a combination of {' and '.join(group)}"
             found.append(f"the data do not determine {what}")
+            alike = [name for name in group if self.parameters[name] == self.parameters[group[0]]]
+            idle = not self._found.at.jacobian[:, self.names.index(group[0])].any()
+            if len(alike) > 1 or (len(group) == 1 and idle):
+                found.append(
+                    f"a search that begins where the model is symmetric stalls there: give {' and '.join(alike)} other "
+                    "starts, or starts=10"
+                )
         found += [f"{name} is at its {side} bound, {value:g}" for name, side, value in self.at_bound]
-        found += [self._no_sigma()] if self._unscaled else []
-        if self.failures:
-            found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
+        return found + ([self._no_sigma()] if self._unscaled else [])
+
+    def _too_wide(self) -> list[str]:
+        """Return the parameters whose 95 % interval from standard errors extends beyond their bounds."""
+        intervals = self.confidence()
+        found = []
+        for one in self._model.space.free:
+            (low, high), (lower, upper) = intervals[one.name], one.parameter.limits
+            if math.isfinite(self.standard_errors[one.name]) and (low < lower or high > upper):
+                found.append(one.name)
         return found
 
     def _no_sigma(self) -> str:
@@ -404,7 +492,7 @@ class Fit:
         rows = [head, *self.rows()]
         widths = [max(len(row[i]) for row in rows) for i in range(5)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        return "\n".join([*lines, self.summary(), *self.remarks()])
+        return "\n".join([*lines, self.summary(), *self.remarks])
 
     def summary(self) -> str:
         """Summary line: the number of data and the goodness of fit."""
