@@ -218,7 +218,7 @@ class Plan(NamedTuple):
 
     @property
     def _stated(self) -> Stated:
-        """What the user has stated about the problem, for messages."""
+        """Return the properties of the problem that the user has stated, for messages."""
         linear, names, pairs = self.functions.linear, self.event_names, self.functions.complex
         if linear is None:
             return Stated(names, jac=False, pattern=False, mass=False, pairs=pairs)

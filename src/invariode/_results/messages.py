@@ -44,7 +44,7 @@ class Laws(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """What the user has stated about the problem, for messages that advise to change it, and only that."""
+    """Properties of the problem that the user has stated: messages advise to change only these."""
 
     events: list[str]  # names
     jac: bool  # a function or a matrix
@@ -214,16 +214,11 @@ def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
         return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
-        text = f"{what} NaN or infinite even with the smallest step, {where}."
-        return (
-            text
-            + " "
-            + (
-                _singular(run, stated)
-                or "If the exact solution does not go there, reduce rtol and atol; if it does, stop the run earlier "
-                "with a terminal event."
-            )
+        advice = _singular(run, stated) or (
+            "If the exact solution does not go there, reduce rtol and atol; if it does, stop the run earlier with a "
+            "terminal event."
         )
+        return f"{what} NaN or infinite even with the smallest step, {where}. {advice}"
     if run.cause == "newton" and run.unsolved in _UNDEFINED:
         return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
     jumps = run.sticks_since is not None or any((t - run.t) * run.h > 0 for t in run.discontinuities)
@@ -232,26 +227,15 @@ def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
         if what == _NEWTON_DIVERGED and jumps:  # what comes after the message says why
             return f"{what}, {where}."
         doubt = f" {_IN_DOUBT[stated.jac]}" if stated.jac or stated.pattern else ""
-        cause = _singular(run, stated) or "Try a smaller rtol, or stop the solution earlier with a terminal event."
-        return f"{what}, {where}.{doubt} {cause}"
+        advice = _singular(run, stated) or "Try a smaller rtol, or stop the solution earlier with a terminal event."
+        return f"{what}, {where}.{doubt} {advice}"
     if run.cause == "bounds":
         return (
             f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance even with the "
             f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
         )
-    if run.cause == "projection" and run.finding == "undefined":
-        return (
-            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, even "
-            f"with the smallest step, {where}. If the solution should not get there, try a smaller atol for the "
-            "components that come close (or a smaller rtol); if it should, stop it earlier with a terminal event."
-        )
     if run.cause == "projection":
-        return (
-            f"The projection onto the invariants fails even with the smallest step, {where}: "
-            "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
-            "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
-            "pass over it."
-        )
+        return _projection_failed(run, names, where)
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
     if jumps:
         return text
@@ -260,14 +244,25 @@ def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
             f"{text} {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
             "impossible there. Give an atol > 0."
         )
-    return (
-        text
-        + " "
-        + (
-            _singular(run, stated)
-            or "The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a "
-            "terminal event, or give the jumps of fun as breakpoints."
+    advice = _singular(run, stated) or (
+        "The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a terminal "
+        "event, or give the jumps of fun as breakpoints."
+    )
+    return f"{text} {advice}"
+
+
+def _projection_failed(run: Run, names: list[str], where: str) -> str:
+    if run.finding == "undefined":
+        return (
+            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, even "
+            f"with the smallest step, {where}. If the solution should not get there, try a smaller atol for the "
+            "components that come close (or a smaller rtol); if it should, stop it earlier with a terminal event."
         )
+    return (
+        f"The projection onto the invariants fails even with the smallest step, {where}: "
+        "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
+        "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
+        "pass over it."
     )
 
 
