@@ -99,6 +99,12 @@ void property(RunClass& run, const char* name, Read read) {
   run.def_prop_ro(name, [read](const FinishedRun& self) { return read(self.result); });
 }
 
+/// (index, y, slope), or None.
+std::optional<std::tuple<int, double, double>> component(const Component& one) {
+  if (one.index < 0) return std::nullopt;
+  return std::tuple(one.index, one.y, one.slope);
+}
+
 void define_report_of_run(RunClass& run) {
   property(run, "state", [](const RunResult& r) { return name_of(r.state); });
   property(run, "t", [](const RunResult& r) { return r.report.t; });
@@ -107,6 +113,8 @@ void define_report_of_run(RunClass& run) {
   property(run, "component", [](const RunResult& r) { return r.report.component; });
   property(run, "coefficient", [](const RunResult& r) { return r.report.coefficient; });
   property(run, "pure_relative", [](const RunResult& r) { return r.report.pure_relative; });
+  property(run, "fastest", [](const RunResult& r) { return component(r.report.fastest); });
+  property(run, "undefined_below_zero", [](const RunResult& r) { return component(r.report.undefined_below_zero); });
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
   property(run, "unsolved", [](const RunResult& r) { return name_of(r.report.linear.unsolved); });
   property(run, "unsolved_t", [](const RunResult& r) { return r.report.linear.unsolved_t; });

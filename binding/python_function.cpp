@@ -125,6 +125,7 @@ PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* const* 
 bool PythonFunction::read(PyObject* result, double* out) {
   if (returns_.kind == Returns::Kind::truth) return read_truth(result, out);
   if ((!returns_.matrix || returns_.rows == 1) && read_sequence(result, out)) return true;
+  if (!PyArray_CheckExact(result) && !has_no_unit(result)) return false;
   if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
   PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
   if (array == nullptr) {
@@ -233,6 +234,23 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
   Py_DECREF(converted);
   if (conditions)
     for (npy_intp i = 0; i < returns_.size(); ++i) out[i] = 2 * out[i] - 1;
+  return true;
+}
+
+/// An error if a value is a quantity of a package for units, which NumPy takes for its number in whatever unit.
+bool PythonFunction::has_no_unit(PyObject* value) const {
+  if (PyObject_HasAttrString(value, "to_value") == 0 && PyObject_HasAttrString(value, "magnitude") == 0) return true;
+  for (const char* attribute : {"unit", "units"}) {
+    PyObject* unit = PyObject_GetAttrString(value, attribute);
+    if (unit == nullptr) PyErr_Clear();
+    if (unit != nullptr && unit != Py_None)
+      PyErr_Format(PyExc_TypeError,
+                   "%s returned a quantity with unit '%S', and problems are of plain numbers: return its number in the "
+                   "unit that y, t or the equation has",
+                   name_.c_str(), unit);
+    Py_XDECREF(unit);
+    if (PyErr_Occurred() != nullptr) return false;
+  }
   return true;
 }
 

@@ -72,6 +72,7 @@ class PythonFunction final : public Callable {
   bool read_array(PyArrayObject* array, double* out);
   bool holds_numbers(PyObject* items) const;
   bool read_objects(PyArrayObject* array, double* out) const;
+  bool has_no_unit(PyObject* value) const;
   bool has_values(PyObject* array) const;
   [[nodiscard]] bool fits(PyArrayObject* array) const;
   void complain(PyObject* returned) const;

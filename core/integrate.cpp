@@ -129,7 +129,7 @@ bool Integration::resolve_first_step(double t, const double* y) {
   const double h = step_->h(), spacing = ulp(t);
   if (h >= spacing) return true;
   bool changes = false;
-  if (!unless_stopped(discontinuities_.changes_at_once(t, y, step_->slope(), forward_, changes))) return false;
+  if (!unless_stopped(discontinuities_.changes_at_once(t, y, step_->slope(), forward_, 1, changes))) return false;
   if (!changes) {
     step_->set_h(spacing);
     return true;
@@ -316,16 +316,50 @@ bool Integration::explain_failure(Cause cause) {
   if (cause == Cause::projection && manifold_.undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = manifold_.undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = manifold_.outside_component();
-  if ((cause != Cause::error && cause != Cause::newton) || report_.linear.unsolved != Unsolved::none) return true;
+  if (report_.linear.unsolved != Unsolved::none) return true;
+  note_fastest();
+  const bool undefined = cause == Cause::not_finite ||
+                         (cause == Cause::newton && (report_.component >= 0 || report_.linear.undefined_jacobian));
+  if (undefined) return find_undefined_below_zero();
+  if (cause != Cause::error && cause != Cause::newton) return true;
   if (cause == Cause::error) note_pure_relative();
   if (aim_.hmin() < hmin_ulps * ulp(t0_)) {  // the method has just started
     bool changes = false;
-    if (!unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, changes)))
+    if (!unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, 0, changes)))
       return false;
     if (changes) report_.cause = Cause::spacing;
     if (changes) return true;
   }
   return unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target()));
+}
+
+/// Reports a component below whose 0 f is not finite. False: a user function has stopped the run.
+bool Integration::find_undefined_below_zero() {
+  constexpr double near = 0.1;  // of the time since the start: the solution is about to get there
+  const Bounds* bounds = manifold_.bounds();
+  const std::vector<double> lower = bounds == nullptr ? std::vector<double>{} : bounds->lower();
+  const double reach = std::max(near * std::abs(t0_ - settings_.t0), aim_.hmin());
+  int found = -1;
+  if (!unless_stopped(
+          discontinuities_.undefined_below_zero(t0_, y0_.data(), step_->slope(), forward_, reach, lower, found)))
+    return false;
+  if (found >= 0) {
+    const auto i = static_cast<std::size_t>(found);
+    report_.undefined_below_zero = {found, y0_[i], step_->slope()[i]};
+  }
+  return true;
+}
+
+/// Reports the component of y that changes most within the smallest step, in units of its tolerance.
+void Integration::note_fastest() {
+  const double h = std::abs(aim_.hmin());
+  double most = 1;
+  for (std::size_t i = 0; i < extent_.n; ++i) {
+    const double rate = step_->slope()[i], change = h * std::abs(rate) / (weights_.rtol() * weights_.at(i, y0_[i]));
+    if (!(change > most)) continue;
+    most = change;
+    report_.fastest = {static_cast<int>(i), y0_[i], rate};
+  }
 }
 
 /// Reports the first component that is zero and has no absolute tolerance: no error of it is small enough.

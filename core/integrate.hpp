@@ -148,6 +148,8 @@ class Integration {
   [[nodiscard]] bool jumps_here() const;
   bool conclude();
   bool keep_step_before_jump();
+  bool find_undefined_below_zero();
+  void note_fastest();
   void note_pure_relative();
   void move_start(double t, const double* y);
   void discard_step(const double* y);

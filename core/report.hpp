@@ -37,6 +37,12 @@ enum class State {
 /// The limits that may stop a run early (settings.hpp).
 enum class Limit { steps, time, points, memory };
 
+/// A component of y that shows why steps fail, at the start of the last one.
+struct Component {
+  int index = -1;  ///< −1: none
+  double y = 0, slope = 0;
+};
+
 /// The place and the reason of a run's end, for whoever writes the message.
 struct Report {
   double t = 0;
@@ -45,6 +51,8 @@ struct Report {
   int component = -1;              ///< of y, that is not finite, or that pure relative control cannot resolve
   std::optional<int> coefficient;  ///< f is finite, but not this Taylor coefficient of the component
   bool pure_relative = false;      ///< y_i = 0 and atol_i = 0 made the error test fail
+  Component fastest;               ///< one that changes by more than its tolerance within the smallest step
+  Component undefined_below_zero;  ///< one below whose 0 f is not finite
   LinearWork linear;               ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
   std::vector<std::size_t> circle;  ///< events whose actions set each other off

@@ -615,6 +615,19 @@ def test_quantities_are_refused_by_name(kind):
             one.solve_ensemble(kind([[200.0, 0.0]]), workers=1)
 
 
+@pytest.mark.parametrize("kind", [lambda x: np.array(x, dtype=float).view(Stripped), Measured])
+def test_quantities_that_functions_return_are_refused_by_name(kind):
+    decay: dict[str, object] = {"fun": lambda t, y: -y, "t_span": (0, 1), "y0": [1.0], "method": "ode15s"}
+    for changed in (
+        {"fun": lambda t, y: kind(-y)},
+        {"events": lambda t, y: kind(y - 0.5)},
+        {"jac": lambda t, y: kind([[-1.0]])},
+        {"invariants": lambda t, y: kind(y)},
+    ):
+        with pytest.raises(TypeError, match=r"quantity (with unit|in) '?(cm|centimeter)"):
+            iv.solve_ivp(**(decay | changed))
+
+
 def test_a_label_is_no_unit():
     """Arrays of numbers that only say what they are in, as xarray's do, are arrays of numbers."""
 

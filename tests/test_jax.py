@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from invariode._solve.bridge import Bridge
 
 jax = pytest.importorskip("jax")
 jnp = pytest.importorskip("jax.numpy")
@@ -121,6 +122,60 @@ def test_derivatives_that_there_are_not_are_refused():
     ):
         with pytest.raises((TypeError, ValueError), match=message):
             bridge.solve(problem, **options)
+
+
+POWERS = iv.Problem(lambda t, y, k, n: [-k * y[0] ** n, 1.0], (0, 1), [1.0, 0.0], args=(0.5, 2))
+
+
+def test_integers_and_truth_values_may_be_traced():
+    """They have no derivatives, and do not keep others from having theirs."""
+
+    def solved(k, n, **options):
+        return bridge.solve(POWERS, args=(k, n), rtol=RTOL, atol=RTOL, **options)[0]
+
+    np.testing.assert_allclose(
+        jax.jit(solved)(0.5, 3), POWERS.replace(args=(0.5, 3)).solve(rtol=RTOL, atol=RTOL).y[0, -1]
+    )
+    exact = -1.0 * (1 + 2 * 0.5) ** -1.5  # y = (1 + 2 k t)**-1/2 for n = 3
+    for adjoint in (False, True):
+        slope = jax.jit(jax.grad(lambda k, n, adjoint=adjoint: solved(k, n, adjoint=adjoint)))
+        assert slope(0.5, 3) == pytest.approx(exact, rel=1e-6)
+    branches = iv.Problem(lambda t, y, down: -y if down else y, (0, 1), [1.0], args=(True,))
+    ends = [jax.jit(lambda b: bridge.solve(branches, args=(b,)))(one)[0] for one in (True, False)]
+    np.testing.assert_allclose(ends, [np.exp(-1), np.exp(1)], rtol=1e-3)
+
+
+def test_what_does_not_fit_is_said_by_the_call_and_not_by_its_callback():
+    for y0, args, options, message in (
+        (jnp.ones((3, 2)), None, {}, r"shape \(2,\), got \(3, 2\)"),
+        (jnp.ones((2, 1)), None, {}, r"got \(2, 1\)"),
+        ([1.0], None, {}, r"got \(1,\)"),
+        (1j * jnp.ones(2), None, {}, "y0 is complex"),
+        ([1j, 0], None, {}, "y0 is complex"),
+        (None, (1.0,), {}, "args must have 2 entries"),
+        (None, (1j * jnp.ones(()), 2), {}, "complex array"),
+        (None, None, {"method": "ode46"}, "did you mean 'ode45'"),
+        (None, None, {"rtoll": 1e-3}, "did you mean 'rtol'"),
+    ):
+        for call in (lambda f: f(), lambda f: jax.jit(f)()):
+            with pytest.raises((TypeError, ValueError), match=message):
+                call(lambda y0=y0, args=args, options=options: bridge.solve(POWERS, y0, args, **options))
+
+
+def test_calls_without_jit_compile_once(monkeypatch):
+    """A problem that is planned, and a function that JAX traces, are kept for calls with equal contents."""
+    made = []
+    prepare = Bridge._prepared
+    monkeypatch.setattr(Bridge, "_prepared", lambda self, wanted: made.append(wanted) or prepare(self, wanted))
+    factor = [1.0]
+    problem = iv.Problem(lambda t, y, k: -k * factor[0] * y, (0, 1), [1.0], args=(0.5,))
+    slope = jax.grad(lambda k: bridge.solve(problem, args=(k,))[0])
+    for k in (0.5, 0.6, 0.7):
+        slope(k)
+    assert made == [(), (1,)]
+    factor[0] = 2.0  # f is another function
+    assert bridge.solve(problem, args=(0.5,))[0] == pytest.approx(np.exp(-1), rel=1e-3)
+    assert len(made) == 3
 
 
 def test_the_page_is_right():

@@ -93,6 +93,32 @@ def test_second_derivatives_are_refused():
         torch.autograd.functional.hessian(lambda k: bridge.solve(BLOW_UP, args=(k,), t=[0.5]).sum(), moving(1.0))
 
 
+def test_tensors_within_lists_have_gradients_or_are_refused():
+    """Never are they without one in silence."""
+    decay = iv.Problem(lambda t, y, k: [-k[0] * y[0]], (0, 1), [1.0], args=([0.5],))
+    with pytest.raises(TypeError, match=r"args\[0\] is a list that contains tensors"):
+        bridge.solve(decay, None, ([moving(0.5)],))
+    with pytest.raises(TypeError, match=r"args\[0\] is a tuple that contains tensors"):
+        bridge.solve(decay, None, ((1.0, [moving(0.5)]),))
+    y0 = moving(1.0)
+    bridge.solve(decay, [y0], **OPTIONS).sum().backward()
+    assert y0.grad == pytest.approx(np.exp(-0.5), rel=1e-6)
+
+
+def test_what_does_not_fit_is_said_before_the_run():
+    for y0, args, options, message in (
+        (torch.ones(3, 2), None, {}, r"shape \(2,\), got \(3, 2\)"),
+        (torch.ones(2, 1), None, {}, r"got \(2, 1\)"),
+        ([1.0], None, {}, r"got \(1,\)"),
+        (1j * torch.ones(2), None, {}, "y0 is complex"),
+        (None, (1.0,), {}, "args must have 2 entries"),
+        (None, (torch.tensor(1j, requires_grad=True), RATES[1]), {}, "complex and requires a gradient"),
+        (None, None, {"method": "ode46"}, "did you mean 'ode45'"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            bridge.solve(PROBLEM, y0, args, **options)
+
+
 def test_the_page_is_right():
     """Its code for PyTorch, one block after the other."""
     page = Path(__file__).parents[1] / "docs" / "howto" / "jax_torch.md"

@@ -45,20 +45,27 @@ JumpSearch::Result JumpSearch::narrow(double resolved) {
   for (bool beside_smooth = true;;) {
     t1_ = b_.t;
     const double width = std::abs(b_.t - a_.t);
-    if (width <= narrowest) return beside_smooth ? Result::found : Result::none;
+    if (width <= narrowest) return beside_smooth ? result_of_change() : Result::none;
     middle_.t = std::midpoint(a_.t, b_.t);
     for (std::size_t i = 0; i < middle_.y.size(); ++i) middle_.y[i] = std::midpoint(a_.y[i], b_.y[i]);
     if (!evaluate(middle_)) return stopped_ ? Result::stop : Result::none;
     const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
     beside_smooth = std::min(before, after) <= kept * larger;  // which a pole is not
     if (!(larger <= grown * whole)) return Result::none;
-    if (larger < kept * whole) return width <= sharp * resolved ? Result::found : Result::none;
+    if (larger < kept * whole) return width <= sharp * resolved ? result_of_change() : Result::none;
     std::swap(before > after ? b_ : a_, middle_);
   }
 }
 
 double JumpSearch::change(const Point& a, const Point& b) const {
   return max_norm(weight_.size(), [&](std::size_t i) { return (b.f[i] - a.f[i]) / weight_[i]; });
+}
+
+/// A change between points that the tolerances tell apart is not a jump: that f is only steep, as at a blow-up, where y
+/// changes much within a spacing of t.
+JumpSearch::Result JumpSearch::result_of_change() const {
+  const double apart = max_norm(weight_.size(), [&](std::size_t i) { return (b_.y[i] - a_.y[i]) / weight_[i]; });
+  return apart <= weights_.rtol() ? Result::found : Result::none;
 }
 
 /// f there; false: it is not finite, or asks to stop.
@@ -148,8 +155,43 @@ void DiscontinuityDetector::state(Archive& archive) {
   archive.require(found_.size() <= most);
 }
 
+Status DiscontinuityDetector::undefined_below_zero(double t, const double* y, const double* slope, double forward,
+                                                   double reach, const std::vector<double>& lower, int& component) {
+  constexpr std::size_t most_tried = 8;
+  const std::size_t n = weights_.size();
+  std::vector<double> moved(y, y + n), f(n);
+  const auto finite = [&](bool& is) {
+    ++evaluations_ahead_;
+    const Status status = f_(t, moved.data(), f.data());
+    is = all_finite(f.data(), n);
+    return status;
+  };
+  bool defined = false;
+  if (finite(defined) == Status::stop) return Status::stop;
+  std::vector<std::pair<double, std::size_t>> near;
+  for (std::size_t i = 0; i < n; ++i) {
+    const bool unbounded = lower.empty() || lower[i] < 0;
+    const bool falls = y[i] >= 0 && forward * slope[i] < 0 && y[i] <= reach * std::abs(slope[i]);
+    if (unbounded && (defined ? falls : y[i] < 0))
+      near.emplace_back(std::abs(y[i]) / (defined ? std::abs(slope[i]) : weights_.at(i, y[i])), i);
+  }
+  std::sort(near.begin(), near.end());
+  near.resize(std::min(near.size(), most_tried));
+  for (const auto& [distance, i] : near) {
+    moved[i] = -std::copysign(std::max(std::abs(y[i]), weights_.rtol() * weights_.at(i, y[i])), y[i]);
+    bool there = false;
+    if (finite(there) == Status::stop) return Status::stop;
+    if (there != defined) {
+      component = static_cast<int>(i);
+      break;
+    }
+    moved[i] = y[i];
+  }
+  return Status::ok;
+}
+
 Status DiscontinuityDetector::changes_at_once(double t, const double* y, const double* slope, double forward,
-                                              bool& changes) {
+                                              double tolerances, bool& changes) {
   constexpr double part = 0.5;  // of f: by less, a step of one spacing is as good as any
   const std::size_t n = weights_.size();
   std::vector<double> before(n), after(n), moved(y, y + n);
@@ -162,7 +204,8 @@ Status DiscontinuityDetector::changes_at_once(double t, const double* y, const d
   changes = !defined || !all_finite(after.data(), n);
   for (std::size_t i = 0; i < n && !changes; ++i) {
     const double change = std::abs(after[i] - before[i]), size = std::max(std::abs(after[i]), std::abs(before[i]));
-    changes = change > part * size && std::abs(h) * change > weights_.rtol() * weights_.at(i, y[i], moved[i]);
+    const double tolerance = weights_.rtol() * weights_.at(i, y[i], moved[i]);
+    changes = change > part * size && std::abs(h) * change > tolerances * tolerance;
   }
   return Status::ok;
 }

@@ -40,6 +40,7 @@ class JumpSearch {
   void move_to(Point& point, double t, const double* y) const;
   Result narrow(double resolved);
   [[nodiscard]] double change(const Point& a, const Point& b) const;
+  [[nodiscard]] Result result_of_change() const;
   [[nodiscard]] bool evaluate(Point& point);
 
   Callback f_;
@@ -80,8 +81,16 @@ class DiscontinuityDetector {
                     std::int64_t attempts);
 
   /// Does f change by more than half of itself over one spacing of t along y' = `slope`, and move a component by more
-  /// than its tolerance with that? For starts whose first step is shorter than t can represent.
-  Status changes_at_once(double t, const double* y, const double* slope, double forward, bool& changes);
+  /// than `tolerances` tolerances with that? For starts whose first step is shorter than t can represent.
+  Status changes_at_once(double t, const double* y, const double* slope, double forward, double tolerances,
+                         bool& changes);
+
+  /// Looks for a component y_i below 0 of which f is not finite, as √y_i and log y_i are, where attempts fail since f
+  /// is undefined: the sign of y_i decides whether f is finite at (t, y). y_i is below 0, or goes there along y' =
+  /// `slope` and would be at 0 within `reach`; `lower`: bounds, which keep it from that where they are 0 or more;
+  /// empty: none. At most 8 are tried, the nearest to 0 first. `component`: −1 if there is none.
+  Status undefined_below_zero(double t, const double* y, const double* slope, double forward, double reach,
+                              const std::vector<double>& lower, int& component);
 
   /// Times at which f is discontinuous, as far as they were seen: at most `most`.
   [[nodiscard]] const std::vector<double>& found() const { return found_; }

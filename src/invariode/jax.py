@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from typing import Any, Unpack
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ._base.extras import extra
 from ._base.types import MethodName
+from ._functions.contents import content
 from ._problem.accepted import run_options
 from ._problem.options import Options
 from ._solve.bridge import Bridge
@@ -43,8 +45,8 @@ def solve(
     y0 : array_like of shape (n,), optional
         Initial state. Default: that of the problem.
     args : tuple, optional
-        Arguments of f. Derivatives are with respect to floats and arrays of floats; everything else, such as integers,
-        lists and strings, is passed on as it is. Default: those of the problem.
+        Arguments of f. Derivatives are with respect to floats and arrays of floats. Everything else, such as integers,
+        arrays of integers or truth values, lists and strings, is passed on as it is. Default: those of the problem.
     t : array_like of shape (n_t,), optional
         Times of the output, sorted, which are constants; the run ends at the last one. Default: the end of the
         problem's t_span.
@@ -75,52 +77,83 @@ def solve(
     Invariants are imposed on the solution and, as tangents, on its derivatives. Second derivatives are not available,
     and raise an error. Under `jax.vmap`, runs are solved one after the other.
     """
-    bridge = Bridge(problem, t, method, run_options(**options))
-    given = [problem.y0 if y0 is None else y0, *(problem.args if args is None else args)]
-    places = [i for i, one in enumerate(given) if i == 0 or _is_float(one)]
-    numbers = [jnp.asarray(given[i], float) for i in places]
-    y = jax.ShapeDtypeStruct(bridge.shape, numbers[0].dtype)
+    bridge = Bridge.of(problem, t, method, run_options(**options))
+    given = bridge.operands(y0 if y0 is None or hasattr(y0, "dtype") else jnp.asarray(y0), args)
+    places = tuple(i for i, one in enumerate(given) if i == 0 or _is_operand(i, one))
+    numbers = [given[i] if i and _is_whole(given[i]) else jnp.asarray(given[i], float) for i in places]
+    constant = tuple(None if i in places else one for i, one in enumerate(given))
+    dtype = numbers[0].dtype
+    key = content(constant), places, dtype
+    return bridge.faces.get(key, lambda: _solved(bridge, constant, places, dtype))(*numbers)
+
+
+def _solved(bridge: Bridge, constant: Sequence[Any], places: Sequence[int], dtype: Any) -> Callable[..., Any]:
+    """Return the solution as a function of the operands at these places. It is made once for all calls: JAX keeps what
+    it has compiled of a function, as long as that is the same object."""
+    y = jax.ShapeDtypeStruct(bridge.shape, dtype)
 
     def operands(found: Sequence[Any]) -> list[Any]:
-        every = list(given)
+        every = list(constant)
         for i, one in zip(places, found, strict=True):
-            every[i] = np.asarray(one, float)
+            every[i] = np.asarray(one) if _is_whole(one) else np.asarray(one, float)
         return every
 
-    def values(*x: Any) -> Any:
-        return _called(lambda *x: bridge.values(operands(x)), y, *x)
+    values = _called(lambda *x: bridge.values(operands(x)), y)
+
+    @cache
+    def slopes(moving: tuple[int, ...], shapes: tuple[tuple[int, ...], ...]) -> Callable[..., Any]:
+        wanted = tuple(places[j] for j in moving)
+        S = [jax.ShapeDtypeStruct(bridge.shape + shape, dtype) for shape in shapes]
+        return _called(lambda *x: bridge.tangent(operands(x), wanted), (y, S))
 
     def tangent(x: Sequence[Any], dx: Sequence[Any]) -> Any:
-        moving = [j for j, one in enumerate(dx) if not isinstance(one, jax.custom_derivatives.SymbolicZero)]
+        fixed = jax.custom_derivatives.SymbolicZero
+        moving = tuple(j for j, one in enumerate(dx) if not (isinstance(one, fixed) or _is_whole(x[j])))
+        found, S = slopes(moving, tuple(x[j].shape for j in moving))(*x)
+        return found, sum(jnp.tensordot(one, dx[j], dx[j].ndim) for one, j in zip(S, moving, strict=True))
+
+    @cache
+    def backwards(moving: tuple[int, ...], shapes: tuple[tuple[int, ...], ...]) -> Callable[..., Any]:
         wanted = tuple(places[j] for j in moving)
-        S = [jax.ShapeDtypeStruct(bridge.shape + x[j].shape, y.dtype) for j in moving]
-        found, slopes = _called(lambda *x: bridge.tangent(operands(x), wanted), (y, S), *x)
-        return found, sum(jnp.tensordot(one, dx[j], dx[j].ndim) for one, j in zip(slopes, moving, strict=True))
+
+        def pulled(w: Any, *x: Any) -> Any:
+            of = operands(x)
+            return bridge.pullback(bridge.solution(of), of, wanted, np.asarray(w, float))
+
+        return _called(pulled, [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes])
 
     def pullback(x: Sequence[Any], w: Any) -> Any:
-        def backwards(w: Any, *x: Any) -> Any:
-            of = operands(x)
-            return bridge.pullback(bridge.solution(of), of, tuple(places), np.asarray(w, float))
-
-        return tuple(_called(backwards, [jax.ShapeDtypeStruct(one.shape, one.dtype) for one in x], w, *x))
+        moving = tuple(j for j, one in enumerate(x) if not _is_whole(one))
+        found = iter(backwards(moving, tuple(x[j].shape for j in moving))(w, *x))
+        return tuple(np.zeros(one.shape, jax.dtypes.float0) if _is_whole(one) else next(found) for one in x)
 
     if bridge.adjoint:
-        solved = jax.custom_vjp(values)
-        solved.defvjp(lambda *x: (values(*x), x), pullback)
-    else:
-        solved = jax.custom_jvp(values)
-        solved.defjvp(tangent, symbolic_zeros=True)
-    return solved(*numbers)
+        reverse: Callable[..., Any] = jax.custom_vjp(values)
+        reverse.defvjp(lambda *x: (values(*x), x), pullback)  # type: ignore[attr-defined]
+        return reverse
+    either: Callable[..., Any] = jax.custom_jvp(values)
+    either.defjvp(tangent, symbolic_zeros=True)  # type: ignore[attr-defined]
+    return either
 
 
-def _is_float(one: Any) -> bool:
-    if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(one)) and not isinstance(one, jax.Array):
+def _is_operand(i: int, one: Any) -> bool:
+    """Return whether an argument goes through the callback: floats, which have derivatives, and arrays of JAX."""
+    if isinstance(one, jax.Array):
+        if jnp.issubdtype(one.dtype, jnp.complexfloating):
+            raise TypeError(f"args[{i - 1}] is a complex array of JAX: pass its real and imaginary parts")
+        return True
+    if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(one)):
         raise TypeError(f"args: {type(one).__name__} with arrays of JAX: give one array instead")
     return isinstance(one, float) or (hasattr(one, "dtype") and bool(jnp.issubdtype(one.dtype, jnp.floating)))
 
 
-def _called(host: Callable[..., Any], like: Any, *x: Any) -> Any:
-    """Return the values of a function of NumPy arrays, as arrays of these types; they have no derivative."""
+def _is_whole(one: Any) -> bool:
+    """Return whether an operand holds integers or truth values, which have no derivatives."""
+    return hasattr(one, "dtype") and not jnp.issubdtype(one.dtype, jnp.floating)
+
+
+def _called(host: Callable[..., Any], like: Any) -> Callable[..., Any]:
+    """Return a function of NumPy arrays as one of arrays of JAX, with values of these types and no derivative."""
 
     def converted(*x: Any) -> Any:
         return jax.tree.map(lambda one, as_: np.asarray(one, as_.dtype), host(*x), like)
@@ -128,6 +161,7 @@ def _called(host: Callable[..., Any], like: Any, *x: Any) -> Any:
     def refused(*_: Any) -> Any:
         raise NotImplementedError("invariode.jax.solve has first derivatives only")
 
+    call: Callable[..., Any]
     call = jax.custom_jvp(lambda *x: jax.pure_callback(converted, like, *x, vmap_method="sequential"))
-    call.defjvp(refused)
-    return call(*x)
+    call.defjvp(refused)  # type: ignore[attr-defined]
+    return call

@@ -16,7 +16,7 @@ from ._base.extras import extra
 from ._base.types import MethodName
 from ._problem.accepted import run_options
 from ._problem.options import Options
-from ._solve.bridge import Bridge
+from ._solve.bridge import Bridge, leaves
 from ._solve.problem import Problem
 
 __all__ = ["solve"]
@@ -71,8 +71,15 @@ def solve(
     Invariants are imposed on the solution and, as tangents, on its derivatives. Second derivatives and the transforms
     of `torch.func` are not available, and raise an error.
     """
-    bridge = Bridge(problem, t, method, run_options(**options))
-    given = [problem.y0 if y0 is None else y0, *(problem.args if args is None else args)]
+    bridge = Bridge.of(problem, t, method, run_options(**options))
+    if not isinstance(y0, torch.Tensor) and any(isinstance(one, torch.Tensor) for one in leaves(y0)):
+        y0 = torch.stack([torch.as_tensor(one, dtype=torch.float64) for one in y0])
+    given = bridge.operands(y0, args)
+    for i, one in enumerate(given):
+        if not isinstance(one, torch.Tensor) and any(isinstance(leaf, torch.Tensor) for leaf in leaves(one)):
+            raise TypeError(f"args[{i - 1}] is a {type(one).__name__} that contains tensors: pass one tensor instead")
+        if isinstance(one, torch.Tensor) and one.is_complex() and one.requires_grad:
+            raise TypeError(f"args[{i - 1}] is complex and requires a gradient: pass its real and imaginary parts")
     return _Solve.apply(bridge, [i for i, one in enumerate(given) if isinstance(one, torch.Tensor)], *given)
 
 

@@ -247,7 +247,7 @@ class _Adjoint:
 
     def _tell_of_jumps(self, followed: bool) -> None:
         """A warning if f has jumped where there is no breakpoint."""
-        known = {point.t for point in self._breakpoints}
+        known = {point.t for point in self._breakpoints} | {self._run.t}  # at the end f is not used behind it
         jumps = [t for t in self._sol.stats.discontinuities if t not in known]
         if jumps and not (followed and self._slope.knows_jumps):
             warn(
@@ -531,9 +531,9 @@ class _Adjoint:
             "breakpoints": {s: (lambda s, mu, cost=cost: mu + cost) for s, cost in _summed(piece, costs).items()},
             "max_step": longest_step(self._run.options.get("max_step", np.inf), span),
         }
-        return self._carried_out(make_plan(adjoint, method, options), rates)
+        return self._carried_out(make_plan(adjoint, method, options), rates, piece)
 
-    def _carried_out(self, plan: Plan, rates: _Rates) -> Array:
+    def _carried_out(self, plan: Plan, rates: _Rates, piece: _Piece) -> Array:
         """Return μ at the end of its run. The quadratures of the gradient, which start from 0, follow it."""
         points = len(plan.functions.breakpoints)
         quadratures = _core.Variations(
@@ -545,7 +545,12 @@ class _Adjoint:
         )
         run = solver(plan, quadratures).integrate(np.concatenate([plan.y0, np.zeros(rates.blocks * self.n)]))
         if run.state != "reached_end":
-            raise SolveError(f"gradient: {plan.verdict(run)[1]}")
+            undefined = "_undefined" in run.state or run.cause == "not_finite"
+            why = "a derivative of fun is NaN or infinite" if undefined else "the derivatives of fun change too fast"
+            raise SolveError(
+                f"gradient: the run backwards from t = {piece.end:.6g} fails at t = {piece.end - run.t!r}: {why} "
+                "there. Try a smaller rtol, or sensitivities= in the place of gradient"
+            )
         self._total = self._total + run.end[self.n : self.n + self.k]
         return np.array(run.end[: self.n])
 

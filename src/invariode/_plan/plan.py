@@ -49,6 +49,7 @@ from .._problem.options import Options, checked
 from .._results.messages import (
     MESSAGES,
     Laws,
+    Stated,
     discontinuous,
     inconsistent_start,
     limit_reached,
@@ -215,6 +216,23 @@ class Plan(NamedTuple):
         """Description of the invariants for messages."""
         return Laws(self.names, self.bound.demanded, self.bound.senses)
 
+    @property
+    def _stated(self) -> Stated:
+        """Return the properties of the problem that the user has stated, for messages."""
+        linear, names, pairs = self.functions.linear, self.event_names, self.functions.complex
+        labels = self.called.labels
+        if linear is None:
+            return Stated(names, labels, jac=False, pattern=False, mass=False, pairs=pairs)
+        differences = linear.kind in ("differences", "complex-step")
+        return Stated(
+            names,
+            labels,
+            jac=linear.kind in ("function", "constant"),
+            pattern=differences and linear.structure != "dense" and not linear.found_pattern,
+            mass=linear.algebraic > 0,
+            pairs=pairs,
+        )
+
     def on(self, course: Course, bound: BoundInvariants, called: Names) -> Plan:
         """Return the plan on another interval."""
         settings = Settings._make((*course, *self.settings[_OF_COURSE:]))
@@ -252,9 +270,7 @@ class Plan(NamedTuple):
             limit = self.settings.limit(run.limit)
             message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
             return LIMIT_REACHED, remarked(message, run, self.event_names)
-        status, message = status_and_message(
-            run, self.laws, self.event_names, self.functions.complex, self.called.labels
-        )
+        status, message = status_and_message(run, self.laws, self._stated)
         if run.state == "start_undefined" and (undefined := undefined_arguments(self.bound.args)):
             return status, f"{undefined}, and fun is not finite at the start, t = {run.t}. Correct args."
         return status, message

@@ -55,7 +55,9 @@ class Input:
         if self.times.ndim != 1 or len(self.times) < least or not np.isfinite(self.times).all():
             raise ValueError(f"times of an input must be at least {least} finite numbers, got {shown(times)}")
         if (np.diff(self.times) <= 0).any():
-            raise ValueError("times of an input must increase: for a jump give kind='previous', or two inputs")
+            cure = "" if kind == "previous" else ": for a jump give kind='previous', or two inputs"
+            k = int(np.flatnonzero(np.diff(self.times) <= 0)[0])
+            raise ValueError(f"times of an input must increase, got {self.times[k]:g}, {self.times[k + 1]:g}{cure}")
         if self.values.ndim not in (1, 2) or len(self.values) != len(self.times) or 0 in self.values.shape:
             raise ValueError(
                 f"values of an input must be one row for each of its {len(self.times)} times, got shape "
@@ -126,10 +128,9 @@ def to_inputs(inputs: InputsLike | None, t_span: tuple[float, float]) -> list[In
         raise TypeError(f"inputs must be an invariode.Input or a list of these, got {shown(inputs)}")
     for one in listed:
         if not one.covers(*t_span):
-            raise ValueError(
-                f"t_span = {t_span} leaves the table of {one!r}: give more of it, or a kind='previous', whose last "
-                "value holds for ever"
-            )
+            early = one.times[0] > min(t_span)  # no kind has values before its first time
+            cure = "from the start on" if early else "to the end, or kind='previous', whose last value holds for ever"
+            raise ValueError(f"t_span = {t_span} leaves the table of {one!r}: give values {cure}")
     return listed
 
 

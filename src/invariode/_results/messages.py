@@ -43,12 +43,21 @@ class Laws(NamedTuple):
     senses: list[int]
 
 
-def status_and_message(
-    run: Run, laws: Laws, events: Sequence[str], pairs: bool, labels: Sequence[str] | None = None
-) -> tuple[int, str]:
-    """Return the status of the Solution and its message. `events`: names of the events; `labels`: of components."""
-    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs, labels)
-    return status, remarked(message, run, events)
+class Stated(NamedTuple):
+    """Properties of the problem that the user has stated: messages advise to change only these."""
+
+    events: list[str]  # names
+    labels: Sequence[str] | None  # of components
+    jac: bool  # a function or a matrix
+    pattern: bool  # jac_sparsity, or the bands
+    mass: bool
+    pairs: bool  # whether states are complex: pairs of reals for the core
+
+
+def status_and_message(run: Run, laws: Laws, stated: Stated) -> tuple[int, str]:
+    """Return the status of the Solution and its message."""
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, stated)
+    return status, remarked(message, run, stated.events)
 
 
 def remarked(message: str, run: Run, events: Sequence[str]) -> str:
@@ -84,7 +93,7 @@ def limited_by_stability(since: float) -> str:
 
 def discontinuous(times: Sequence[float]) -> str:
     """Return the warning about a right-hand side that jumps."""
-    listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
+    listed = ", ".join(repr(t).removesuffix(".0") for t in times[:_TIMES])  # as they work in breakpoints=
     more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
     return (
         f"fun looks discontinuous at t = {listed}{more}, where steps were rejected; pass breakpoints=[{listed}"
@@ -133,7 +142,8 @@ def _sentence(text: str) -> str:
     return f"{_capitalized(text)}."
 
 
-def _ended(run: Run, laws: Laws, pairs: bool, labels: Sequence[str] | None) -> tuple[int, str]:
+def _ended(run: Run, laws: Laws, stated: Stated) -> tuple[int, str]:
+    pairs, labels = stated.pairs, stated.labels
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
@@ -160,7 +170,7 @@ def _ended(run: Run, laws: Laws, pairs: bool, labels: Sequence[str] | None) -> t
             f"No consistent values of the algebraic variables were found behind the breakpoint or action at t = "
             f"{run.t!r}. Give it an action that returns a state near the consistent one."
         )
-    return -1, _step_failed(run, laws.names, pairs, labels)
+    return -1, _step_failed(run, laws.names, stated)
 
 
 def out_of_bounds(what: str, component: int, bounds: Bounds | None, labels: Sequence[str] | None = None) -> str:
@@ -199,7 +209,8 @@ def _without_series(run: Run, pairs: bool) -> str:
     )
 
 
-def _step_failed(run: Run, names: list[str], pairs: bool, labels: Sequence[str] | None) -> str:
+def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
+    pairs, labels = stated.pairs, stated.labels
     if run.cause == "spacing":
         return (
             f"fun changes within {abs(run.h):.2g} of t = {run.t!r}, but times near {run.t:.6g} are "
@@ -211,53 +222,76 @@ def _step_failed(run: Run, names: list[str], pairs: bool, labels: Sequence[str] 
         return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"
     if run.cause == "not_finite":
         what = _component(run, pairs, labels) + " of fun is" if run.component >= 0 else "the solution becomes"
-        return (
-            f"{what} NaN or infinite even with the smallest step, {where}. If the exact solution does "
-            "not go there, reduce rtol and atol; if it does, stop the run earlier with a terminal event."
+        advice = _singular(run, stated) or (
+            "If the exact solution does not go there, reduce rtol and atol; if it does, stop the run earlier with a "
+            "terminal event."
         )
+        return f"{what} NaN or infinite even with the smallest step, {where}. {advice}"
     if run.cause == "newton" and run.unsolved in _UNDEFINED:
         return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
     jumps = run.sticks_since is not None or any((t - run.t) * run.h > 0 for t in run.discontinuities)
     if run.cause == "newton":
         what = _newton_failed(run, pairs)
-        if what != _NEWTON_DIVERGED:
-            return f"{what}, {where}. {_NEWTON_REMEDY}"
-        if jumps:  # what comes after the message says why
+        if what == _NEWTON_DIVERGED and jumps:  # what comes after the message says why
             return f"{what}, {where}."
-        return f"{what} ({_WRONG_JACOBIAN}), {where}. {_NEWTON_REMEDY}"
+        doubt = f" {_IN_DOUBT[stated.jac]}" if stated.jac or stated.pattern else ""
+        advice = _singular(run, stated) or "Try a smaller rtol, or stop the solution earlier with a terminal event."
+        return f"{what}, {where}.{doubt} {advice}"
     if run.cause == "bounds":
         return (
             f"{_capitalized(_component(run, pairs, labels))} of y leaves its bounds by more than the tolerance even "
             f"with the smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an "
             "atol > 0."
         )
-    if run.cause == "projection" and run.finding == "undefined":
+    if run.cause == "projection":
+        return _projection_failed(run, names, where)
+    text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
+    if jumps:
+        return text
+    if run.pure_relative:
+        return (
+            f"{text} {_capitalized(_component(run, pairs, labels))} of y is 0 and its atol is 0: pure relative error control is "
+            "impossible there. Give an atol > 0."
+        )
+    advice = _singular(run, stated) or (
+        "The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a terminal "
+        "event, or give the jumps of fun as breakpoints."
+    )
+    return f"{text} {advice}"
+
+
+def _projection_failed(run: Run, names: list[str], where: str) -> str:
+    if run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, even "
             f"with the smallest step, {where}. If the solution should not get there, try a smaller atol for the "
             "components that come close (or a smaller rtol); if it should, stop it earlier with a terminal event."
         )
-    if run.cause == "projection":
+    return (
+        f"The projection onto the invariants fails even with the smallest step, {where}: "
+        "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
+        "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
+        "pass over it."
+    )
+
+
+def _singular(run: Run, stated: Stated) -> str:
+    """Return where the solution goes that the smallest step fails, as far as it is known, and what to do; else ''."""
+    if run.undefined_below_zero is not None and not stated.pairs:
+        i, y, _ = run.undefined_below_zero
         return (
-            f"The projection onto the invariants fails even with the smallest step, {where}: "
-            "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
-            "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
-            "pass over it."
+            f"y[{i}], {y:.3g} there, passes 0, and fun is not finite for y[{i}] < 0. If the exact solution stays "
+            f"nonnegative, pass nonnegative=[{i}]; if it does not, stop it before that with a terminal event."
         )
-    text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
-    if jumps:
-        return text
-    if run.pure_relative:
-        text += (
-            f" {_capitalized(_component(run, pairs, labels))} of y is 0 and its atol is 0: pure relative error control "
-            "is impossible there. Give an atol > 0."
-        )
-    else:
-        text += (
-            " The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a "
-            "terminal event, or give the jumps of fun as breakpoints."
-        )
-    return text
+    if run.fastest is None:
+        return ""
+    i, y, slope = run.fastest
+    algebraic = "" if stated.mass else " If an entry of fun is an algebraic equation, 0 = g(t, y), pass mass=."
+    return (
+        f"y[{i // 2 if stated.pairs else i}], {y:.3g} there, changes at the rate {slope:.3g}: the solution seems to "
+        f"have a singularity. Stop it earlier with a terminal event, or check signs, units and parameters of "
+        f"fun.{algebraic}"
+    )
 
 
 #: What users' functions return to GMRES that it cannot use, and what to try; with the t of these functions.
@@ -280,11 +314,13 @@ _UNDEFINED = {
     ),
 }
 
-#: What helps where Newton's iteration fails.
-_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution earlier with a terminal event."
+#: What may be wrong if Newton's iteration fails: the Jacobian or its pattern, by whether the user gave a Jacobian.
+_IN_DOUBT = {
+    True: "A wrong jac may be the cause: check it, or leave it out.",
+    False: "A jac_sparsity or band that misses entries may be the cause: check it, or leave it out.",
+}
 
 _NEWTON_DIVERGED = "Newton's iteration does not converge even with the smallest step"
-_WRONG_JACOBIAN = "a wrong Jacobian, or a jac_sparsity or band that misses entries, may be the cause"
 
 
 def _newton_failed(run: Run, pairs: bool) -> str:

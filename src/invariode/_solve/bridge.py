@@ -6,9 +6,11 @@ to is chosen by the places of operands.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,6 +19,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, output_times, shown
 from .._base.failures import SolveError
 from .._base.types import MethodName
+from .._functions.contents import content
 from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities
 from .._results.solution import Solution
@@ -27,6 +30,34 @@ Operands: TypeAlias = Sequence[Any]
 
 #: Options that the bridge sets itself.
 _OWN = ("t_eval", "dense_output", "keep", "refine", "progress")
+
+
+#: Bridges, and on each of them functions for JAX, that are kept for further calls: the latest ones.
+_KEPT = 16
+
+
+class Latest:
+    """The values that a function has made for the latest keys, at most 16."""
+
+    def __init__(self) -> None:
+        self._values: OrderedDict[Any, Any] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, key: Any, make: Callable[[], Any]) -> Any:
+        """Return the value of the key, or make it."""
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return self._values[key]
+        value = make()  # it calls functions of the user
+        with self._lock:
+            self._values[key] = value
+            while len(self._values) > _KEPT:
+                self._values.popitem(last=False)
+        return value
+
+
+_bridges = Latest()
 
 
 class Bridge:
@@ -47,7 +78,21 @@ class Bridge:
         That of the solution: (n, n_t), or (n,).
     adjoint : bool
         Whether derivatives are wanted by the adjoint.
+    faces : Latest
+        What `invariode.jax` has made of the bridge.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As for `Problem.solve`.
     """
+
+    @staticmethod
+    def of(problem: Problem, t: ArrayLike | None, method: MethodName, options: Options) -> Bridge:
+        """Return the bridge of an earlier call with equal contents, or make it."""
+        key = content((problem, None if t is None else np.asarray(t), method, dict(options)))
+        bridge: Bridge = _bridges.get(key, lambda: Bridge(problem, t, method, options))
+        return bridge
 
     def __init__(self, problem: Problem, t: ArrayLike | None, method: MethodName, options: Options) -> None:
         if not isinstance(problem, Problem):
@@ -67,6 +112,29 @@ class Bridge:
         n = len(problem.y0)
         self.shape = (n,) if self._t is None else (n, len(self._t))
         self._solver = cache(self._prepared)
+        self._solver(())  # what is wrong with the method and the options is said here, not by a callback
+        self.faces = Latest()
+
+    def operands(self, y0: Any, args: Iterable[Any] | None) -> list[Any]:
+        """Return the operands of a call: y0, then each of args; of the problem what is None.
+
+        Raises
+        ------
+        TypeError, ValueError
+            y0 does not fit the problem, or args are not as many as those of the problem.
+        """
+        y0 = self._problem.y0 if y0 is None else y0
+        given = self._problem.args if args is None else tuple(args)
+        shape, expected = tuple(np.shape(y0)), (len(self._problem.y0),)
+        if shape != expected:
+            raise ValueError(f"y0 must have shape {expected}, got {shape}: call solve for each state, as jax.vmap does")
+        if "complex" in str(getattr(y0, "dtype", None) or np.asarray(y0).dtype):
+            raise TypeError("y0 is complex, and the problem is real: write it in real and imaginary parts")
+        if len(given) != len(self._problem.args) and self._problem.args:
+            raise TypeError(
+                f"args must have {len(self._problem.args)} entries, as those of the problem, got {len(given)}"
+            )
+        return [y0, *given]
 
     def values(self, operands: Operands) -> Array:
         """Solve the problem for these operands; return y of the shape `shape`."""
@@ -138,6 +206,18 @@ class Bridge:
         args = [i - 1 for i in _in_order(wanted) if i]
         given = self._problem.sensitivities or Sensitivities()
         return replace(given, args=args or None, y0=0 in wanted, dy0dp=None)
+
+
+def leaves(value: Any) -> Iterator[Any]:
+    """Yield the values within nested lists, tuples and dicts."""
+    if isinstance(value, (list, tuple)):
+        for one in value:
+            yield from leaves(one)
+    elif isinstance(value, dict):
+        for one in value.values():
+            yield from leaves(one)
+    else:
+        yield value
 
 
 def _in_order(wanted: Sequence[int]) -> list[int]:
