@@ -116,7 +116,7 @@ def jacobi_gradient(t: float, y: Array) -> list[float]:
     return [-x + MU_STAR * (x + MU) / r1 + MU * (x - MU_STAR) / r2, -z + MU_STAR * z / r1 + MU * z / r2, u, v]
 
 
-def volterra_lattice(n: int) -> tuple[Function, Function]:
+def volterra_lattice(n: int) -> tuple[Function, Function, Function]:
     """y_i' = y_i (y_{i+1} - y_{i-1}), periodic, with NumPy's vector operations."""
     up, down = (np.arange(n) + 1) % n, (np.arange(n) - 1) % n
 
@@ -126,7 +126,10 @@ def volterra_lattice(n: int) -> tuple[Function, Function]:
     def f_into(dy: Array, t: float, y: Array) -> None:
         np.multiply(y, y[up] - y[down], out=dy)
 
-    return f, f_into
+    def filling(t: float, y: Array, out: Array) -> None:
+        np.multiply(y, y[up] - y[down], out=out)
+
+    return f, f_into, filling
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,7 @@ class Case:
     f_into: Function
     span: tuple[float, float]
     y0: Array
+    filling: Function | None = None  # (t, y, out), for `inplace=True`
     reference: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -148,10 +152,11 @@ class Case:
         return float(np.abs(y - self.reference).max())
 
 
-def lattice_case(n: int, end: float) -> Case:
-    f, f_into = volterra_lattice(n)
+def lattice_case(n: int, end: float, inplace: bool = False) -> Case:
+    f, f_into, filling = volterra_lattice(n)
     y0 = 1.0 + 0.5 * np.sin(2 * np.pi * np.arange(n) / n)
-    return Case(f"NumPy vector operations, n = {n}", f, f_into, (0.0, end), y0)
+    name = f"NumPy vector operations, n = {n}{', inplace=True' * inplace}"
+    return Case(name, f, f_into, (0.0, end), y0, filling if inplace else None)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -179,6 +184,16 @@ def call(f: Function, count: int, y: Array) -> Callable[[], None]:
     return loop
 
 
+def call_filling(f: Function, count: int, y: Array) -> Callable[[], None]:
+    out = np.empty_like(y)
+
+    def loop() -> None:
+        for _ in repeat(None, count):
+            f(0.5, y, out)
+
+    return loop
+
+
 def call_into(f: Function, count: int, y: Array) -> Callable[[], None]:
     dy = np.empty_like(y)
 
@@ -190,11 +205,14 @@ def call_into(f: Function, count: int, y: Array) -> Callable[[], None]:
 
 
 def with_invariode(case: Case, rtol: float = RTOL) -> Outcome:
-    run = partial(iv.solve_ivp, case.f, case.span, case.y0, "ode45", rtol=rtol, atol=rtol)
-    sol = run()
-    return Outcome(
-        run, call(case.f, sol.nfev, sol.y[:, -1].copy()), sol.stats.steps, sol.nfev, case.error(sol.y[:, -1])
+    fills = case.filling is not None
+    run = partial(
+        iv.solve_ivp, case.filling or case.f, case.span, case.y0, "ode45", rtol=rtol, atol=rtol, inplace=fills
     )
+    sol = run()
+    y = sol.y[:, -1].copy()
+    alone = call(case.f, sol.nfev, y) if case.filling is None else call_filling(case.filling, sol.nfev, y)
+    return Outcome(run, alone, sol.stats.steps, sol.nfev, case.error(y))
 
 
 def with_scipy(case: Case, rtol: float = RTOL) -> Outcome:
@@ -242,7 +260,7 @@ def in_turn(runs: Mapping[str, Outcome], repetitions: int) -> Times:
     for name, outcome in runs.items():
         contestants[name] = outcome.run
         contestants[f"{name}, f alone"] = outcome.alone
-    return interleaved(contestants, repetitions)
+    return interleaved(contestants, repetitions, process_time)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -500,6 +518,9 @@ def report() -> str:
         orbit,
         lattice_case(3, 200.0),
         lattice_case(100, 30.0),
+        lattice_case(100, 30.0, inplace=True),
+        lattice_case(1000, 300.0),
+        lattice_case(1000, 300.0, inplace=True),
     ]
     parts = [
         f"{machine('invariode', 'numpy', 'scipy', 'CyRK')}.",

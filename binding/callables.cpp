@@ -543,6 +543,11 @@ void define_machine_code(nb::module_& module) {
           },
           nb::sig("def __call__(self, t: object, y: object, /, *args: object) -> object"))
       .def_prop_ro("__wrapped__", [](const StateFirst& self) { return self.fun; }, "The function as it was given.");
+  nb::class_<Filling>(module, "Filling", nb::type_slots(slots<Filling>),
+                      "A Python function of (t, y, out, ...) that writes its values to out.")
+      .def(
+          "__init__", [](Filling* self, nb::object fun) { new (self) Filling{std::move(fun)}; }, nb::arg("fun"))
+      .def_prop_ro("__wrapped__", [](const Filling& self) { return self.fun; }, "The function as it was given.");
   nb::class_<SecondOrderSpec>(module, "SecondOrder", nb::type_slots(slots<SecondOrderSpec>),
                               "f of (t, q) with y'' = f(t, y), as y' of (q, v).")
       .def(

@@ -70,6 +70,13 @@ struct StateFirst {
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
 };
 
+/// A Python function of (t, y, out, …) that writes its values to out.
+struct Filling {
+  nb::object fun;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+};
+
 /// A callback that ends a run where a step is one too many between two times of its output, without Python.
 class StepLimit {
  public:

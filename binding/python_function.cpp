@@ -36,6 +36,21 @@ PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
   return a;
 }
 
+/// An array of NaN for the values of a function that fills it: what it does not fill is then no value.
+PyArrayObject* PythonFunction::array_to_fill() {
+  assert(takes_.second == 0);
+  const npy_intp shape[] = {returns_.size()};
+  PyArrayObject* a = std::exchange(spare_[1], nullptr);
+  if (!reusable(a, shape)) {
+    Py_XDECREF(reinterpret_cast<PyObject*>(a));
+    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, shape, takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE));
+    if (a == nullptr) return nullptr;
+  }
+  std::fill_n(static_cast<double*>(PyArray_DATA(a)), shape[0] * (takes_.complex ? 2 : 1),
+              std::numeric_limits<double>::quiet_NaN());
+  return a;
+}
+
 /// t, which is the first of the complex numbers where there is a complex one; then they begin after it.
 PyObject* PythonFunction::time_for(double t, const double*& y) const {
   if (!takes_.complex_time) return PyFloat_FromDouble(t);
@@ -49,15 +64,17 @@ bool PythonFunction::call(double t, const double* y, double* out) {
   if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
   PyObject* time = time_for(t, y);
   PyArrayObject* parts[2] = {array_for(0, y), nullptr};
-  const bool two = takes_.second > 0;
+  const std::size_t count = count_parts();
   const std::ptrdiff_t first = takes_.n * std::max<std::ptrdiff_t>(takes_.rows, 1);
-  if (two) parts[1] = array_for(1, y + first * (takes_.complex ? 2 : 1));
+  if (count == 2) parts[1] = fills_ ? array_to_fill() : array_for(1, y + first * (takes_.complex ? 2 : 1));
   PyObject* result = nullptr;
-  if (time != nullptr && parts[0] != nullptr && (!two || parts[1] != nullptr)) result = call_with(time, parts);
-  const bool done = result != nullptr ? read(result, out) : keep_overflow(t, out);
+  if (time != nullptr && parts[0] != nullptr && (count == 1 || parts[1] != nullptr)) result = call_with(time, parts);
+  const bool done = result == nullptr ? keep_overflow(t, out)
+                    : fills_          ? read_filled(result, parts[1], out)
+                                      : read(result, out);
   Py_XDECREF(result);
   Py_XDECREF(time);
-  for (std::size_t k = 0; k < (two ? 2 : 1); ++k) {
+  for (std::size_t k = 0; k < count; ++k) {
     if (spare_[k] == nullptr)  // else a nested call of this function has left its own
       spare_[k] = parts[k];
     else
@@ -139,6 +156,19 @@ bool PythonFunction::read(PyObject* result, double* out) {
   const bool done = !something_else && read_array(values, out);
   Py_DECREF(array);
   return done;
+}
+
+/// Copies what a function has written to its last argument; it returns None, or that array.
+bool PythonFunction::read_filled(PyObject* result, PyArrayObject* filled, double* out) const {
+  if (result != Py_None && result != reinterpret_cast<PyObject*>(filled)) {
+    PyErr_Format(PyExc_TypeError,
+                 "%s returned a %s, and with inplace=True its values are those that it writes to its third argument: "
+                 "assign to out[...] and return nothing",
+                 name_.c_str(), Py_TYPE(result)->tp_name);
+    return false;
+  }
+  std::copy_n(static_cast<const double*>(PyArray_DATA(filled)), returns_.size() * (returns_.complex ? 2 : 1), out);
+  return true;
 }
 
 /// Reads a Python value as true or false; an array of several values is neither.

@@ -54,6 +54,8 @@ class PythonFunction final : public Callable {
   nb::object take(nb::object callable) {
     state_first_ = nb::isinstance<StateFirst>(callable);
     if (state_first_) callable = nb::cast<const StateFirst&>(callable).fun;
+    fills_ = nb::isinstance<Filling>(callable);
+    if (fills_) callable = nb::cast<const Filling&>(callable).fun;
     looks_for_signals_ = PyFunction_Check(callable.ptr()) != 0;
     return std::exchange(callable_, std::move(callable));
   }
@@ -65,8 +67,11 @@ class PythonFunction final : public Callable {
   PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
   [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
   PyArrayObject* array_for(std::size_t part, const double* y);
+  PyArrayObject* array_to_fill();
   [[nodiscard]] bool reusable(PyArrayObject* a, std::span<const npy_intp> shape) const;
   bool read(PyObject* result, double* out);
+  bool read_filled(PyObject* result, PyArrayObject* filled, double* out) const;
+  [[nodiscard]] std::size_t count_parts() const { return fills_ || takes_.second > 0 ? 2 : 1; }
   bool read_truth(PyObject* result, double* out) const;
   [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
   bool read_array(PyArrayObject* array, double* out);
@@ -82,6 +87,7 @@ class PythonFunction final : public Callable {
   std::string name_;
   bool looks_for_signals_ = false;  // a function written in Python does so itself when it is entered
   bool state_first_ = false;        // it takes (y, t), not (t, y)
+  bool fills_ = false;              // it takes (t, y, out) and writes its values to out
   bool postpones_ = false;
   nb::object overflow_;
   double overflowed_at_ = std::numeric_limits<double>::quiet_NaN();

@@ -301,6 +301,7 @@ class TestReplace:
             "bounds": (None, 10.0),
             "sensitivities": "y0",
             "second_order": True,
+            "inplace": True,
             "inputs": [iv.Input([0], [1.0])],
             "breakpoints": [0.5],
             "name": "new",
@@ -318,7 +319,8 @@ class TestReplace:
     @staticmethod
     def seen(problem):
         return {
-            "fun": problem.fun,
+            "fun": getattr(problem.fun, "__wrapped__", problem.fun),
+            "inplace": problem.inplace,
             "t_span": problem.t_span,
             "y0": problem.y0.tolist(),
             "args": problem.args,

@@ -76,6 +76,15 @@ class StateFirst:
     def __wrapped__(self) -> object:
         """The function as it was given."""
 
+class Filling:
+    """A Python function of (t, y, out, ...) that writes its values to out."""
+
+    def __init__(self, fun: object) -> None: ...
+
+    @property
+    def __wrapped__(self) -> object:
+        """The function as it was given."""
+
 class SecondOrder:
     """f of (t, q) with y'' = f(t, y), as y' of (q, v)."""
 

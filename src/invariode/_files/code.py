@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.filling import Filling
 from .._functions.first_order import FirstOrderForm
 from .._functions.graph.python import Formula
 
@@ -78,6 +79,7 @@ def _method(value: Any) -> Method | None:
     if isinstance(value, CompiledFunction):
         value = value.fun
     value = value.fun if isinstance(value, FirstOrderForm) else value
+    value = value.__wrapped__ if isinstance(value, Filling) else value
     value = getattr(value, "py_func", value)  # numba's
     if not isinstance(value, (FunctionType, type)):  # a cfunc of numba's, what functools.cache returns
         value = inspect.getattr_static(value, "__wrapped__", value)

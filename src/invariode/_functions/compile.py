@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
+from .filling import Filling
 from .graph.function import TracedFunction
 from .second_order import SecondOrder
 
@@ -89,6 +90,8 @@ def compile(
         if isinstance(fun, TracedFunction) and fun.elementary == "libm":
             elementary = "libm"
         inplace, fun = inplace or fun.inplace, fun.fun
+    if isinstance(fun, Filling):
+        inplace, fun = True, fun.fun
     fun = getattr(fun, "py_func", fun)  # numba's
     if by == "numba":
         numba_or_say_so()

@@ -32,6 +32,7 @@ from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
 from .contents import Captured
+from .filling import Filling
 from .first_order import FirstOrderForm
 from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
@@ -444,7 +445,7 @@ class NativeWithInputs(NamedTuple):
         return Arguments([*entries, *further.entries])
 
 
-_PLAIN = (FunctionType, MethodType, _core.StateFirst)
+_PLAIN = (FunctionType, MethodType, _core.StateFirst, Filling)
 _POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
 
 

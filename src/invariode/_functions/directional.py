@@ -29,6 +29,7 @@ from .compiled import (
     to_native,
 )
 from .derivatives import INCREMENT, NOT_COMPLEX, TINY, sizes, somewhere, takes_complex
+from .filling import Filling
 from .graph.derivatives import singular_where
 from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction
@@ -369,9 +370,11 @@ def with_graph(fun: Any) -> Any:
         return inside.on_graph()
     if is_native(inside) and not compiled:
         return None
-    python = inside.fun if compiled else getattr(inside, "py_func", inside)  # numba's
+    fills = isinstance(inside, Filling) or (compiled and inside.inplace)
+    python = inside.fun if compiled else inside.__wrapped__ if fills else inside
+    python = getattr(python, "py_func", python)  # numba's
     formula = isinstance(python, Formula)
-    made = GraphFunction(python) if formula else TracedFunction(python, compiled and inside.inplace, "own", "trace")
+    made = GraphFunction(python) if formula else TracedFunction(python, fills, "own", "trace")
     return fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
 
 

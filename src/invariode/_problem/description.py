@@ -32,7 +32,8 @@ from .._base.record import Record, record_of
 from .._base.types import BreakpointsLike, EventsLike, Function, Span
 from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
-from .._functions.compiled import is_native, is_plain_function
+from .._functions.compiled import CompiledFunction, CoreFunction, is_native, is_plain_function
+from .._functions.filling import Filling
 from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
@@ -116,6 +117,7 @@ class Description:
         uband: int | None = None,
         mass: Any = None,
         second_order: bool = False,
+        inplace: bool = False,
         nonnegative: Any = None,
         bounds: Any = None,
         sensitivities: SensitivitiesLike | None = None,
@@ -124,9 +126,8 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called, span, start, extra = _posed(fun, t_span, y0, _args_or(parameters, args))
+        called, span, start, extra = _posed(_filled(fun, inplace), t_span, y0, _args_or(parameters, args))
         jac, jac_sparsity, mass = map(own_matrix, (jac, jac_sparsity, mass))
-        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, start)
         named = None if labels is None else distinct_labels(labels, len(start))
         given = {
             "jac": jac,
@@ -145,7 +146,7 @@ class Description:
             args=extra,
             invariants=to_invariants(invariants),
             events=_checked_events(events),
-            matrices=matrices,
+            matrices=to_matrices(jac, jac_sparsity, lband, uband, mass, start),
             inputs=to_inputs(inputs, span),
             breakpoints=[] if breakpoints is None else to_breakpoints("breakpoints", breakpoints),
             name=_named(name, called),
@@ -186,6 +187,12 @@ class Description:
         if record is None:
             raise TypeError(f"args are a tuple, since the problem has no parameters by name, got {shown(given)}")
         return (record.changed(given),)
+
+    @property
+    def inplace(self) -> bool:
+        """f is given as a function that fills its third argument."""
+        fun = self.fun.fun if isinstance(self.fun, SecondOrder) else self.fun
+        return isinstance(fun, Filling)
 
     @cached_property
     def _parameters(self) -> tuple[ParameterName, ...]:
@@ -256,6 +263,7 @@ class Description:
             "events": self.events if self.records_events else None,
             **self._as_given,
             "second_order": self.second_order and not states_second_order(self.fun),
+            "inplace": self.inplace,
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "breakpoints": self.breakpoints or None,
@@ -325,6 +333,21 @@ def _as_called(fun: Any, y0: Array) -> Any:
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
         called = compile(called)
     return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
+
+
+def _filled(fun: Any, inplace: bool) -> Any:
+    """Return f as a function that returns its values, if it is given as one that fills an array."""
+    if not flag("inplace", inplace):
+        return fun
+    if isinstance(fun, SecondOrder):
+        return SecondOrder(_filled(fun.fun, inplace))
+    if isinstance(fun, Filling) or (isinstance(fun, CompiledFunction) and fun.inplace):
+        return fun
+    if isinstance(fun, CompiledFunction):
+        raise TypeError("inplace: fun was compiled as a function that returns its values: compile(fun, inplace=True)")
+    if is_native(fun) or isinstance(fun, CoreFunction) or not callable(fun):
+        raise TypeError(f"inplace: fun must be a Python function f(t, y, out), got {shown(fun)}")
+    return Filling(fun)
 
 
 def _is_second_order(given: bool, fun: Any, y0: Array) -> bool:

@@ -493,6 +493,17 @@ class DescribingOptions(TypedDict, total=False):
             flag,
         ),
     ]
+    inplace: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "True: ``fun(t, y, out, *args)`` writes y' to `out`, an array of the shape of y, and returns nothing, "
+            "which saves NumPy an array in each call. Entries that it leaves out are NaN. `compile` has the same "
+            "option.",
+            flag,
+        ),
+    ]
     bounds: Annotated[
         Any,
         Option(
@@ -691,6 +702,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "nonnegative",
         "mass",
         "second_order",
+        "inplace",
         "breakpoints",
     ),
     "the Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),

@@ -250,8 +250,8 @@ def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
         return text
     if run.pure_relative:
         return (
-            f"{text} {_capitalized(_component(run, pairs, labels))} of y is 0 and its atol is 0: pure relative error control is "
-            "impossible there. Give an atol > 0."
+            f"{text} {_capitalized(_component(run, pairs, labels))} of y is 0 and its atol is 0: pure relative error "
+            "control is impossible there. Give an atol > 0."
         )
     advice = _singular(run, stated) or (
         "The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a terminal "

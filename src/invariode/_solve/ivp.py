@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Unpack
 
 import numpy as np
@@ -115,19 +115,21 @@ def solve_ivp(
     describing, running = parted(solve_options(**options), DescribingOptions)
     if describing:
         unused(method, describing)
-    alone = one_column(fun) if flag("vectorized", vectorized) else fun
+    alone = one_column(fun, describing) if flag("vectorized", vectorized) else fun
     running["t_eval"], running["dense_output"] = t_eval, dense_output
     if events is None and not describing:
         return solve(Posed(Problem, alone, t_span, y0, args), method, running)
     return solve(Problem(alone, t_span, y0, args=args, events=events, **describing), method, running)
 
 
-def one_column(fun: Any) -> Any:
+def one_column(fun: Any, describing: Mapping[str, Any]) -> Any:
     """Return a function of columns y (n, k) as a function of one y, with its name. Machine code is one already."""
     if is_native(fun):
         return fun
+    if describing.get("inplace"):
+        raise ValueError("vectorized and inplace exclude each other: fun(t, y, out) fills one y at a time")
     if isinstance(fun, SecondOrder):
-        return SecondOrder(one_column(fun.fun))
+        return SecondOrder(one_column(fun.fun, describing))
     function("fun", fun, "f(t, y)")
 
     @functools.wraps(fun)

@@ -105,8 +105,9 @@ class Stepper(OdeSolver):
             raise ValueError(f"{type(self).__name__} steps y alone: sensitivities are those of solve_ivp and Problem")
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
-        alone = one_column(fun) if flag("vectorized", vectorized) else fun
+        alone = one_column(fun, describing) if flag("vectorized", vectorized) else fun
         problem = Description(alone, (t0, t_bound), y0, **describing)
+        alone = problem.fun if problem.inplace else alone
         super().__init__(alone, t0, problem.y0, t_bound, False, support_complex=True)
         given: Options = stepping
         given |= {"max_step": max_step, "rtol": rtol, "atol": atol, "first_step": first_step, "keep": "end"}

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._core import StateFirst
+from ..filling import Filling
 from ..first_order import FirstOrderForm
 from ..layout import TRUTHS, Arguments, Entry, Listed, Numbers
 from .landings import Crossing, timed
@@ -167,11 +168,14 @@ def _traced(fun: Any, n: int, args: Arguments, *, is_complex: bool) -> PlainGrap
     from .trace import IN_PASSING, trace  # imported when a function is traced
 
     fun = getattr(fun, AS_TRACED, fun)
+    fills = isinstance(fun, Filling)
     if isinstance(fun, StateFirst):
         fun = _time_first(fun.__wrapped__)
+    elif fills:
+        fun = fun.__wrapped__
     try:
         with np.errstate(all="ignore"):
-            outputs = trace(fun, n, args, is_complex=is_complex, limits=IN_PASSING).outputs
+            outputs = trace(fun, n, args, inplace=n * fills, is_complex=is_complex, limits=IN_PASSING).outputs
     except (TraceError, RecursionError):
         return None
     return PlainGraph(outputs) if len(outputs) == n else None
@@ -184,7 +188,7 @@ def _time_first(fun: Any) -> Callable[..., Any]:
 def _function_of(fun: Any) -> FunctionType | None:
     """The Python function that is called."""
     fun = getattr(fun, AS_TRACED, fun)
-    if isinstance(fun, StateFirst):
+    if isinstance(fun, (StateFirst, Filling)):
         fun = fun.__wrapped__
     if isinstance(fun, FirstOrderForm):
         fun = fun.fun
