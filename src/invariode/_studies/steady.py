@@ -509,6 +509,13 @@ class _OfGraph:
     def __init__(self, fun: Any, exact: Derived, n: int, own: Sequence[tuple[int, ParameterName]]) -> None:
         self._fun, self._exact, self._n, self._own = fun, exact, n, own
         self._made: dict[Any, Any] = {}
+        self._last: tuple[tuple[Any, ...], Parameters] | None = None
+
+    def _numbers(self, args: tuple[Any, ...]) -> Parameters:
+        """Return the numbers of the arguments, which a run evaluates f with at each of its steps."""
+        if self._last is None or self._last[0] is not args:
+            self._last = args, Parameters.of(args)
+        return self._last[1]
 
     def _called(self, key: Any, made: Any, n: int, size: int, p: Parameters) -> Any:
         """Return a derivative as a Python function, made once."""
@@ -521,7 +528,7 @@ class _OfGraph:
 
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
         """Return f at y, (n,)."""
-        p, n = Parameters.of(args), self._n
+        p, n = self._numbers(args), self._n
         if "f" not in self._made:
             machine = has_llvm()
             formula = Formula("f", lambda: self._exact.outputs, (n,))
@@ -531,7 +538,7 @@ class _OfGraph:
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
         """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
-        n, p, fp = self._n, Parameters.of(args), np.zeros((self._n, len(self._own)))
+        n, p, fp = self._n, self._numbers(args), np.zeros((self._n, len(self._own)))
         flat = np.asarray(p)
         J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
         if with_parameters and self._own:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from .fitting import Fit
-from .likelihood import Evaluation
-from .problem import Objective, Problem, load
+from .problem import Evaluation, Objective, Problem, load
 
-__all__ = ["Evaluation", "Fit", "Objective", "Problem", "load"]
+__all__ = ["Evaluation", "Objective", "Problem", "load"]

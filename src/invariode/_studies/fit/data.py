@@ -131,8 +131,8 @@ def _times(t: Any) -> Array:
     if t is None:
         raise TypeError("t is missing: the times of the data")
     times = real_numbers("t", t)
-    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
-        raise ValueError(f"t must be the finite times of the data, of shape (n_t,), got {shown(t)}")
+    if times.ndim != 1 or not len(times) or not (np.isfinite(times) | (times == np.inf)).all():
+        raise ValueError(f"t must be the times of the data, of shape (n_t,), got {shown(t)}")
     return times
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Unpack
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 from ..._base.arguments import Array, call_name, choice, items, number, real_numbers, shown
 from ..._base.public import public
 from ..._base.suggestions import meant
+from ..._base.types import MethodName
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
@@ -23,9 +25,12 @@ from .data import Data, in_order, is_table, read
 #: Types of `observe`: components by label or index, or a function.
 Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
 
-#: Noise levels: numbers, names of parameters, or one of these for each quantity.
-Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | None
+#: Noise levels: numbers, names of parameters, or one of these for each quantity; or a function.
+Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | Callable[..., Any] | None
 
+#: Distributions of the data about the model.
+Noise = Literal["normal", "lognormal", "laplace", "loglaplace"]
+NOISES = ("normal", "lognormal", "laplace", "loglaplace")
 
 #: Runs without an end of their own go on to so many times the last measured time of an event.
 _BEYOND = 10
@@ -40,9 +45,10 @@ class Experiment:
     problem : Problem
         The problem, with the conditions of this experiment: y0, args, t_span, inputs, events.
     t : array_like of shape (n_t,), str, or None
-        The times of the data, in any order, within the problem's t_span; times may be repeated. None: the column "t" or
-        "time" of a table, otherwise the index of a DataFrame, or the coordinate `t` of a labelled array. A str: the
-        name of the column of times. A table may stand here alone: ``Experiment(problem, table)``.
+        The times of the data, in any order, within the problem's t_span; times may be repeated. Infinity: the steady
+        state to which the run leads. None: the column "t" or "time" of a table, otherwise the index of a DataFrame, or
+        the coordinate `t` of a labelled array. A str: the name of the column of times. A table may stand here alone:
+        ``Experiment(problem, table)``.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
         The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
         shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
@@ -53,26 +59,39 @@ class Experiment:
         The measured quantities: components, by default all; or a function ``observe(t, y, *args)`` that returns a
         number or an array of shape (m,). Its keyword-only arguments, such as scales and offsets, are parameters of the
         fit too: ``def observe(t, y, k, *, scale=1.0)``.
-    sigma : float, str, array_like or dict, optional
+    sigma : float, str, array_like, dict or callable, optional
         The standard deviation of the data: one for all, one for each quantity (m,), or one for each data point
         (m, n_t). The name of a parameter is a noise level, which is fitted. A list or a dict has one entry for each
-        quantity. Default: unknown and equal for all data, estimated from the residuals.
-    noise : {"normal", "lognormal"}, default "normal"
+        quantity. A function ``sigma(t, y, *args)`` returns a number or an array of shape (m,); like those of `observe`,
+        its keyword-only arguments are parameters of the fit. Default: unknown and equal for all data, estimated from
+        the residuals.
+    noise : {"normal", "lognormal", "laplace", "loglaplace"}, default "normal"
         The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
-        which is then a relative error.
+        which is then a relative error. "laplace": Laplace's distribution, with the density exp(-|r| / sigma) / (2
+        sigma) of a residual r, for data with outliers; "loglaplace": that of logarithms. A list has one for each
+        quantity. Decadic logarithms have ln(10) times their sigma.
     event_times : dict, optional
         Measured times of events of the problem, by name: that of ``Event(name=)``, or else of the event's function. The
         first value is the time of the first occurrence; NaN means not measured.
     event_sigma : float, str or dict, optional
         The standard deviation of these times, specified as for `sigma`.
-    y0 : {"steady"}, optional
-        "steady": each run starts at the steady state of f(t0, y), for the parameters of the trial, that is reached from
-        the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
-        parameters. Default: the problem's y0.
+    y0 : {"steady"} or callable, optional
+        Default: the problem's y0. "steady": each run starts at the steady state of f(t0, y), for the parameters of the
+        trial, that is reached from the problem's y0. Linear totals that f conserves are those of y0, whose components
+        ``y0[label]`` can be parameters. A function ``y0(t0, y, *args)`` of the problem's y0 and of the parameters
+        returns the initial values, (n,).
     where : dict, optional
         Parameters that this experiment has under another name, or with a value of its own:
         ``{"k": "k_cold", "y0[drug]": "dose_2", "flow": 0.5}``. A name is that of a parameter of the fit, which other
-        experiments may have too; ``"k"`` itself then means nothing in this experiment.
+        experiments may have too, and which may stand for several numbers; ``"k"`` itself then means nothing in this
+        experiment, unless it is such a name.
+    before : dict, optional
+        Pre-equilibration: the run starts at the steady state with these parameters, given as in `where`, which counts
+        for the others. It is reached from the initial values that `y0` gives with them.
+    resets : str, int, or list of these, optional
+        Components, by label or index, that start at their initial values instead of the steady state of `before`.
+    method : str, optional
+        The method of the runs of this experiment. Default: that of `fit`.
     **options
         Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`,
         which lists the options that are not accepted.
@@ -93,11 +112,14 @@ class Experiment:
         *,
         observe: Observed = None,
         sigma: Sigma = None,
-        noise: Literal["normal", "lognormal"] = "normal",
+        noise: Noise | Sequence[Noise] = "normal",
         event_times: Mapping[str, ArrayLike] | None = None,
         event_sigma: float | str | Mapping[str, Any] | None = None,
-        y0: Literal["steady"] | None = None,
+        y0: Literal["steady"] | Callable[..., Any] | None = None,
         where: Mapping[str, str | float] | None = None,
+        before: Mapping[str, str | float] | None = None,
+        resets: str | int | Sequence[str | int] | None = None,
+        method: MethodName | None = None,
         **options: Unpack[Options],
     ) -> None:
         if not isinstance(problem, Problem):
@@ -110,19 +132,34 @@ class Experiment:
             raise TypeError("an experiment needs data, or event_times")
         if data is None and t is not None:
             raise TypeError("t was given without data")
-        problem, self._where, self._elsewhere = _elsewhere(problem, where)
-        self.problem, self.options = problem, options
-        self.steady = y0 is not None and choice("y0", y0, ("steady",)) == "steady"
+        given, self.method = problem, method
+        self.options = options
+        self._where = _Where(given, where, "where")
+        self.problem = problem = self._where.problem
+        self.start = y0 if callable(y0) or is_native(y0) else None
+        if y0 is not None and self.start is None:
+            choice("y0", y0, ("steady",))
+            if before is not None:
+                raise TypeError('y0="steady" and before= are two steady states: leave y0 out')
+            before = {}
+        self.before = None if before is None else _Where(given, {**(where or {}), **before}, "before")
+        self.resets = _components(problem, resets, "to reset") if resets is not None else []
+        if self.resets and before is None:
+            raise TypeError("resets is about the steady state of before=, which was not given")
         self.observation = Observation(problem, observe)
-        self.noise = choice("noise", noise, ("normal", "lognormal"))
+        self.sigma_function = _python_function(sigma, "sigma") if callable(sigma) or is_native(sigma) else None
+        self.sigma_extras = {} if self.sigma_function is None else _extras(self.sigma_function)
         empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)
         self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
+        self.noise = _noises(noise, len(self.data.values))
         self.events = _event_series(problem, event_times)
-        self.sigma, self.event_sigma = in_order(_order(t, self.data), sigma, "sigma"), event_sigma
-        self._dynamic: dict[str, ParameterName | None] = {}
+        self.sigma = None if self.sigma_function is not None else in_order(_order(t, self.data), sigma, "sigma")
+        self.event_sigma = event_sigma
+        self._dynamic: dict[str, tuple[ParameterName, ...]] = {}
         self._within_span()
-        if self.noise == "lognormal" and not (self.data.values[~np.isnan(self.data.values)] > 0).all():
-            raise ValueError('noise="lognormal" needs positive data')
+        for kind, row in zip(self.noise, self.data.values, strict=True):
+            if kind.startswith("log") and not (row[~np.isnan(row)] > 0).all():
+                raise ValueError(f'noise="{kind}" needs positive data')
         self.series = [*self._series()]
         if not self.series:
             raise TypeError("an experiment needs data, or event_times")
@@ -138,7 +175,7 @@ class Experiment:
 
     def _within_span(self) -> None:
         t0, tf = self.problem.t_span
-        outside = (self.data.t < min(t0, tf)) | (self.data.t > max(t0, tf))
+        outside = (self.data.t < min(t0, tf)) | (np.isfinite(self.data.t) & (self.data.t > max(t0, tf)))
         if outside.any():
             raise ValueError(
                 f"the time {self.data.t[outside][0]:g} of the data is outside the problem's t_span = {(t0, tf)}"
@@ -151,7 +188,11 @@ class Experiment:
             there = np.flatnonzero(~np.isnan(self.data.values[j]))
             if not len(there):
                 continue
-            yield _made(name, j, there, self.data.values[j], sigma, self.noise == "lognormal", "sigma")
+            found = _made(name, j, there, self.data.values[j], sigma, self.noise[j].startswith("log"), "sigma")
+            found = found._replace(laplace=self.noise[j].endswith("laplace"))
+            if self.sigma_function is not None:
+                found = found._replace(sigma=np.ones(len(there)), formula=True)
+            yield found
         for k, (place, times) in enumerate(self.events.items()):
             name = self.problem.events[place].__name__
             sigma = self.event_sigma.get(name) if isinstance(self.event_sigma, Mapping) else self.event_sigma
@@ -170,7 +211,7 @@ class Experiment:
     @property
     def last(self) -> float:
         """The time of the last datum."""
-        times = [self.data.t, *self.events.values()]
+        times = [self.data.t[np.isfinite(self.data.t)], *self.events.values()]
         return float(max(np.nanmax(one, initial=-np.inf) for one in times))
 
     def ended(self) -> Problem:
@@ -190,33 +231,25 @@ class Experiment:
 
     # For the parameters of the fit
 
-    def dynamic(self, name: str) -> ParameterName | None:
-        """Return the parameter of f, or the initial value, with this name; None if there is none."""
-        if name in self._where:
-            return self._where[name]
+    def entries(self, name: str) -> tuple[ParameterName, ...]:
+        """Return the numbers in args and y0 that a parameter of the fit sets in the run."""
         if name not in self._dynamic:
-            try:
-                found = self.found(name)
-            except (TypeError, ValueError):
-                found = ()
-            found = tuple(one for one in found if one not in self._elsewhere)
-            if len(found) > 1:
-                those = ", ".join(one.name for one in found)
-                raise ValueError(f"{name!r} stands for {len(found)} parameters: give each its own entry, {those}")
-            self._dynamic[name] = found[0] if found else None
+            self._dynamic[name] = self._where.entries(name)
         return self._dynamic[name]
 
-    def found(self, wanted: Any) -> tuple[ParameterName, ...]:
-        """Return the parameters of f and initial values that a name stands for, or several names."""
-        problem = self.problem
-        first = 2 + len(problem.inputs)
-        return parameter_names(
-            problem.fun, problem.args, problem._labels, len(problem.y0), wanted, first=first, option="parameters"
-        )
+    def entries_before(self, name: str) -> tuple[ParameterName, ...]:
+        """Return the numbers that a parameter of the fit sets in the pre-equilibration."""
+        return () if self.before is None else self.before.entries(name)
 
     def takes(self, name: str) -> bool:
         """Return whether the experiment has a parameter of this name."""
-        return name in self.observation.extras or self.is_level(name) or self.dynamic(name) is not None
+        own = name in self.extras or self.is_level(name)
+        return own or bool(self.entries(name)) or bool(self.entries_before(name))
+
+    @property
+    def extras(self) -> dict[str, float | None]:
+        """The keyword-only arguments of `observe` and `sigma` with their defaults."""
+        return {**self.sigma_extras, **self.observation.extras}
 
     def is_level(self, name: str) -> bool:
         """Return whether a parameter of this name is a noise level."""
@@ -224,60 +257,106 @@ class Experiment:
 
     def value(self, name: str) -> float | None:
         """Return the parameter's value in the problem, or its default in `observe`."""
-        if (one := self.dynamic(name)) is not None:
-            return float(values_of(self.problem.args, self.problem.y0, [one])[0])
-        return self.observation.extras.get(name)
+        for found, where in ((self.entries(name), self._where), (self.entries_before(name), self.before)):
+            if found and where is not None:
+                return float(values_of(where.problem.args, where.problem.y0, found[:1])[0])
+        return self.extras.get(name)
 
     def known(self) -> list[str]:
         """Return names of the experiment's parameters, for messages."""
-        try:
-            of_args = [one.name for one in self.found(True)]
-        except ValueError:
-            of_args = []
         levels = [one.level for one in self.series if one.level is not None]
-        renamed = {one.name: name for name, one in self._where.items()}
-        own = [renamed.get(name, name) for name in (*of_args, *(one.name for one in self.found("y0")))]
-        return [*own, *self.observation.extras, *dict.fromkeys(levels)]
+        own = [*self._where.names(), *(self.before.names() if self.before is not None else ())]
+        return [*dict.fromkeys([*own, *self.extras, *levels])]
 
     def __repr__(self) -> str:
         counts = f"{sum(len(one.values) for one in self.series)} data of {', '.join(one.name for one in self.series)}"
         return f"Experiment({self.problem.name!r}, {counts})"
 
 
-def _elsewhere(
-    problem: Problem, where: Mapping[str, str | float] | None
-) -> tuple[Problem, dict[str, ParameterName], set[ParameterName]]:
-    """Return the problem with the values that `where` gives; the parameters that have other names, by these; and all
-    that it names."""
-    if where is None:
-        return problem, {}, set()
-    if not isinstance(where, Mapping):
-        raise TypeError(f'where must be a dict such as {{"k": "k_cold"}}, got {shown(where)}')
-    named: dict[str, ParameterName] = {}
-    fixed: list[tuple[ParameterName, float]] = []
-    for own, other in where.items():
-        found = parameter_names(
-            problem.fun,
-            problem.args,
-            problem._labels,
-            len(problem.y0),
-            own,
-            first=2 + len(problem.inputs),
-            option="where",
-        )
-        if len(found) != 1:
-            raise ValueError(f"where: {own!r} stands for {len(found)} parameters: give each its own entry")
-        if not isinstance(other, str):
-            fixed.append((found[0], number(f"where[{own!r}]", other)))
-        elif other in named:
-            raise ValueError(f"where: {own!r} and {named[other].name!r} are both called {other!r}: tie one by equals=")
+class _Where:
+    """A problem of which some numbers have values of their own, and others the names of parameters of the fit.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem with these values.
+    """
+
+    def __init__(self, problem: Problem, where: Mapping[str, str | float] | None, option: str) -> None:
+        if where is not None and not isinstance(where, Mapping):
+            raise TypeError(f'{option} must be a dict such as {{"k": "k_cold"}}, got {shown(where)}')
+        self.problem, self._named = problem, dict[str, list[ParameterName]]()
+        fixed: list[tuple[ParameterName, float]] = []
+        for own, other in (where or {}).items():
+            known = own in self._numbers
+            found = (self._numbers[own],) if known else self.found(own, option)
+            if len(found) != 1:
+                raise ValueError(f"{option}: {own!r} stands for {len(found)} parameters: give each its own entry")
+            if not isinstance(other, str):
+                fixed.append((found[0], number(f"{option}[{own!r}]", other)))
+            else:
+                self._named.setdefault(other, []).append(found[0])
+        self._taken = {one for group in self._named.values() for one in group} | {one for one, _ in fixed}
+        if fixed:
+            names, values = zip(*fixed, strict=True)
+            args, y0 = with_values(problem.args, problem.y0, names, values)
+            self.problem = problem.replace(args=args, y0=y0)
+
+    def found(self, wanted: Any, option: str = "parameters") -> tuple[ParameterName, ...]:
+        """Return the parameters of f and initial values that a name stands for, or several names."""
+        problem = self.problem
+        first, n = 2 + len(problem.inputs), len(problem.y0)
+        return parameter_names(problem.fun, problem.args, problem._labels, n, wanted, first=first, option=option)
+
+    @cached_property
+    def _numbers(self) -> dict[str, ParameterName]:
+        """The numbers in args and y0 by name."""
+        try:
+            every = self.found(True)
+        except ValueError:
+            every = ()
+        return {one.name: one for one in (*every, *self.found("y0"))}
+
+    def entries(self, name: str) -> tuple[ParameterName, ...]:
+        """Return the numbers that a parameter of the fit sets."""
+        own: tuple[ParameterName, ...] = (self._numbers[name],) if name in self._numbers else ()
+        if not own and name not in self._named:  # an argument by index, or one of several numbers
+            with suppress(TypeError, ValueError):
+                own = self.found(name)
+        own = tuple(one for one in own if one not in self._taken)
+        if len(own) > 1:
+            those = ", ".join(one.name for one in own)
+            raise ValueError(f"{name!r} stands for {len(own)} parameters: give each its own entry, {those}")
+        return *self._named.get(name, ()), *own
+
+    def names(self) -> list[str]:
+        """Return the names of all parameters."""
+        return [*self._named, *(name for name, one in self._numbers.items() if one not in self._taken)]
+
+
+def _components(problem: Problem, given: Any, purpose: str) -> list[int]:
+    """Return components by label or index."""
+    single = isinstance(given, (str, int, np.integer))
+    labels, found = problem.labels, []
+    for one in [given] if single else items(given) or []:
+        if isinstance(one, str) and one in labels:
+            found.append(labels.index(one))
+        elif isinstance(one, (int, np.integer)) and not isinstance(one, bool) and 0 <= one < len(labels):
+            found.append(int(one))
         else:
-            named[other] = found[0]
-    if fixed:
-        names, values = zip(*fixed, strict=True)
-        args, y0 = with_values(problem.args, problem.y0, names, values)
-        problem = problem.replace(args=args, y0=y0)
-    return problem, named, {*named.values(), *(one for one, _ in fixed)}
+            listed = ", ".join(labels)
+            raise ValueError(f"there is no component {shown(one)} {purpose}: there are {listed}{meant(one, labels)}")
+    return found
+
+
+def _noises(given: Noise | Sequence[Noise], m: int) -> list[str]:
+    """Return the distribution of each quantity."""
+    listed = [given] * m if isinstance(given, str) else list(items(given) or [])
+    if isinstance(given, str):
+        choice("noise", given, NOISES)
+    if len(listed) != m:
+        raise ValueError(f"noise must be one of {', '.join(NOISES)}, or one for each of the {m} quantities")
+    return [choice("noise", one, NOISES) for one in listed]
 
 
 class Observation:
@@ -301,14 +380,12 @@ class Observation:
         self.extras: dict[str, float | None] = {}
         self.components = list(range(len(problem.y0)))
         if callable(observe) or is_native(observe):
-            self.function = _python_function(observe)
+            self.function = _python_function(observe, "observe")
             self.extras = _extras(self.function)
         elif observe is not None:
-            single = isinstance(observe, (str, int, np.integer))
-            listed = [observe] if single else items(observe)
-            if not listed:
+            self.components = _components(problem, observe, "to observe")
+            if not self.components:
                 raise TypeError(f"observe must be a function, or labels or indices of components, got {shown(observe)}")
-            self.components = [self._component(one) for one in listed]
         self.size = len(self.components) if self.function is None else self._count()
 
     def chosen(self, names: Sequence[str]) -> Observation:
@@ -324,16 +401,6 @@ class Observation:
         name = call_name(self.function, "observed")
         return [name] if size == 1 else [f"{name}[{j}]" for j in range(size)]
 
-    def _component(self, one: Any) -> int:
-        labels = self._problem.labels
-        if isinstance(one, str) and one in labels:
-            return labels.index(one)
-        if isinstance(one, (int, np.integer)) and not isinstance(one, bool) and 0 <= one < len(labels):
-            return int(one)
-        raise ValueError(
-            f"there is no component {shown(one)} to observe: there are {', '.join(labels)}{meant(one, labels)}"
-        )
-
     def _count(self) -> int:
         """Return the number of values of the function, at the start."""
         extras = {name: 1.0 if value is None else value for name, value in self.extras.items()}
@@ -347,14 +414,14 @@ class Observation:
         return np.atleast_1d(values)
 
 
-def _python_function(observe: Any) -> Any:
-    if isinstance(observe, CompiledFunction):
-        if observe.inplace:
-            raise TypeError("observe must return its values: compile it without inplace")
-        return observe.fun
-    if not callable(observe):
-        raise TypeError(f"observe must be a Python function or one of invariode.compile, got {shown(observe)}")
-    return observe
+def _python_function(given: Any, called: str) -> Any:
+    if isinstance(given, CompiledFunction):
+        if given.inplace:
+            raise TypeError(f"{called} must return its values: compile it without inplace")
+        return given.fun
+    if not callable(given):
+        raise TypeError(f"{called} must be a Python function or one of invariode.compile, got {shown(given)}")
+    return given
 
 
 def _extras(function: Any) -> dict[str, float | None]:
@@ -377,6 +444,8 @@ class Series(NamedTuple):
     sigma: Array | None  # their standard deviations, up to the level; None: unknown
     level: str | None  # the parameter that multiplies sigma
     lognormal: bool
+    laplace: bool = False
+    formula: bool = False  # sigma is a function, whose values multiply the `sigma` above
 
 
 def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognormal: bool, what: str) -> Series:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any, Literal, NamedTuple, Unpack
@@ -13,6 +14,7 @@ from ..._base.public import public
 from ..._base.types import MethodName
 from ..._ensemble.worker_processes import may_start, solve_rows
 from ..._problem.options import Options
+from .experiment import Noise
 from .likelihood import Model, to_model
 from .result import Fit
 from .search import LOSSES, Found, NoStartError, search, start_points
@@ -28,10 +30,10 @@ def fit(
     *,
     observe: Any = None,
     sigma: Any = None,
-    noise: Literal["normal", "lognormal"] = "normal",
+    noise: Noise | Sequence[Noise] = "normal",
     event_times: Any = None,
     event_sigma: Any = None,
-    y0: Literal["steady"] | None = None,
+    y0: Literal["steady"] | Callable[..., Any] | None = None,
     absolute_sigma: bool = True,
     starts: int = 1,
     seed: int = 0,
@@ -42,8 +44,8 @@ def fit(
 ) -> Fit:
     """Fit parameters of a problem to data.
 
-    The search uses `scipy.optimize.least_squares` with exact Jacobians from the sensitivities of the runs. Invariants
-    are imposed in every trial.
+    The search is a trust-region method with exact Jacobians from the sensitivities of the runs: Gauss and Newton's for
+    sums of squares, Fisher's scoring where parameters change the noise. Invariants are imposed in every trial.
 
     Parameters
     ----------
@@ -120,7 +122,7 @@ def fit(
     choice("loss", loss, LOSSES)
     flag("absolute_sigma", absolute_sigma)
     model = to_model(problem, t, data, parameters, described, absolute_sigma, method, options, weighs_priors=True)
-    if loss != "linear" and (model.relative or any(one.level for one in model.space.free)):
+    if loss != "linear" and (model.relative or model.estimates_noise or model.laplace.any()):
         raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
     points = start_points(model, positive_integer("starts", starts), seed)
     best, ends = _best(_searched(model, points, loss, positive_integer("workers", workers)))

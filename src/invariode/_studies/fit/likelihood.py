@@ -51,7 +51,10 @@ class Evaluation(NamedTuple):
     slopes : ndarray, (N, k)
         The derivatives of the differences.
     sigma : ndarray, (N,)
-        Standard deviations; in units of the unknown one if they are relative.
+        Standard deviations; in units of the unknown one if they are relative. Of Laplace's distribution: the mean
+        absolute deviation.
+    spread : ndarray, (N, k), or None
+        The derivatives of ln sigma; None: no parameter changes sigma.
     levels : list of Level
         Noise levels among the parameters.
     """
@@ -61,6 +64,7 @@ class Evaluation(NamedTuple):
     difference: Array
     slopes: Array
     sigma: Array
+    spread: Array | None
     levels: list[Level]
 
     @property
@@ -70,15 +74,8 @@ class Evaluation(NamedTuple):
 
     @property
     def jacobian(self) -> Array:
-        """The derivatives of `residuals` for the free parameters except through the noise levels, (N, k)."""
+        """The derivatives of `residuals` for the free parameters except through sigma, (N, k)."""
         return self.slopes / self.sigma[:, None]
-
-    def with_levels(self, rows: Array) -> Array:
-        """Return a Jacobian of residuals, with their derivatives through the noise levels added."""
-        found = rows.copy()
-        for one in self.levels:
-            found[one.data] -= np.outer(self.residuals[one.data], one.slope / one.value)
-        return found
 
 
 class Model:
@@ -123,13 +120,15 @@ class Model:
             name = min(unnamed)
             raise ValueError(f'sigma names {name!r}, which is not among the parameters: add "{name}": (lower, upper)')
         start = np.array([1.0 if one.start is None else one.start for one in self.space.free])
+        states: dict[Any, Any] = {}
         self.simulations = [
-            Simulation(one, names, self.space.local(e, start).values, method, {**tolerant, **one.options})
+            Simulation(one, names, self.space.local(e, start).values, method, {**tolerant, **one.options}, states)
             for e, (one, names) in enumerate(zip(experiments, self.space.names, strict=True))
         ]
         series = [one for each in experiments for one in each.series]
         self.measured = np.concatenate([one.values for one in series])
         self.lognormal = np.concatenate([np.full(len(one.values), one.lognormal) for one in series])
+        self.laplace = np.concatenate([np.full(len(one.values), one.laplace) for one in series])
         self._compared = np.where(self.lognormal, np.log(np.where(self.lognormal, self.measured, 1.0)), self.measured)
         self.relative = _is_relative(series, absolute_sigma)
         #: A unit for data of unknown noise, so that the search sees numbers of size 1.
@@ -141,6 +140,8 @@ class Model:
         self.failures: Counter[str] = Counter()
         self.runs = 0
         self._last: Evaluation | None = None
+        #: Whether parameters change sigma, so that its logarithm counts.
+        self.estimates_noise = any(one.level is not None or one.formula for one in series)
 
     def evaluate(self, free: Array) -> Evaluation | Failed:
         """Return the model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
@@ -158,6 +159,7 @@ class Model:
     def _evaluated(self, free: Array) -> Evaluation | Failed:
         values, slopes, levels, place = [], [], [], 0
         sigma = self._factors.copy()
+        spread = np.zeros((self.size, len(free))) if self.estimates_noise else None
         for e, simulation in enumerate(self.simulations):
             local = self.space.local(e, free)
             ran = simulation.run(local.values)
@@ -165,26 +167,82 @@ class Model:
                 return ran
             values.append(ran.values)
             slopes.append(ran.tangent @ local.slopes)
+            if spread is not None and ran.sigma is not None:
+                own = slice(place, place + len(ran.values))
+                sigma[own] *= ran.sigma
+                spread[own] += ran.sigma_tangent / ran.sigma[:, None] @ local.slopes
             for one in simulation.experiment.series:
                 data = np.arange(place, place + len(one.values))
                 place += len(one.values)
-                if one.level is None:
+                if one.level is None or spread is None:
                     continue
                 i = self.space.names[e].index(one.level)
-                sigma[data] *= local.values[i]
-                levels.append(Level(data, float(local.values[i]), local.slopes[i]))
+                value, slope = float(local.values[i]), local.slopes[i]
+                sigma[data] *= value
+                spread[data] += slope / value
+                levels.append(Level(data, value, slope))
         model, rows = np.concatenate(values), np.concatenate(slopes)
+        compared = self._scaled(model)
+        if isinstance(compared, Failed):
+            return compared
+        rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
+        return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, spread, levels)
+
+    def _scaled(self, model: Array) -> Array | Failed:
+        """Return the model's values as they are compared with the data: logarithms where the noise is log-normal."""
         if (model[self.lognormal] <= 0).any():
             return Failed("the model is not positive, where the noise is log-normal")
-        compared = np.where(self.lognormal, np.log(np.where(self.lognormal, model, 1.0)), model)
-        rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
-        return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, levels)
+        return np.where(self.lognormal, np.log(np.where(self.lognormal, model, 1.0)), model)
+
+    def value(self, free: Array) -> float:
+        """Return the log-likelihood of data with known or estimated sigma, -inf where a run fails, without
+        derivatives."""
+        values, place = [], 0
+        sigma = self._factors.copy()
+        for e, simulation in enumerate(self.simulations):
+            local = self.space.local(e, free).values
+            ran = simulation.run(local, slopes=False)
+            if isinstance(ran, Failed):
+                self.failures[ran.reason] += 1
+                return -math.inf
+            values.append(ran.values)
+            if ran.sigma is not None:
+                sigma[place : place + len(ran.values)] *= ran.sigma
+            for one in simulation.experiment.series:
+                if one.level is not None:
+                    sigma[place : place + len(one.values)] *= local[self.space.names[e].index(one.level)]
+                place += len(one.values)
+        compared = self._scaled(np.concatenate(values))
+        if isinstance(compared, Failed):
+            return -math.inf
+        return self._log_likelihood(compared - self._compared, sigma)
 
     def log_likelihood(self, at: Evaluation, sigma: Array) -> float:
         """Return the log-likelihood of the data with these standard deviations, without priors."""
-        squares = 0.5 * float(np.sum((at.difference / sigma) ** 2))
+        return self._log_likelihood(at.difference, sigma)
+
+    def _log_likelihood(self, difference: Array, sigma: Array) -> float:
+        """The density is exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2 σ), of logarithms divided by the datum."""
+        r = np.abs(difference / sigma)
+        exponents = float(np.sum(np.where(self.laplace, r, 0.5 * r**2)))
         logs = float(np.sum(np.log(sigma)) + np.sum(self._compared[self.lognormal]))
-        return -squares - logs - self.size * _HALF_LOG_2PI
+        factors = np.where(self.laplace, math.log(2), _HALF_LOG_2PI)
+        return -exponents - logs - float(np.sum(factors))
+
+    def gradient(self, at: Evaluation, variance: float = 1.0) -> Array:
+        """Return the gradient of the log-likelihood for the free parameters, (k,)."""
+        r = at.residuals
+        found: Array = -at.jacobian.T @ np.where(self.laplace, np.sign(r), r) / variance
+        if at.spread is not None:
+            found += at.spread.T @ (np.where(self.laplace, np.abs(r), r**2) / variance - 1.0)
+        return found
+
+    def information(self, at: Evaluation) -> Array:
+        """Return a matrix A with AᵀA the expected information of data with normal or Laplace noise: a datum determines
+        its value with 1 / σ², and ln σ with 2, or 1 of Laplace's distribution."""
+        if at.spread is None:
+            return at.jacobian
+        return np.concatenate([at.jacobian, at.spread * np.where(self.laplace, 1.0, math.sqrt(2))[:, None]])
 
     def variance(self, at: Evaluation, unknowns: int = 0) -> float:
         """Return the factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if
@@ -203,9 +261,14 @@ def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:
     levels = [one.level for one in series if one.level is not None]
     if levels and not absolute_sigma:
         raise ValueError(f"absolute_sigma=False, and sigma names the parameter {levels[0]}: choose one of them")
+    if any(one.formula for one in series) and not absolute_sigma:
+        raise ValueError("absolute_sigma=False, and sigma is a function: multiply it by a parameter instead")
     if len(unknown) > 1 and len({one.lognormal for one in series}) > 1:
         raise ValueError("sigma must be given where times of events are measured beside log-normal data")
-    return bool(unknown) or not absolute_sigma
+    relative = bool(unknown) or not absolute_sigma
+    if relative and any(one.laplace for one in series):
+        raise ValueError("Laplace noise needs a sigma: a number, a function, or the name of a parameter")
+    return relative
 
 
 def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -11,6 +12,7 @@ from ..._base.arguments import Array, real_numbers
 from ..._base.public import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
+from .experiment import Noise
 from .likelihood import Evaluation, Model, to_model
 from .search import start_points
 
@@ -75,9 +77,7 @@ class Objective:
 
     def _gradient(self, at: Evaluation) -> Array:
         model = self._model
-        found: Array = -at.with_levels(at.jacobian).T @ at.residuals / model.variance(at)
-        for one in at.levels:
-            found -= len(one.data) / one.value * one.slope
+        found = model.gradient(at, model.variance(at))
         priors = model.space.priors(at.free)
         found += priors.slope_of_factor - priors.slopes.T @ priors.residuals
         return found
@@ -95,10 +95,10 @@ def objective(
     *,
     observe: Any = None,
     sigma: Any = None,
-    noise: Literal["normal", "lognormal"] = "normal",
+    noise: Noise | Sequence[Noise] = "normal",
     event_times: Any = None,
     event_sigma: Any = None,
-    y0: Literal["steady"] | None = None,
+    y0: Literal["steady"] | Callable[..., Any] | None = None,
     absolute_sigma: bool = True,
     method: MethodName = "ode45",
     **options: Unpack[Options],

@@ -35,9 +35,10 @@ class Parameter:
         then symmetric in ln p. Default: "linear", for noise levels "log".
     prior : (float, float), (str, float, float) or callable, optional
         Prior information. ``(mean, sd)`` or ``("normal", mean, sd)``: p is normal. ``("lognormal", median, sd)``: ln p
-        is normal with this standard deviation, which is what a pair means with ``scale="log"`` and for noise levels. A
-        function ``r(p)``: the density is proportional to exp(-r**2 / 2); it is written with NumPy's functions, for its
-        derivative by complex steps. Bounds are a uniform prior.
+        is normal with this standard deviation, which is what a pair means with ``scale="log"`` and for noise levels.
+        "laplace" and "loglaplace" are Laplace's distribution with this mean absolute deviation. A function ``r(p)``:
+        the density is proportional to exp(-r**2 / 2); it is written with NumPy's functions, for its derivative by
+        complex steps. Bounds are a uniform prior.
     shared : bool, default True
         Whether all experiments share one value. False: each has its own, called ``name[0]``, ``name[1]`` and so on.
     equals : float, str or callable, optional

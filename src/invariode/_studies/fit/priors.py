@@ -11,9 +11,18 @@ import numpy as np
 from ..._base.arguments import choice, items, number, shown
 from ..._functions.derivatives import OfNumbers
 
+#: Kinds of densities; those of logarithms are about a median.
+_KINDS = ("normal", "lognormal", "laplace", "loglaplace")
+
 PriorLike: TypeAlias = (
-    tuple[float, float] | tuple[Literal["normal", "lognormal"], float, float] | Callable[[Any], Any] | None
+    tuple[float, float]
+    | tuple[Literal["normal", "lognormal", "laplace", "loglaplace"], float, float]
+    | Callable[[Any], Any]
+    | None
 )
+
+#: The residual of Laplace's density, whose derivative is infinite at 0, has that at this part of its width.
+_LEAST = 1e-6
 
 
 class At(NamedTuple):
@@ -75,6 +84,32 @@ class LogNormal(NamedTuple):
         return At(residual, 1 / (self.width * value), -math.log(self.width * value), -1 / value)
 
 
+class Laplace(NamedTuple):
+    """p, or ln p, has the density exp(−|z|) / (2 width), z = (p − middle) / width.
+
+    Its residual r has r² / 2 = |z|, so that r dr/dp is the derivative of |z|.
+    """
+
+    middle: float
+    width: float
+    log: bool
+
+    @property
+    def size(self) -> float:
+        return abs(self.middle)
+
+    def at(self, value: float) -> At:
+        if self.log and value <= 0:  # where the density is 0
+            return At(math.inf, math.nan)
+        z = (math.log(value / self.middle) if self.log else value - self.middle) / self.width
+        inner = 1 / (self.width * value) if self.log else 1 / self.width
+        residual = math.copysign(math.sqrt(2 * max(abs(z), _LEAST)), z)
+        factor = 0.5 * math.log(2 * math.pi) - math.log(2 * self.width)
+        if self.log:
+            return At(residual, inner / abs(residual), factor - math.log(value), -1 / value)
+        return At(residual, inner / abs(residual), factor)
+
+
 class Residual:
     """r(p) is given, and the density is proportional to exp(−r² / 2)."""
 
@@ -91,7 +126,7 @@ class Residual:
 
 def to_prior(given: Any, log: bool) -> Prior | None:
     """Convert the prior of a parameter; `log`: a pair is about its logarithm."""
-    if given is None or isinstance(given, (Normal, LogNormal, Residual)):
+    if given is None or isinstance(given, (Normal, LogNormal, Laplace, Residual)):
         return given
     if callable(given):
         return Residual(given)
@@ -102,10 +137,12 @@ def to_prior(given: Any, log: bool) -> Prior | None:
             f"ln p), or a function r(p) with density exp(-r**2 / 2), got {shown(given)}"
         )
     kind = ("lognormal" if log else "normal") if len(entries) == 2 else entries[0]
-    choice("the kind of a prior", kind, ("normal", "lognormal"))
+    choice("the kind of a prior", kind, _KINDS)
     mean, width = (number("prior of a Parameter", one) for one in entries[-2:])
     if not (math.isfinite(mean) and 0 < width < math.inf):
         raise ValueError(f"prior of a Parameter needs a positive standard deviation, got {shown(given)}")
-    if kind == "lognormal" and mean <= 0:
+    if kind.startswith("log") and mean <= 0:
         raise ValueError(f"a log-normal prior of a Parameter must be about a positive value, got {shown(given)}")
+    if kind.endswith("laplace"):
+        return Laplace(mean, width, kind == "loglaplace")
     return LogNormal(mean, width) if kind == "lognormal" else Normal(mean, width)

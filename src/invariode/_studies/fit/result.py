@@ -290,15 +290,15 @@ class Fit:
         q = self._quantile(level)
         slopes = curves.tangent @ local.slopes
         errors = self._errors_of(slopes)
-        lognormal = one.noise == "lognormal"
-        scale = errors / np.abs(curves.values) if lognormal else errors
+        lognormal = np.array([kind.startswith("log") for kind in one.noise] or [False])[:, None]
+        scale = np.where(lognormal, errors / np.abs(curves.values), errors)
         if noise:
             scale = np.hypot(scale, self._sigmas(experiment)[:, None])
         margin = np.multiply(q, scale, where=scale != 0, out=np.zeros_like(scale))  # q may be infinite
-        if lognormal:
-            lower, upper = curves.values * np.exp(-margin), curves.values * np.exp(margin)
-        else:
-            lower, upper = curves.values - margin, curves.values + margin
+        lower, upper = (
+            np.where(lognormal, curves.values * np.exp(sign * margin), curves.values + sign * margin)
+            for sign in (-1.0, 1.0)
+        )
         return Prediction(times, curves.values, errors, lower, upper, list(one.names))
 
     def _errors_of(self, slopes: Array) -> Array:
@@ -320,6 +320,8 @@ class Fit:
         for series in one.series:
             if series.row >= len(found):
                 continue
+            if series.formula or series.laplace:
+                raise ValueError(f"noise=True needs a normal sigma of {series.name} that is no function")
             known = np.unique(np.ones(1) if series.sigma is None else series.sigma)
             if len(known) != 1:
                 raise ValueError(f"noise=True needs one sigma of {series.name}, and its data have different ones")

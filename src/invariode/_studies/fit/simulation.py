@@ -5,19 +5,21 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._base.arguments import Array, quietly, warn
+from ..._base.arguments import Array, quietly
 from ..._base.failures import InvariantError
 from ..._base.types import MethodName
 from ..._functions.compile import compile
 from ..._functions.compiled import is_native
-from ..._functions.directional import Directional, Point, has_llvm
-from ..._functions.layout import with_numbers
+from ..._functions.directional import Point, has_llvm
+from ..._functions.graph.nodes import in_order
+from ..._functions.graph.python import Formula
+from ..._functions.layout import Parameters, place_of
 from ..._problem.events import titled
-from ..._problem.invariants import AccuracyWarning
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
 from ..._problem.sensitivities import Sensitivities
@@ -25,27 +27,34 @@ from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..._solve.problem import Problem
-from ..steady import Found, SteadyStates
+from ..steady import Found, NotFound, SteadyStates
 from .experiment import Experiment, Series
 from .failed import Failed
+from .through import Curves, Settings, Through
 
 
 class Simulated(NamedTuple):
-    """The model's values for the data of an experiment, series by series, and their derivatives."""
+    """The model's values for the data of an experiment, series by series, and their derivatives.
 
-    values: Array  # (N,)
-    tangent: Array  # (N, k), for the parameters of the experiment
+    Attributes
+    ----------
+    values : ndarray, (N,)
+        The values.
+    tangent : ndarray, (N, k)
+        Their derivatives for the parameters of the experiment; without columns if these were not wanted.
+    sigma, sigma_tangent : ndarray, (N,) and (N, k), or None
+        The same of sigma, if it is a function.
+    """
 
-
-class Curves(NamedTuple):
-    """The observed quantities over time."""
-
-    values: Array  # (m, n_t)
-    tangent: Array  # (m, n_t, k)
+    values: Array
+    tangent: Array
+    sigma: Array | None = None
+    sigma_tangent: Array | None = None
 
 
 class _Start(NamedTuple):
-    """Start of a run, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
+    """Start of a run: arguments, initial value, and its derivatives for the parameters of the experiment, (n, k); None
+    if these are not wanted."""
 
     args: tuple[Any, ...]
     y0: Array
@@ -57,33 +66,46 @@ class _Runs:
     derivatives would be traced in each run."""
 
     def __init__(self, problem: Problem, method: MethodName, options: Options) -> None:
-        self._problem, self._method, self._options = problem, method, options
-        self._compiled: PreparedSolver | None = None
-        self._as_given: PreparedSolver | None = None
+        self._method, self._options = method, options
+        self._problems = [problem]
         if problem.sensitivities is not None and has_llvm() and not is_native(problem.fun):
             with suppress(TypeError), np.errstate(all="ignore"):  # it cannot be traced
-                self._compiled = problem.replace(fun=compile(problem.fun, by="trace")).prepare(method, **options)
-        if self._compiled is None:
-            self._as_given = problem.prepare(method, **options)
+                self._problems.insert(0, problem.replace(fun=compile(problem.fun, by="trace")))
+        self._solvers: list[PreparedSolver | None] = [None for _ in self._problems]
 
-    def __call__(self, start: _Start) -> Solution | Failed:
+    def __call__(self, args: tuple[Any, ...], y0: Array, wanted: Sensitivities | None) -> Solution | Failed:
         """Return a run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f
-        as it was given says why, also by an exception."""
-        if self._compiled is not None and not isinstance(sol := self._run(self._compiled, start), Failed):
-            return sol
-        if self._as_given is None:
-            self._as_given = self._problem.prepare(self._method, **self._options)
-        return self._run(self._as_given, start)
+        as it was given says why, also by an exception. `wanted`: the sensitivities, if they differ from run to run."""
+        found: Solution | Failed = Failed("")
+        for which in range(len(self._problems)):
+            try:
+                found = self._run(which, args, y0, wanted)
+            except TypeError:  # the compiled f cannot be used
+                if which == len(self._problems) - 1:
+                    raise
+                continue
+            if not isinstance(found, Failed):
+                break
+        return found
 
-    @staticmethod
-    def _run(solver: PreparedSolver, start: _Start) -> Solution | Failed:
+    def _run(self, which: int, args: tuple[Any, ...], y0: Array, wanted: Sensitivities | None) -> Solution | Failed:
         try:
             with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
-                sol = solver(args=start.args, y0=start.y0)
+                if wanted is None:
+                    sol = self._solver(which)(args=args, y0=y0)
+                else:
+                    problem = self._problems[which].replace(args=args, y0=y0, sensitivities=wanted)
+                    sol = problem.solve(self._method, **self._options)
         except InvariantError as error:
             return Failed(str(error))
         return sol if sol.success else Failed(sol.message)
+
+    def _solver(self, which: int) -> PreparedSolver:
+        found = self._solvers[which]
+        if found is None:
+            found = self._solvers[which] = self._problems[which].prepare(self._method, **self._options)
+        return found
 
 
 class Simulation:
@@ -99,117 +121,308 @@ class Simulation:
         Where a search starts, for the sizes of the parameters.
     method, options
         Of the runs.
+    states : dict
+        Steady states that are known, which experiments share.
     """
 
     def __init__(
-        self, experiment: Experiment, names: Sequence[str], values: Array, method: MethodName, options: Options
+        self,
+        experiment: Experiment,
+        names: Sequence[str],
+        values: Array,
+        method: MethodName,
+        options: Options,
+        states: dict[Any, _Known],
     ) -> None:
         self.experiment, self._names = experiment, names
-        self._method, self._options = method, options
-        problem = experiment.problem
-        found = [(i, one) for i, name in enumerate(names) if (one := experiment.dynamic(name)) is not None]
-        self._dynamic = [one for _, one in found]
-        self._places = [i for i, _ in found]
-        self._sensitivities = self._wanted(values)
-        self._steady = SteadyStates(problem, self._dynamic) if experiment.steady else None
-        self._watch = _Watch(experiment, names, self._places, self._dynamic)
+        self._method, self._options, self._states = experiment.method or method, options, states
+        problem, k = experiment.problem, len(names)
+        #: Numbers that parameters set, in the run and in the pre-equilibration.
+        self._own = Settings(names, [(j, one) for j in range(k) for one in experiment.entries(names[j])], problem.args)
+        self._before: Settings | None = None
+        if experiment.before is not None:
+            entries = [(j, one) for j in range(k) for one in experiment.entries_before(names[j])]
+            self._before = Settings(names, entries, experiment.before.problem.args)
         t0, tf = problem.t_span
-        self._times, self._which = _once(experiment.data.t, backwards=tf < t0)
+        at, n = Point(t0, problem.y0), len(problem.y0)
+        start = _guesses(experiment, names, values)
+        self._first = None
+        if experiment.start is not None:
+            self._first = Through([experiment.start], [{}], self._own, at, start, "y0")
+            if (size := len(self._first(np.array([t0]), problem.y0[:, None], None, start, problem.args).values)) != n:
+                raise ValueError(f"y0 returns {size} initial values, and the problem has {n} components")
+        self._watch = _watch(experiment, self._own, at, start)
+        finite = experiment.data.t[np.isfinite(experiment.data.t)]
+        self._times, self._which = _once(finite, backwards=tf < t0)
+        #: Columns of the derivatives of runs: numbers in args, each with its parameter, or initial values.
+        self._columns = self._moving()
         if not np.isfinite(tf):
-            problem = experiment.ended()
-        args, y0 = with_values(problem.args, problem.y0, self._dynamic, values[self._places])  # floats, not integers
-        self._problem = problem.replace(args=args, y0=y0, sensitivities=self._sensitivities)
-        self._runs = self._prepared(self._times)
+            problem = experiment.ended() if np.isfinite(experiment.last) else problem.replace(t_span=(t0, t0 + 1.0))
+        args, y0 = self._values(self._own, problem, values)  # floats, not integers
+        self._problem = problem.replace(args=args, y0=y0, sensitivities=None)
+        self._sizes = self._scale(values)
+        self._prepared: dict[tuple[bool, bytes], _Runs] = {}
 
-    def _prepared(self, times: Array) -> _Runs:
-        """Return the problem with output at these times, to the last of them if no events are measured."""
-        t0, tf = self._problem.t_span
-        if len(times) and not self.experiment.events and times[-1] != t0:
-            tf = float(times[-1])
-        own: Options = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-        return _Runs(self._problem.replace(t_span=(t0, tf)), self._method, {**self._options, **own})
+    # Derivatives
 
-    def _wanted(self, values: Array) -> Sensitivities | None:
-        """Return the sensitivities of the runs to the parameters. A start at a steady state depends on the parameters
-        by way of y0. The sizes are those at the start of the search, so that runs differ in nothing else."""
-        problem, y0 = self.experiment.problem, self.experiment.problem.y0
+    def _moving(self) -> list[tuple[int, ParameterName]]:
+        """Return the numbers for which runs have derivatives, each with its parameter: those that f may use; of a
+        parameter that acts by way of the initial value alone, one that f does not use, or all initial values (-1)."""
+        problem = self.experiment.problem
+        uses = _used(problem)
+        entries = [(j, one) for j, one in self._own.entries if one.kind == "args"]
+        found = [(j, one) for j, one in entries if uses is None or place_of(problem.args, one.index, one.item) in uses]
+        if not self._moves_start:
+            return found + [(j, one) for j, one in self._own.entries if one.kind == "y0"]
+        starts = self._of_start() - {j for j, _ in found}
+        others = dict[int, ParameterName]()
+        for j, one in entries:
+            if j in starts:
+                others.setdefault(j, one)
+        found += [*others.items()]
+        if starts - others.keys():
+            found += [(-1, ParameterName(f"y0[{i}]", "y0", i)) for i in range(len(problem.y0))]
+        return found
+
+    def _of_start(self) -> set[int]:
+        """Return the parameters on which the initial value may depend."""
+        found = {j for j, one in self._own.entries if one.kind == "y0"}
+        first = _used_by(self.experiment.start) if self.experiment.start is not None else set()
+
+        def inside(settings: Settings, numbers: set[int] | None) -> set[int]:
+            return {
+                j
+                for j, one in settings.entries
+                if numbers is None or (one.kind == "args" and place_of(settings.args, one.index, one.item) in numbers)
+            }
+
+        found |= inside(self._own, first)
+        if self._before is not None and self.experiment.before is not None:
+            uses = _used(self.experiment.before.problem)
+            found |= inside(self._before, None if uses is None or first is None else uses | first)
+            found |= {j for j, one in self._before.entries if one.kind == "y0"}
+        return found
+
+    @property
+    def _moves_start(self) -> bool:
+        """True if the initial value is not only that of the problem with some of its components as parameters."""
+        return self._first is not None or self._before is not None or len(self._by_start()) > 0
+
+    def _by_start(self) -> set[int]:
+        """Return the parameters that set initial values and other numbers too."""
+        starts = [j for j, one in self._own.entries if one.kind == "y0"]
+        return {j for j in starts if [i for i, _ in self._own.entries].count(j) > 1}
+
+    def _scale(self, values: Array) -> list[float]:
+        """Return the sizes of the parameters of the runs: those at the start of the search, so that runs differ in
+        nothing else."""
+        y0 = self.experiment.problem.y0
         floor = np.broadcast_to(np.divide(self._options["atol"], self._options["rtol"]), y0.shape)
-        names: list[str] = []
-        sizes: list[float] = []
-        for place, one in zip(self._places, self._dynamic, strict=True):
-            if self.experiment.steady and one.kind == "y0":
-                continue
-            size = abs(values[place])
-            names.append(one.name)
-            sizes.append(max(size, floor[one.index]) if one.kind == "y0" else size)
-        if self.experiment.steady:
-            every = self.experiment.found("y0")
-            names += [one.name for one in every]
-            sizes += np.maximum(np.abs(problem.y0), floor).tolist()
-        return Sensitivities(names, scale=[one or 1.0 for one in sizes]) if names else None
+        sizes = []
+        for j, one in self._columns:
+            size = abs(y0[one.index]) if j < 0 else abs(values[j])
+            sizes.append(float(max(size, floor[one.index]) if one.kind == "y0" else size) or 1.0)
+        return sizes
 
-    def _start(self, values: Array) -> _Start | Failed:
-        """Return the arguments and the initial value, and how it follows from the parameters if it is a steady
-        state."""
-        problem, own = self.experiment.problem, values[self._places]
-        args, y0 = with_values(problem.args, problem.y0, self._dynamic, own)
-        if self._steady is None:
-            return _Start(args, y0, None)
-        S0 = np.zeros((len(y0), len(self._dynamic)))
-        for j, one in enumerate(self._dynamic):
-            if one.kind == "y0":
-                S0[one.index, j] = 1.0
-        found = self._steady.at(args, y0, S0)
+    def _wanted(self, start: _Start) -> Sensitivities | None:
+        """Return the sensitivities of a run."""
+        if not self._columns:
+            return None
+        names: Any = [one for _, one in self._columns]
+        if not self._moves_start:
+            return Sensitivities(names, scale=self._sizes)
+        assert start.slopes is not None
+        own = [j for j, one in self._columns if one.kind == "args"]
+        S0, seen = np.zeros((len(start.y0), len(own))), set[int]()
+        for column, j in enumerate(own):  # the first number of a parameter has the derivatives of the initial value
+            if j not in seen:
+                S0[:, column] = start.slopes[:, j]
+                seen.add(j)
+        return Sensitivities(names, dy0dp=S0 if own else None, scale=self._sizes)
+
+    def _parameters(self, S: Array, start: _Start, k: int) -> Array:
+        """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, columns)."""
+        assert start.slopes is not None
+        chain = np.zeros((len(self._columns), k))
+        own = {j for j, _ in self._columns}
+        rest = [j for j in range(k) if j not in own]
+        for column, (j, one) in enumerate(self._columns):
+            if j >= 0:
+                chain[column, j] = 1.0
+            else:
+                chain[column, rest] = start.slopes[one.index, rest]
+        return np.asarray(S @ chain)
+
+    # The start
+
+    @staticmethod
+    def _values(settings: Settings, problem: Problem, values: Array) -> tuple[tuple[Any, ...], Array]:
+        return with_values(
+            problem.args, problem.y0, [one for _, one in settings.entries], values[[j for j, _ in settings.entries]]
+        )
+
+    def _start(self, values: Array, slopes: bool) -> _Start | Failed:
+        """Return the start of a run, behind the pre-equilibration if there is one."""
+        begun = self._begun(self._own, self.experiment.problem, values, slopes)
+        if self._before is None or self.experiment.before is None:
+            return begun
+        problem = self.experiment.before.problem
+        rest = self._at_rest(self._before, problem, self._begun(self._before, problem, values, slopes))
+        if isinstance(rest, Failed):
+            return rest
+        again = self.experiment.resets
+        rest.y0[again] = begun.y0[again]
+        if rest.slopes is not None and begun.slopes is not None:
+            rest.slopes[again] = begun.slopes[again]
+        return _Start(begun.args, rest.y0, rest.slopes)
+
+    def _begun(self, settings: Settings, problem: Problem, values: Array, slopes: bool) -> _Start:
+        """Return the initial values with these settings."""
+        args, y0 = self._values(settings, problem, values)
+        S = None
+        if slopes:
+            S = np.zeros((len(y0), len(values)))
+            for j, one in settings.entries:
+                if one.kind == "y0":
+                    S[one.index, j] = 1.0
+        if self._first is None:
+            return _Start(args, y0, S)
+        first = self._first if settings is self._own else self._first_before
+        found = first(np.array(problem.t_span[:1]), y0[:, None], None if S is None else S[:, None], values, args)
+        return _Start(args, found.values[:, 0], None if found.tangent is None else found.tangent[:, 0])
+
+    @cached_property
+    def _first_before(self) -> Through:
+        """The function of the initial values in the pre-equilibration."""
+        assert self._before is not None
+        assert self.experiment.before is not None
+        problem = self.experiment.before.problem
+        guesses = _guesses(self.experiment, self._names, np.ones(len(self._names)))
+        at = Point(problem.t_span[0], problem.y0)
+        return Through([self.experiment.start], [{}], self._before, at, guesses, "y0")
+
+    def _at_rest(self, settings: Settings, problem: Problem, start: _Start) -> _Start | Failed:
+        """Return the steady state to which a start leads, with its derivatives."""
+        uses = _used(problem)
+        entries = [(j, one) for j, one in settings.entries if one.kind == "args"]
+        columns = [
+            (j, one) for j, one in entries if uses is None or place_of(problem.args, one.index, one.item) in uses
+        ]
+        there = {j for j, _ in columns}
+        k = 0 if start.slopes is None else start.slopes.shape[1]
+        columns += [(j, ParameterName("", "y0", 0)) for j in range(k) if j not in there]  # by way of y0 alone
+        key = (id(problem.fun), problem.t_span[0], tuple(one for _, one in columns))
+        if key not in self._states:
+            self._states[key] = _Known(SteadyStates(problem, [one for _, one in columns], "ode15s"))
+        S0, seen = None, set[int]()
+        if start.slopes is not None:
+            S0 = np.zeros((len(start.y0), len(columns)))
+            for column, (j, _) in enumerate(columns):
+                if j not in seen:
+                    S0[:, column] = start.slopes[:, j]
+                    seen.add(j)
+        found = self._states[key].at(start.args, start.y0, S0)
         if not isinstance(found, Found):
             return Failed(found.reason)
         if not found.stable:
             return Failed("the steady state that was found is not stable")
+        if S0 is None:
+            return _Start(start.args, found.y.copy(), None)
         if found.slopes is None or np.isnan(found.slopes).any():
             return Failed("the steady state is not isolated: others with the same totals are beside it")
-        return _Start(args, found.y, found.slopes)
+        S = np.zeros((len(start.y0), k))
+        for column, (j, _) in enumerate(columns):
+            S[:, j] += found.slopes[:, column]
+        return _Start(start.args, found.y.copy(), S)
 
-    def run(self, values: Array) -> Simulated | Failed:
+    # Runs
+
+    def _runs(self, times: Array, start: _Start) -> Solution | Failed:
+        """Return a run with output at these times, to the last of them if no events are measured."""
+        slopes = start.slopes is not None
+        key = slopes, times.tobytes()
+        if key not in self._prepared:
+            t0, tf = self._problem.t_span
+            if len(times) and not self.experiment.events and times[-1] != t0:
+                tf = float(times[-1])
+            own: Options = {"keep": "outputs", "on_failure": "return", "t_eval": times}
+            wanted = self._wanted(start) if slopes else None
+            problem = self._problem.replace(t_span=(t0, tf), sensitivities=wanted)
+            self._prepared[key] = _Runs(problem, self._method, {**self._options, **own})
+        again = self._wanted(start) if slopes and self._moves_start else None
+        return self._prepared[key](start.args, start.y0, again)
+
+    def run(self, values: Array, slopes: bool = True) -> Simulated | Failed:
         """Return the model's values for the data."""
-        start = self._start(values)
+        start = self._start(values, slopes)
         if isinstance(start, Failed):
             return start
-        sol = self._runs(start)
-        if isinstance(sol, Failed):
-            return sol
-        if len(sol.t) < len(self._times):
-            return Failed(f"the run ended at t = {sol.t_end:.6g}, before the last datum")
-        found = [np.zeros((0, 1 + len(values)))]
-        curves = self._curves(sol, start, values) if len(self._times) else None
-        for one in self.experiment.series:
-            if curves is not None and one.row < len(curves.values):
-                at = self._which[one.places]
-                found.append(np.column_stack([curves.values[one.row, at], curves.tangent[one.row, at]]))
+        experiment = self.experiment
+        sol: Any = None
+        if experiment.events or (len(self._times) and self._times[-1] != experiment.problem.t_span[0]):
+            sol = self._runs(self._times, start)
+            if isinstance(sol, Failed):
+                return sol
+            if len(sol.t) < len(self._times):
+                return Failed(f"the run ended at t = {sol.t_end:.6g}, before the last datum")
+        curves = self._all_curves(sol, start, values) if len(experiment.data.t) else None
+        if isinstance(curves, Failed):
+            return curves
+        k, found, sigmas = len(values) if slopes else 0, [], []
+        for one in experiment.series:
+            if curves is None or one.row >= len(experiment.data.values):
+                occurrences = self._occurrences(sol, start, one, k)
+                if isinstance(occurrences, Failed):
+                    return occurrences
+                found.append(occurrences[one.places])
+                sigmas.append(np.eye(1, 1 + k).repeat(len(one.places), axis=0))
                 continue
-            occurrences = self._occurrences(sol, start, one, len(values))
-            if isinstance(occurrences, Failed):
-                return occurrences
-            found.append(occurrences[one.places])
-        every = np.concatenate(found)
+            found.append(curves.along(one.row, one.places))
+            if one.formula:
+                sigmas.append(curves.along(len(experiment.data.values) + one.row, one.places))
+        every = np.concatenate([np.zeros((0, 1 + k)), *found])
         if not np.isfinite(every).all():
             return Failed("the model or its derivatives are not finite")
-        return Simulated(every[:, 0], every[:, 1:])
+        if experiment.sigma_function is None:
+            return Simulated(every[:, 0], every[:, 1:])
+        sigma = np.concatenate([np.zeros((0, 1 + k)), *sigmas])
+        if not (np.isfinite(sigma).all() and (sigma[:, 0] > 0).all()):
+            return Failed("sigma is not positive and finite")
+        return Simulated(every[:, 0], every[:, 1:], sigma[:, 0], sigma[:, 1:])
 
-    def _parameters(self, S: Array, start: _Start, k: int) -> Array:
-        """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, k of the
-        run)."""
-        found = np.zeros((*S.shape[:-1], k))
-        if start.slopes is None:
-            found[..., self._places] = S
-            return found
-        own = [j for j, one in enumerate(self._dynamic) if one.kind == "args"]
-        found[..., self._places] = S[..., len(own) :] @ start.slopes
-        found[..., [self._places[j] for j in own]] += S[..., : len(own)]
-        return found
+    def _all_curves(self, sol: Any, start: _Start, values: Array) -> _Curves | Failed:
+        """Return the observed quantities at the times of the data; at infinity in the steady state."""
+        t = self.experiment.data.t
+        y, which = np.empty((len(start.y0), len(t))), np.isfinite(t)
+        tangent = None if start.slopes is None else np.empty((len(start.y0), len(t), len(values)))
+        if sol is None:  # all data are at the start
+            y[:, which] = start.y0[:, None]
+            if tangent is not None and start.slopes is not None:
+                tangent[:, which] = start.slopes[:, None]
+        else:
+            y[:, which] = sol.y[:, self._which]
+            if tangent is not None:
+                tangent[:, which] = self._tangent(sol, start, len(values))[:, self._which]
+        if not which.all():
+            rest = self._at_rest(self._own, self.experiment.problem, start)
+            if isinstance(rest, Failed):
+                return rest
+            y[:, ~which] = rest.y0[:, None]
+            if tangent is not None and rest.slopes is not None:
+                tangent[:, ~which] = rest.slopes[:, None]
+        return self._curves(t, y, tangent, values, start)
 
-    def _curves(self, sol: Any, start: _Start, values: Array) -> Curves:
+    def _tangent(self, sol: Any, start: _Start, k: int) -> Array:
         none = np.zeros((*sol.y.shape, 0))
-        S = none if self._sensitivities is None else np.moveaxis(sol.sensitivities, 1, 2)
-        return self._watch(sol.t, sol.y, self._parameters(S, start, len(values)), values)
+        S = np.moveaxis(sol.sensitivities, 1, 2) if self._columns else none
+        return self._parameters(S, start, k)
+
+    def _curves(self, t: Array, y: Array, tangent: Array | None, values: Array, start: _Start) -> _Curves:
+        if self._watch is not None:
+            found = self._watch(t, y, tangent, values, start.args)
+            return _Curves(found.values, found.tangent)
+        places = self.experiment.observation.components
+        return _Curves(y[places], None if tangent is None else tangent[places])
 
     def _occurrences(self, sol: Any, start: _Start, one: Series, k: int) -> Array | Failed:
         """Return times of an event with their derivatives, (occurrences, 1 + k)."""
@@ -217,88 +430,132 @@ class Simulation:
         times, needed = sol.t_events[event], int(one.places[-1]) + 1
         if len(times) < needed:
             return Failed(f"{titled(one.name)} occurred {len(times)} times, and {needed} times were measured")
-        none = np.zeros((len(times), 0))
-        slopes = none if self._sensitivities is None else sol.sensitivities_t_events[event]
+        if start.slopes is None:
+            return np.asarray(times)[:, None]
+        slopes = sol.sensitivities_t_events[event] if self._columns else np.zeros((len(times), 0))
         return np.column_stack([times, self._parameters(slopes, start, k)])
 
     def curves(self, times: Array, values: Array) -> Curves | Failed:
         """Return the observed quantities at any times within the problem's interval, which are sorted."""
-        start = self._start(values)
+        start = self._start(values, slopes=True)
         once, which = _once(times, backwards=False)
         t0, tf = self.experiment.problem.t_span
         if tf < t0:
             once, which = once[::-1], len(once) - 1 - which
         if isinstance(start, Failed):
             return start
-        sol = self._prepared(once)(start)
+        sol = self._runs(once, start)
         if isinstance(sol, Failed):
             return sol
         missing = len(once) - len(sol.t)
         if missing and sol.status != MESSAGES["terminal_event"][0]:
             return Failed(f"the run ended at t = {sol.t_end:.6g}")
-        found = self._curves(sol, start, values)
-        behind = [(0, 0), (0, missing)]
-        filled = [np.pad(one, behind + [(0, 0)] * (one.ndim - 2), constant_values=np.nan) for one in found]
-        return Curves(*(one[:, which] for one in filled))
+        found = self._curves(sol.t, sol.y, self._tangent(sol, start, len(values)), values, start)
+        m, behind = self.experiment.observation.size, [(0, 0), (0, missing)]
+        filled = [
+            np.pad(one[:m], behind + [(0, 0)] * (one.ndim - 2), constant_values=np.nan)[:, which]
+            for one in (found.values, found.tangent)
+            if one is not None
+        ]
+        return Curves(filled[0], filled[1])
 
     def solution(self, values: Array) -> Solution:
         """Return a run without sensitivities, as users make it."""
-        start = self._start(values)
+        start = self._start(values, slopes=False)
         assert isinstance(start, _Start)  # it was, in the fit
         problem = self._problem.replace(args=start.args, y0=start.y0, sensitivities=None)
         options: Options = {"dense_output": True, **self._options}
         return problem.solve(self._method, **options)
 
 
-class _Watch:
-    """The observed quantities of states, with their derivatives for the parameters of an experiment."""
+class _Known:
+    """Steady states, of which the last ones are remembered: several experiments may begin with the same one."""
 
-    def __init__(
-        self, experiment: Experiment, names: Sequence[str], places: Sequence[int], dynamic: Sequence[ParameterName]
-    ) -> None:
-        self._observation = experiment.observation
-        if self._observation.function is None:
-            return
-        problem = experiment.problem
-        self._n = n = len(problem.y0)
-        extras = self._observation.extras
-        self._extra = {name: n + i for i, name in enumerate(names) if name in extras}
-        if missing := [name for name, value in extras.items() if value is None and name not in self._extra]:
-            raise ValueError(
-                f"observe needs {missing[0]}, which has no default: add it to the parameters, or give it one"
-            )
-        in_args = [(n + i, one) for i, one in zip(places, dynamic, strict=True) if one.kind == "args"]
+    #: How many are remembered.
+    _MOST = 64
 
-        def observed(_t: float, z: Any) -> Any:
-            """Return `observe` of t and (y, parameters), so that derivatives are along both at once."""
-            changes: dict[int, dict[int, Any]] = {}
-            for place, one in in_args:
-                changes.setdefault(one.index, {})[one.item or 0] = z[place]
-            given = {**extras, **{name: z[place] for name, place in self._extra.items()}}
-            return self._observation.function(_t, z[:n], *with_numbers(problem.args, changes), **given)
+    def __init__(self, states: SteadyStates) -> None:
+        self._states = states
+        self._last: dict[tuple[bytes, ...], Found | NotFound] = {}
 
-        start = np.concatenate([problem.y0, [experiment.value(name) or 1.0 for name in names]])
-        self._derivatives = Directional(
-            observed, (), (), len(start), at=Point(problem.t_span[0], start), called="observe"
-        )
-        if self._derivatives.how == "differences":
-            warn(
-                "fit: the derivatives of observe are differences, which are accurate to 1e-10 at best: it cannot be "
-                "traced, and does not take complex numbers. Write it with NumPy's functions",
-                AccuracyWarning,
-            )
+    def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None) -> Found | NotFound:
+        """Return the steady state for these arguments and this initial value, with derivatives for S0."""
+        numbers = np.asarray(Parameters.of(args), dtype=float)
+        key = numbers.tobytes(), y0.tobytes(), b"" if S0 is None else S0.tobytes()
+        if key not in self._last:
+            while len(self._last) >= self._MOST:
+                self._last.pop(next(iter(self._last)))
+            self._last[key] = self._states.at(args, y0, S0)
+        return self._last[key]
 
-    def __call__(self, t: Array, y: Array, tangent: Array, values: Array) -> Curves:
-        if self._observation.function is None:
-            return Curves(y[self._observation.components], tangent[self._observation.components])
-        k = len(values)
-        found, slopes = [], []
-        for i, time in enumerate(t.tolist()):
-            z = np.concatenate([y[:, i], values])
-            directions = np.hstack([tangent[:, i].T, np.eye(k)])  # of y by S, and of the parameters themselves
-            found.append(self._derivatives.value(time, z))
-            slopes.append(self._derivatives.columns(time, z, np.zeros(k), directions, np.zeros((k, 0))))
-        return Curves(np.array(found).T, np.array(slopes).transpose(2, 0, 1))
+
+class _Curves(NamedTuple):
+    """Quantities over time, (q, m), with their derivatives, (q, m, k); None: not wanted."""
+
+    values: Array
+    tangent: Array | None
+
+    def along(self, row: int, places: Array) -> Array:
+        """Return a quantity at some times, with its derivatives, (times, 1 + k)."""
+        values = self.values[row, places][:, None]
+        return values if self.tangent is None else np.hstack([values, self.tangent[row, places]])
+
+
+def _guesses(experiment: Experiment, names: Sequence[str], values: Array) -> Array:
+    """Return values of the parameters at which functions can be called: those of the problem, if they have any."""
+    known = [experiment.value(name) for name in names]
+    return np.array([value if one is None else one for one, value in zip(known, values.tolist(), strict=True)])
+
+
+def _watch(experiment: Experiment, settings: Settings, at: Point, guesses: Array) -> Through | None:
+    """Return the observed quantities, with sigma behind them if it is a function; None: components alone."""
+    observation, sigma, m = experiment.observation, experiment.sigma_function, len(experiment.data.values)
+    if observation.function is None and sigma is None:
+        return None
+    observe, extras = observation.function, [observation.extras]
+    if observe is None:
+        components = observation.components
+        if isinstance(sigma, Formula) and sigma.outputs:
+            graph = sigma.outputs[0].graph
+            observe = Formula("components", lambda: [graph.y(i) for i in components], (m,))
+        else:
+
+            def observe(_t: Any, y: Any, *_args: Any) -> Any:
+                return np.stack([y[i] for i in components])
+
+    if sigma is None:
+        return Through([observe], extras, settings, at, guesses, "observe")
+    inside = sigma if isinstance(sigma, Formula) else _repeated(sigma, m)
+    return Through([observe, inside], [*extras, experiment.sigma_extras], settings, at, guesses, "observe")
+
+
+def _repeated(sigma: Any, m: int) -> Any:
+    """Return sigma as a function with m values: one of a single value holds for all quantities."""
+
+    def repeated(t: Any, y: Any, *args: Any, **extras: Any) -> Any:
+        found = np.ravel(np.asarray(sigma(t, y, *args, **extras)))
+        if len(found) == 1 < m:
+            return np.stack([found[0]] * m)
+        if len(found) != m:
+            raise ValueError(f"sigma returns {len(found)} values, and {m} quantities are observed")
+        return found
+
+    return repeated
+
+
+def _used_by(fun: Any) -> set[int] | None:
+    """Return which numbers of the arguments a function uses, if it is a formula; None: any of them."""
+    inside = getattr(fun, "fun", fun)
+    if not isinstance(inside, Formula):
+        return None
+    return {one.value for one in in_order(inside.outputs) if one.op == "p"}
+
+
+def _used(problem: Problem) -> set[int] | None:
+    """Return which numbers of the arguments the functions of a problem use; None: any of them."""
+    if problem.inputs or problem.events or problem.invariants or callable(problem.matrices.mass):
+        return None
+    return _used_by(problem.fun)
 
 
 def _once(times: Array, backwards: bool) -> tuple[Array, Array]:

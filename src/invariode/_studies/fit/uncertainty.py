@@ -72,11 +72,11 @@ def uncertainty(model: Model, found: Found) -> Uncertainty:
 
 
 def _information(model: Model, found: Found, variance: float) -> Array:
-    """Return a matrix A with AᵀA / variance the expected information in coordinates: of the data, of the noise levels
-    (c data determine ln s with 2 c), and of the priors, whose standard deviations that variance does not change."""
+    """Return a matrix A with AᵀA / variance the expected information in coordinates: of the data, of sigma,
+    and of the priors, whose standard deviations that variance does not change."""
     at, slope = found.at, model.space.slope(found.at.free)
-    rows = [at.jacobian * slope * found.weights[:, None]]
-    rows += [np.sqrt(2 * len(one.data)) * (one.slope * slope / one.value)[None] for one in at.levels]
+    rows = [model.information(at) * slope]
+    rows[0][: model.size] *= found.weights[:, None]
     priors = model.space.priors(at.free).slopes * slope
     return np.concatenate([*rows, priors * math.sqrt(variance) if math.isfinite(variance) else priors])
 
