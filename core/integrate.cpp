@@ -291,7 +291,9 @@ bool Integration::settle_at_bounds() {
   if (manifold_.bounds() == nullptr) return false;
   std::vector<double> y = y0_;
   if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return false;
-  rest_at_bounds(*manifold_.bounds(), extent_, y0_.data(), y.data());
+  if (rest_at_bounds(*manifold_.bounds(), extent_, y0_.data(), y.data()) &&
+      jumps_.follow_equations(t0_, y.data()) != State::running)
+    return end(State::interrupted);
   ++counts_.clipped;
   return start_step_anew(y.data());
 }

@@ -71,19 +71,6 @@ EXCLUDED: list[tuple[dict[str, tuple[str, ...]], str]] = [
     ({"actions": ("dose",), "breakpoints": ("none",)}, "the dose is given at a breakpoint"),
     ({"events": ("at breakpoint",), "breakpoints": ("none",)}, "there is no breakpoint"),
     ({"invariants": ("in time",), "bounds": ("rest",)}, "z + r s is not conserved while z rests on its bound"),
-    ({"mass": ("in time",), "bounds": ("rest",)}, "known defect: steps of 1e-8 after z has come to its bound"),
-    (
-        {"mass": ("coupled",), "bounds": ("rest",), "sensitivities": ("forward",)},
-        "known defect: steps of 1e-8 after z has come to its bound",
-    ),
-    (
-        {"mass": ("singular",), "bounds": ("rest",), "sensitivities": ("forward",)},
-        "known defect: S of differential components is wrong after z has come to its bound",
-    ),
-    (
-        {"events": ("condition",), "sensitivities": ("forward",)},
-        "known defect: times of conditions get the derivative 0, and a warning that they graze zero",
-    ),
 ]
 
 
@@ -689,6 +676,7 @@ def _wrong_derivatives(posed: Posed, sol: Any) -> Iterator[str]:
         if not error <= 10 * ALLOWED:
             yield f"gradient {found} instead of {expected}"
         return
+    yield from _wrong_times(posed, sol)
     for s, S in zip(np.abs(sol.t), np.moveaxis(sol.sensitivities, 2, 0), strict=True):
         if any(abs(s - landing) < _NEAR for landing in posed.exact.landings - {posed.about.T}):
             continue
@@ -696,6 +684,21 @@ def _wrong_derivatives(posed: Posed, sol: Any) -> Iterator[str]:
         error = np.abs(S - expected).max() / (posed.rtol * (1 + np.abs(expected).max()))
         if not error <= 10 * ALLOWED:
             yield f"sensitivities {S.tolist()} instead of {expected.tolist()} at s = {s}"
+
+
+def _wrong_times(posed: Posed, sol: Any) -> Iterator[str]:
+    """The derivatives of times of events, of occurrences that the neighbours have too."""
+    end = min(posed.exact.end, posed.about.T)
+    for i, expected in enumerate(posed.exact.events):
+        here = [s for s, _ in expected if s <= end]
+        near = [[[s for s, _ in one.events[i]][: len(here)] for one in pair] for pair in posed.neighbours]
+        if any(len(one) < len(here) for pair in near for one in pair):
+            continue
+        times = np.array([(np.array(up) - np.array(down)) / (2 * _STEP) for up, down in near]).T * posed.sign
+        found = sol.sensitivities_t_events[i]
+        error = np.abs(found - times).max(initial=0) / (posed.rtol * (1 + np.abs(times).max(initial=0)))
+        if not error <= 10 * ALLOWED:
+            yield f"derivatives of the times of event {i}: {found.tolist()} instead of {times.tolist()}"
 
 
 def _wrong_restart(posed: Posed, whole: Any, folder: Path, random: Random) -> str | None:

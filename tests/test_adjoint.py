@@ -767,7 +767,7 @@ def test_a_component_at_rest_that_a_singular_mass_matrix_couples_is_refused():
     held = iv.Problem(fun, (0, 3), points[:, 0], mass=M, nonnegative=[0])._described()
     sol = types.SimpleNamespace(stats=types.SimpleNamespace(clipped=1.0), t_end=3.0)
     with pytest.raises(ValueError, match="component 0 rests at a bound from t = 1"):
-        at_bounds(held, sol, Line(), 1.0)
+        at_bounds(held, sol, Line(), 1.0, 1e-6)
 
 
 def test_bounds_that_are_never_met_do_not_matter():

@@ -423,13 +423,78 @@ def test_an_action_must_stay_within_the_bounds(method):
 
 
 def test_f_that_drives_out_of_a_bound_without_tolerance_is_told():
-    """With atol = 0 nothing may be outside, and with M(t) f is not changed: the run ends and says where. (Not if a step
-    ends exactly on the bound.)"""
+    """With atol = 0 nothing may be outside, and f is not changed where M y' = f does not tell y' without ∂f/∂y: the run
+    ends and says where. (Not if a step ends exactly on the bound.)"""
     sol = iv.solve_ivp(
-        lambda t, y: [-1.0], (0, 2), [1.0], "ode15s", mass=lambda t: [[1.0]], nonnegative=True, atol=0, max_step=0.4
-    )
+        lambda t, y: [-1.0, y[1] - 1], (0, 2), [1.0, 1.0], "ode15s", mass=np.array([[1.0, 1.0], [0.0, 0.0]]),
+        bounds=([0, -9], None), atol=0, max_step=0.4,
+    )  # fmt: skip
     assert sol.status == -1
     assert "Component 0 of y leaves its bounds" in sol.message
+
+
+COUPLED = np.array([[2.0, 0.5, 0.3], [0.4, 2.0, 0.0], [0.0, 0.1, 1.0]])
+MASSES = {
+    "coupled": COUPLED,
+    "in time": lambda t, *args: COUPLED * (1 + 0.3 * np.sin(t)),
+    "singular": np.block([[COUPLED, np.zeros((3, 1))], [np.zeros((1, 4))]]),
+    "singular, in time": lambda t, *args: (1 + 0.3 * np.sin(t)) * MASSES["singular"],
+    "singular, by combinations of rows": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 0, 1]]).T
+    @ np.block([[COUPLED, np.zeros((3, 1))], [np.zeros((1, 4))]]),
+}
+
+
+@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass != "none"])
+def test_a_component_rests_at_its_bound_beside_any_mass_matrix(method):
+    """M y' = M (-1, -0.6 y1, y0 + 0.2 y1), y0 >= 0: y0 rests from t = 0.5 with y0' = 0, the others have their rates, an
+    algebraic component follows; so do the derivatives with respect to the two rates. No step is lost there."""
+    r, k = 1.0, 0.6
+
+    def exact(t, r, k):
+        b = 1.5 * np.exp(-k * t)
+        a = np.maximum(0.5 - r * t, 0)
+        fallen = np.minimum(t, 0.5 / r)
+        c = 0.5 * fallen - r * fallen**2 / 2 + 0.3 / k * (1 - np.exp(-k * t))
+        return np.array([a, b, c, b + 2 * a])
+
+    for name, M in MASSES.items():
+        if "singular" in name and iv.METHODS[method].mass == "regular":
+            continue
+        if callable(M) and iv.METHODS[method].mass == "regular":
+            continue
+        n = 4 if "singular" in name else 3
+
+        def f(t, y, r, k, M=M, n=n):
+            A = M(t) if callable(M) else M
+            rates = np.array([-r, -k * y[1], y[0] + 0.2 * y[1], 0.0])[:n]
+            return A @ rates + (np.array([0, 0, 0, y[3] - y[1] - 2 * y[0]]) if n == 4 else 0)
+
+        for sensitivities in (False, True):
+            sol = iv.solve_ivp(
+                f, (0, 3), exact(0, r, k)[:n], method, args=(r, k), mass=M, nonnegative=[0], rtol=1e-6, atol=1e-8,
+                sensitivities=sensitivities, max_steps=1000,
+            )  # fmt: skip
+            assert sol.status == 0, (name, sol.message)
+            assert (sol.y[0, sol.t > 0.51] == 0).all(), name
+            np.testing.assert_allclose(sol.y, exact(sol.t, r, k)[:n], rtol=0, atol=3e-4, err_msg=name)
+            if sensitivities:
+                h = 1e-6
+                S = (exact(3.0, r + h, k) - exact(3.0, r - h, k)) / (2 * h)
+                np.testing.assert_allclose(sol.sensitivities[:, 0, -1], S[:n], rtol=0, atol=1e-3, err_msg=name)
+                S = (exact(3.0, r, k + h) - exact(3.0, r, k - h)) / (2 * h)
+                np.testing.assert_allclose(sol.sensitivities[:, 1, -1], S[:n], rtol=0, atol=1e-3, err_msg=name)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_what_rests_ends_its_steps_exactly_at_its_bound(method):
+    """Newton's iteration for the other components leaves nothing in one at rest, whose row of J is not zero: the method
+    does not start again and again."""
+    sol = iv.solve_ivp(
+        lambda t, y: [-1 - 0.5 * y[1] ** 2, 30 * (np.cos(3 * t) - y[1])], (0, 8), [0.3, 0.0], method,
+        nonnegative=[0], rtol=1e-6, atol=1e-9, max_steps=3000,
+    )  # fmt: skip
+    assert sol.status == 0
+    assert (sol.y[0, sol.t > 0.4] == 0).all()
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -97,3 +97,70 @@ def test_events_of_fast_problems_do_not_leave_where_f_is_defined():
         fun, (0, 1e-9), [1.0], args=(1e9,), events=lambda t, y, k: y[0] - 0.5, sensitivities=True, rtol=1e-8
     )
     assert sol.sensitivities[0, 0, -1] == pytest.approx(-5e-10, rel=1e-6)  # of (1 − k t / 2)²
+
+
+class Untraced:
+    """A condition that cannot be traced."""
+
+    def __call__(self, t, y, p, q):
+        return {True: 1}.get(y[0] < q, 0) == 1
+
+
+CONDITIONS = {
+    "one comparison": lambda t, y, p, q: y[0] < q,
+    "not": lambda t, y, p, q: not y[0] >= q,
+    "and": lambda t, y, p, q: y[0] < q and y[0] > -1,
+    "or": lambda t, y, p, q: (y[0] < q) | (t > 100),
+    "branches": lambda t, y, p, q: y[0] < q if t < 50 else False,
+    "numbers": lambda t, y, p, q: np.where(y[0] < q, 1.0, -1.0),
+    "compiled": iv.compile(lambda t, y, p, q: y[0] < q),
+}
+
+
+@explicit_and_implicit
+def test_times_of_conditions(method):
+    """exp(-p t) = q at τ = -ln(q) / p, whatever form the condition has; what its action does has these derivatives too,
+    forward and adjoint."""
+    p, q = 0.7, 0.4
+    tau = -np.log(q) / p
+    for name, condition in CONDITIONS.items():
+        event = iv.Event(condition, action=lambda t, y, p, q: [y[0] + t])
+        sol = iv.solve_ivp(
+            lambda t, y, p, q: [-p * y[0]], (0, 2), [1.0], method, args=(p, q), events=event, sensitivities=True,
+            dense_output=True, rtol=1e-8, atol=1e-10,
+        )  # fmt: skip
+        assert len(sol.t_events[0]) >= 1, name
+        np.testing.assert_allclose(sol.t_events[0][0], tau, rtol=1e-7, err_msg=name)
+        times = np.array([-tau / p, -1 / (p * q)])
+        np.testing.assert_allclose(sol.sensitivities_t_events[0][0], times, rtol=1e-6, err_msg=name)
+        after = (q + tau) * np.exp(-p * (2 - tau))
+        exact = np.exp(-p * (2 - tau)) * np.array([0, 1]) + after * (np.array([tau - 2, 0]) + p * times)
+        exact += np.exp(-p * (2 - tau)) * times
+        np.testing.assert_allclose(sol.sensitivities[0, :, -1], exact, rtol=1e-5, err_msg=name)
+        np.testing.assert_allclose(sol.gradient([1.0]), exact, rtol=1e-5, err_msg=name)
+
+
+def test_a_condition_that_cannot_be_traced_is_a_warning():
+    with pytest.warns(iv.AccuracyWarning, match="condition .* cannot be traced") as caught:
+        sol = iv.solve_ivp(
+            lambda t, y, p, q: [-p * y[0]], (0, 2), [1.0], args=(0.7, 0.4), events=iv.Event(Untraced()),
+            sensitivities=True,
+        )  # fmt: skip
+    assert len(caught) == 1
+    assert not sol.sensitivities_t_events[0].any()
+
+
+@explicit_and_implicit
+def test_the_time_of_an_event_that_a_jump_sets_off_is_that_of_the_jump(method):
+    """A dose at t = 1 carries y over 1.5: ∂τ = 0. The action of an event at y = 0.7 does so too: ∂τ is that event's."""
+    f = {"fun": lambda t, y, k: [-k * y[0]], "y0": [1.0], "args": (0.5,), "sensitivities": True}
+    over = iv.Event(lambda t, y, k: y[0] - 1.5, direction=1)
+    dose = {1.0: lambda t, y, k: [y[0] + 1]}
+    sol = iv.solve_ivp(t_span=(0, 2), method=method, events=over, breakpoints=dose, **f)
+    assert sol.t_events[0].tolist() == [1.0]
+    assert sol.sensitivities_t_events[0].tolist() == [[0.0]]
+    low = iv.Event(lambda t, y, k: y[0] - 0.7, direction=-1, action=lambda t, y, k: [2.0])
+    sol = iv.solve_ivp(t_span=(0, 1), method=method, events=[over, low], rtol=1e-9, atol=1e-11, **f)
+    assert sol.t_events[0].tolist() == sol.t_events[1].tolist()
+    for found in sol.sensitivities_t_events:
+        np.testing.assert_allclose(found, [[np.log(0.7) / 0.25]], rtol=1e-6)

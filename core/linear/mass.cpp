@@ -270,6 +270,55 @@ Status AlgebraicConstraints::tangent_entry(void* self, double t, const double* Y
   return Status::ok;
 }
 
+Status DifferentialRate::enter(double t, bool& told) {
+  if (!t_ || (!mass_.constant() && *t_ != t)) {
+    t_.reset();
+    if (mass_.evaluate(t) == Status::stop) return Status::stop;
+    told_ = factor();
+    t_ = t;
+  }
+  told = told_;
+  return Status::ok;
+}
+
+/// M with units in the rows of the algebraic equations, for the components without a column.
+bool DifferentialRate::factor() {
+  const Matrix& M = mass_.matrix();
+  const std::size_t n = M.n();
+  Matrix A = M;
+  if (mass_.singular()) {
+    std::vector<char> has_column(n, 0), algebraic(n, 0);
+    M.for_each([&](std::size_t, std::size_t j, double m) {
+      if (m != 0) has_column[j] = 1;
+    });
+    if (static_cast<std::size_t>(std::ranges::count(has_column, 0)) != mass_.equations()) return false;
+    for (std::size_t k = 0; k < mass_.equations(); ++k) algebraic[mass_.own_row(k)] = 1;
+    A = Matrix({.kind = Structure::Kind::dense, .n = n});
+    M.for_each([&](std::size_t i, std::size_t j, double m) {
+      if (algebraic[i] == 0) A.values[i * n + j] = m;
+    });
+    std::size_t row = 0;
+    for (std::size_t j = 0; j < n; ++j) {
+      if (has_column[j] != 0) continue;
+      while (algebraic[row] == 0) ++row;
+      A.values[row++ * n + j] = 1;
+    }
+  }
+  factors_ = make_factorization(A.structure, lapack_);
+  return factors_->factor(&A, 0, Matrix(A.structure));
+}
+
+void DifferentialRate::solve(double* f) {
+  for (std::size_t k = 0; k < mass_.equations(); ++k) f[mass_.own_row(k)] = 0;
+  factors_->solve(f);
+}
+
+void DifferentialRate::subtract(const double* rate, double* f) {
+  product_.resize(mass_.matrix().n());
+  mass_.matrix().multiply(rate, product_.data());
+  for (std::size_t i = 0; i < product_.size(); ++i) f[i] -= product_[i];
+}
+
 MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear)
     : f_(f), jacobian_(*linear.jacobian), mass_(*linear.mass), lapack_(linear.lapack), rate_(mass_.matrix().n()) {
   jacobian_.provide();  // with a regular M its values do not matter, and are never evaluated

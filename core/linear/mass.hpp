@@ -142,6 +142,31 @@ class AlgebraicConstraints {
   std::vector<double> slope_, slopes_;
 };
 
+/// y' of M y' = f where M alone tells it: of all components if M is regular, else of those whose columns differ from
+/// zero, if there are as many of them as differential equations. Components without a column come out 0.
+class DifferentialRate {
+ public:
+  /// `lapack` may be null.
+  DifferentialRate(const Mass& mass, const Lapack* lapack) : mass_(mass), lapack_(lapack) {}
+
+  /// Takes M at t, for what follows. `told`: y' follows from M alone there.
+  Status enter(double t, bool& told);
+  /// y' from f, in its place.
+  void solve(double* f);
+  /// f ← f − M y'
+  void subtract(const double* rate, double* f);
+
+ private:
+  [[nodiscard]] bool factor();
+
+  Mass mass_;
+  const Lapack* lapack_;
+  std::unique_ptr<Factorization> factors_;
+  std::optional<double> t_;  // of the factors
+  bool told_ = false;
+  std::vector<double> product_;
+};
+
 /// y'(t, y) of M y' = f.
 class MassSlope final : public Slope {
  public:

@@ -76,12 +76,10 @@ bool Bounds::leads_out(const Interval& one, const double* y, double forward, con
   return (s < 0 && y[i] <= lower) || (s > 0 && y[i] >= upper);
 }
 
-void Bounds::remove_outward(const double* y, double forward, double* slope, std::vector<std::size_t>* removed) const {
-  for (const Interval& one : intervals_) {
-    if (!leads_out(one, y, forward, slope)) continue;
-    slope[one.component] = 0;
-    if (removed != nullptr) removed->push_back(one.component);
-  }
+void Bounds::find_outward(const double* y, double forward, const double* slope, std::vector<std::size_t>& found) const {
+  found.clear();
+  for (const Interval& one : intervals_)
+    if (leads_out(one, y, forward, slope)) found.push_back(one.component);
 }
 
 BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
@@ -93,18 +91,22 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
   slope_.resize(bounds.n());
 }
 
-BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
-                           const Matrix& mass, std::unique_ptr<Factorization> factors)
-    : BoundedSlope(f, bounds, forward, of_implicit_method) {
-  coupled_ = &mass;
-  factors_ = std::move(factors);
+BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, DifferentialRate rate)
+    : BoundedSlope(f, bounds, forward, true) {
+  rates_ = std::move(rate);
   rate_.resize(bounds.n());
 }
 
-/// f, and of a coupled M y'.
+/// f, and of an M that is not diagonal y', or 0 where M alone does not tell it.
 Status BoundedSlope::evaluate(double t, const double* y, double* slope) {
   const Status status = f_(t, y, slope);
-  if (status == Status::ok && coupled_ != nullptr && all_finite(slope, bounds_.n())) factors_->solve(slope);
+  if (status != Status::ok || !rates_ || !all_finite(slope, bounds_.n())) return status;
+  bool told = false;
+  if (rates_->enter(t, told) == Status::stop) return Status::stop;
+  if (told)
+    rates_->solve(slope);
+  else
+    std::fill_n(slope, bounds_.n(), 0);
   return status;
 }
 
@@ -146,39 +148,71 @@ void BoundedSlope::state(Archive& archive) {
   for (const std::size_t i : held_) archive.require(i < bounds_.n());
 }
 
-void BoundedSlope::hold_what_rests(double* slope) {
+/// The components that rest at a bound in this step, and that the slope would lead out.
+void BoundedSlope::find_held(const double* slope) {
+  held_.clear();
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
     const double s = forward_ * slope[i] * mass(i);
     const bool leads_out = rests_[k] * s > 0 || lower == upper;
-    if (rests_[k] == 0 || mass(i) == 0 || !leads_out) continue;
-    slope[i] = 0;
-    if (notes_held_) held_.push_back(i);
+    if (rests_[k] != 0 && mass(i) != 0 && leads_out) held_.push_back(i);
   }
 }
 
-void BoundedSlope::remove_outward(const double* y, double* slope) {
-  if (by_step_)
-    hold_what_rests(slope);
-  else
-    bounds_.remove_outward(y, forward_, slope, notes_held_ ? &held_ : nullptr);
+double BoundedSlope::settle_held(const Weights& weights, double* y) const {
+  double most = 0;
+  for (std::size_t k = 0; k < rests_.size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    if (rests_[k] == 0 || std::ranges::find(held_, i) == held_.end()) continue;
+    const double end = rests_[k] < 0 ? lower : upper;
+    const double distance = std::abs(y[i] - end) / weights.threshold()[i];
+    if (!(distance <= weights.rtol())) continue;
+    y[i] = end;
+    most = std::max(most, distance);
+  }
+  return most;
+}
+
+void BoundedSlope::release(const double* y) {
+  for (std::size_t k = 0; k < rests_.size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    if (lower < y[i] && y[i] < upper) rests_[k] = 0;
+  }
+}
+
+void BoundedSlope::rest(double* f) {
+  if (!rates_) {
+    for (const std::size_t i : held_) f[i] = 0;
+    return;
+  }
+  if (held_.empty()) return;
+  std::vector<double> removed(rate_.size(), 0);
+  std::copy_n(f, rate_.size(), rate_.data());
+  rates_->solve(rate_.data());
+  for (const std::size_t i : held_) removed[i] = rate_[i];
+  rates_->subtract(removed.data(), f);
 }
 
 Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   auto& bounded = *static_cast<BoundedSlope*>(self);
   const Status status = bounded.f_(t, y, out);
   if (status != Status::ok) return status;
+  const bool any_rests = std::ranges::any_of(bounded.rests_, [](char side) { return side != 0; });
   bounded.held_.clear();
-  if (bounded.coupled_ == nullptr) {
-    bounded.remove_outward(y, out);
-    return status;
+  if (bounded.rates_) {
+    bool told = false;
+    if (!any_rests || !all_finite(out, bounded.bounds_.n())) return status;
+    if (bounded.rates_->enter(t, told) == Status::stop) return Status::stop;
+    if (!told) return status;
+    std::copy_n(out, bounded.rate_.size(), bounded.rate_.data());
+    bounded.rates_->solve(bounded.rate_.data());
+    bounded.find_held(bounded.rate_.data());
+  } else if (bounded.by_step_) {
+    if (any_rests) bounded.find_held(out);
+  } else {
+    bounded.bounds_.find_outward(y, bounded.forward_, out, bounded.held_);
   }
-  if (bounded.by_step_ && std::ranges::none_of(bounded.rests_, [](char side) { return side != 0; })) return status;
-  if (!all_finite(out, bounded.bounds_.n())) return status;
-  std::copy_n(out, bounded.rate_.size(), bounded.rate_.data());
-  bounded.factors_->solve(bounded.rate_.data());
-  bounded.remove_outward(y, bounded.rate_.data());
-  bounded.coupled_->multiply(bounded.rate_.data(), out);
+  bounded.rest(out);
   return status;
 }
 

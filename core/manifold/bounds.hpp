@@ -4,11 +4,11 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <memory>
+#include <optional>
 #include <vector>
 
 #include "callback.hpp"
-#include "linear/matrix.hpp"
+#include "linear/mass.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -47,10 +47,9 @@ class Bounds {
   bool settle(const Weights& weights, double forward, const double* slope, double shortest, double* y) const;
   /// Returns whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
-  /// Removes from a slope at y the components that lead out of the bounds where y is at one or beyond. `forward`: +1 or
-  /// −1, the direction of integration. `removed`: takes the components where it did, unless null.
-  void remove_outward(const double* y, double forward, double* slope,
-                      std::vector<std::size_t>* removed = nullptr) const;
+  /// Lists the components of a slope at y that lead out of the bounds where y is at one or beyond. `forward`: +1 or −1,
+  /// the direction of integration.
+  void find_outward(const double* y, double forward, const double* slope, std::vector<std::size_t>& found) const;
 
  private:
   std::size_t n_;
@@ -70,10 +69,9 @@ class BoundedSlope {
   /// and stays. Empty: f is y'.
   BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
                std::vector<double> mass = {});
-  /// With a constant regular M that is not diagonal, the component that must not lead out is one of y' = M⁻¹ f, and f
-  /// without it is M y' with 0 in its place.
-  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method, const Matrix& mass,
-               std::unique_ptr<Factorization> factors);
+  /// With another M, the component that must not lead out is one of y', and f without it is f − M e_i y_i'. Where M
+  /// alone does not tell y', f stays as it is.
+  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, DifferentialRate rate);
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
 
@@ -85,18 +83,23 @@ class BoundedSlope {
   /// With the components held, which slopes of sensitivities beside a point take from the last evaluation of f.
   void state(Archive& archive);
 
-  /// From now on the components whose slope it sets to 0 are noted.
-  void note_held() { notes_held_ = true; }
   /// The components whose slope the last evaluation set to 0.
   [[nodiscard]] const std::vector<std::size_t>& held() const { return held_; }
+  /// What rested in a step ends it at its bound: moves held components of the candidate that iterations have left
+  /// beside it, by less than the tolerance. Explicit methods leave none. Returns the largest move, in units of thr.
+  double settle_held(const Weights& weights, double* y) const;
+  /// Components at (t, y), behind a jump, that are not at a bound do not rest.
+  void release(const double* y);
+  /// Another right-hand side of M x' = f at the same time, such as that of a sensitivity, without what moves these
+  /// components.
+  void rest(double* f);
 
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }
 
  private:
   Status look(double t, const double* y);
-  void hold_what_rests(double* slope);
-  void remove_outward(const double* y, double* slope);
+  void find_held(const double* slope);
   Status evaluate(double t, const double* y, double* slope);
   [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
@@ -106,15 +109,13 @@ class BoundedSlope {
   double forward_;
   bool by_step_;
   std::vector<double> mass_;
-  const Matrix* coupled_ = nullptr;  // M that is not diagonal, with its factors
-  std::unique_ptr<Factorization> factors_;
-  std::vector<double> rate_;  // y', of such an M
+  std::optional<DifferentialRate> rates_;  // of an M that is not diagonal
+  std::vector<double> rate_;               // y', of such an M
   // Of the bounded components, for implicit methods: whether they rest, now and in the step before; whether they are at
   // a bound, and have come there in the step before.
   std::vector<char> rests_, rested_, at_bound_, arrived_;
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
-  bool notes_held_ = false;
   std::vector<std::size_t> held_;
 };
 

@@ -19,6 +19,8 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
                    bool with_events)
     : invariants_(terms.steps),
       bounds_(terms.bounds),
+      bounded_slope_(terms.bounded_slope),
+      consistent_tangent_(terms.consistent_tangent),
       off_bounds_only_(terms.off_bounds_only),
       check_(settings.check),
       weights_(weights),
@@ -107,12 +109,24 @@ void Manifold::forget() {
 
 Manifold::Placed Manifold::place(Step& step, StepEnds& ends, Counts& counts) {
   assert(any() && ends.t0 != ends.t1);
-  const double* candidate = ends.y1;
   correction_ = 0;
+  const double moved = bounded_slope_ != nullptr ? settle(ends) : 0;
+  const double* candidate = ends.y1;
   if (bounds_ != nullptr && !move_onto_bounds(step, ends)) return Placed::outside;
-  if (!projector_ || (off_bounds_only_ && !outside_.off_bounds)) return Placed::accepted;
+  if (!projector_ || (off_bounds_only_ && !outside_.off_bounds && moved <= roundoff_at_bound)) return Placed::accepted;
   ends.y1 = candidate;
   return project(step, ends, counts);
+}
+
+/// A candidate whose resting components are at their bounds. Returns the largest move, in units of thr.
+double Manifold::settle(StepEnds& ends) {
+  if (bounded_slope_->held().empty()) return 0;
+  settled_.assign(ends.y1, ends.y1 + extent_.size());
+  const double moved = bounded_slope_->settle_held(weights_, settled_.data());
+  if (moved == 0) return 0;
+  forget_at_bounds(*bounds_, extent_, bounded_slope_->held(), settled_.data());
+  ends.y1 = settled_.data();
+  return moved;
 }
 
 /// False: the candidate is outside of the bounds by more than the tolerance.
@@ -156,10 +170,13 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& cou
   return Placed::accepted;
 }
 
-/// The sensitivities of y₁ from those of the candidate.
+/// The sensitivities of y₁ from those of the candidate. Where a component comes to its bound its S jumps to 0, and
+/// those of algebraic variables follow; differential ones do not.
 Outcome Manifold::follow_tangent(double t, const double* candidate) {
   if (!tangent_) return Outcome::ok;
-  if (bounds_ != nullptr) rest_at_bounds(*bounds_, extent_, candidate, y1_.data());
+  if (bounds_ != nullptr && rest_at_bounds(*bounds_, extent_, candidate, y1_.data()) && consistent_tangent_ &&
+      consistent_tangent_(t, y1_.data()) == Status::stop)
+    return Outcome::stop;
   return projected_.skipped ? tangent_->settle(t, y1_.data()) : tangent_->follow(*projector_, t, y1_.data());
 }
 

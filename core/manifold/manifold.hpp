@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -33,7 +34,10 @@ struct ManifoldTerms {
   Invariants* between = nullptr;
   Slope* slope = nullptr;
   const Bounds* bounds = nullptr;
-  bool off_bounds_only = false;  ///< steps are projected only after they were moved onto bounds
+  const BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds
+  bool off_bounds_only = false;                 ///< steps are projected only after they were moved onto bounds
+  /// Moves sensitivities of algebraic variables at (t, Y) onto their equations; an empty function without any.
+  std::function<Status(double t, double* Y)> consistent_tangent;
 };
 
 /// An accepted step, or an attempt of one, from (t0, y0) by h to (t1, y1).
@@ -112,6 +116,7 @@ class Manifold {
   };
 
   Status start_tangent(double t, double* y, bool rehold);
+  double settle(StepEnds& ends);
   bool move_onto_bounds(Step& step, StepEnds& ends);
   Outcome follow_tangent(double t, const double* candidate);
   Placed project(const Step& step, StepEnds& ends, Counts& counts);
@@ -122,6 +127,8 @@ class Manifold {
 
   Invariants* invariants_;
   const Bounds* bounds_;
+  const BoundedSlope* bounded_slope_;
+  std::function<Status(double t, double* Y)> consistent_tangent_;
   bool off_bounds_only_, check_;
   const Weights& weights_;
   Extent extent_;
@@ -136,6 +143,7 @@ class Manifold {
   Outside outside_;
   Projected projected_;                    // of the accepted candidate
   double correction_ = 0;                  // of the latest candidate
+  std::vector<double> settled_;            // the candidate, with components that rest at their bounds
   std::vector<double> y1_;                 // the projected candidate
   std::vector<double> before_, after_;     // the values of the invariants on the two sides of a breakpoint
   std::vector<const double*> directions_;  // of corrections, where they are those of the step

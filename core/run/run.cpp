@@ -109,24 +109,17 @@ LinearAlgebra Run::linear_algebra() {
           .state = state_equations_ ? &*state_equations_ : nullptr};
 }
 
-/// With M(t), or a singular M that is not diagonal, f does not tell y_i' without more, and stays as it is; so it does
-/// beside sensitivities, whose slopes are masked like f.
 void Run::keep_within_bounds() {
   const Problem& problem = solver_.problem();
   if (!problem.bounds) return;
   manifold_.bounds = &*problem.bounds;
   std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
-  const bool implicit = solver_.method().implicit();
   if (mass) {
-    bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass));
+    bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit(), std::move(*mass));
   } else {
-    if (!mass_->constant() || mass_->singular() || problem.variations) return;
-    const Matrix& M = mass_->matrix();
     const std::optional<Lapack>& lapack = problem.linear->lapack;
-    auto factors = make_factorization(M.structure, lapack ? &*lapack : nullptr);
-    if (!factors->factor(&M, 0, Matrix(M.structure))) return;
-    bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, M, std::move(factors));
+    bounded_slope_.emplace(f_, *problem.bounds, forward, DifferentialRate(*mass_, lapack ? &*lapack : nullptr));
   }
   bounded_f_ = bounded_slope_->callback();
   method_f_ = &bounded_f_;
@@ -202,7 +195,6 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
 void Run::add_sensitivities() {
   const Problem& problem = this->problem();
   if (!problem.variations) return;
-  if (bounded_slope_) bounded_slope_->note_held();
   augmented_slope_.emplace(*method_f_, problem.variations->slope, problem.extent(),
                            bounded_slope_ ? &*bounded_slope_ : nullptr);
   augmented_f_ = augmented_slope_->callback();
@@ -237,8 +229,11 @@ void Run::start_loop() {
     };
   if (functions.consistent && state_equations_)
     functions.consistent_tangent = [this](double t, double* Y) {
+      if (bounded_slope_) bounded_slope_->release(Y);
       return make_tangent_consistent(linear_algebra(), t, Y);
     };
+  manifold_.bounded_slope = functions.bounded_slope;
+  manifold_.consistent_tangent = functions.consistent_tangent;
   integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
   if (solver_.settings().sections) sections_.emplace(integration_->most_bytes_of_step());
 }

@@ -105,10 +105,14 @@ void forget_at_bounds(const Bounds& bounds, Extent extent, std::span<const std::
   }
 }
 
-void rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y) {
-  for (const auto& [i, lower, upper] : bounds.intervals())
-    if (Y[i] != candidate[i] && (Y[i] == lower || Y[i] == upper))
-      for (std::size_t j = 1; j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+bool rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y) {
+  bool any = false;
+  for (const auto& [i, lower, upper] : bounds.intervals()) {
+    if (Y[i] == candidate[i] || (Y[i] != lower && Y[i] != upper)) continue;
+    for (std::size_t j = 1; j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+    any = true;
+  }
+  return any;
 }
 
 }  // namespace invariode

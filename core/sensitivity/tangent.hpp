@@ -69,8 +69,8 @@ class TangentProjector {
 /// parameters: their rows of S become 0.
 void clip(const Bounds& bounds, Extent extent, double* Y);
 /// Components of the state that a projection or a bound has moved onto a bound do not depend on the parameters there:
-/// their rows of S become 0. From the candidate to Y, whose S is the candidate's still.
-void rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y);
+/// their rows of S become 0. From the candidate to Y, whose S is the candidate's still. Returns whether there were any.
+bool rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y);
 /// Rows of S of these components become 0, if they are at their bounds.
 void forget_at_bounds(const Bounds& bounds, Extent extent, std::span<const std::size_t> held, double* Y);
 

@@ -25,7 +25,7 @@ Status AugmentedSlope::sensitivities_entry(void* self, double t, const double* Y
   auto& me = *static_cast<AugmentedSlope*>(self);
   const bool rests = me.bounded_ != nullptr && !me.bounded_->held().empty();
   if (me.slope_(t, rests ? me.at_rest(Y) : Y, out) == Status::stop) return Status::stop;
-  if (rests) me.rest(out);
+  for (std::size_t j = 0; rests && j < me.extent_.k; ++j) me.bounded_->rest(out + j * me.extent_.n);
   return Status::ok;
 }
 
@@ -35,11 +35,6 @@ const double* AugmentedSlope::at_rest(const double* Y) {
   for (const std::size_t i : bounded_->held())
     for (std::size_t j = 1; j <= extent_.k; ++j) at_rest_[j * extent_.n + i] = 0;
   return at_rest_.data();
-}
-
-void AugmentedSlope::rest(double* out) const {
-  for (const std::size_t i : bounded_->held())
-    for (std::size_t j = 0; j < extent_.k; ++j) out[j * extent_.n + i] = 0;
 }
 
 }  // namespace invariode

@@ -34,7 +34,7 @@ struct Variations {
 class AugmentedSlope {
  public:
   /// `f` is copied. `bounded`: whose slope f is, or null.
-  AugmentedSlope(const Callback& f, Callback slope, Extent extent, const BoundedSlope* bounded)
+  AugmentedSlope(const Callback& f, Callback slope, Extent extent, BoundedSlope* bounded)
       : f_(f), slope_(slope), extent_(extent), bounded_(bounded) {}
   AugmentedSlope(const AugmentedSlope&) = delete;
   AugmentedSlope& operator=(const AugmentedSlope&) = delete;
@@ -48,11 +48,10 @@ class AugmentedSlope {
   static Status whole_entry(void* self, double t, const double* Y, double* out);
   static Status sensitivities_entry(void* self, double t, const double* Y, double* out);
   const double* at_rest(const double* Y);
-  void rest(double* out) const;
 
   Callback f_, slope_;
   Extent extent_;
-  const BoundedSlope* bounded_;
+  BoundedSlope* bounded_;
   std::vector<double> at_rest_;
 };
 

@@ -133,18 +133,17 @@ TEST(a_manifold_outside_of_the_bounds_is_no_success) {
   CHECK(set.project(0, from.data(), y.data()).outcome == Outcome::not_finite);
 }
 
-TEST(slopes_lose_what_leads_out) {
+TEST(components_that_lead_out_are_found) {
   const Bounds bounds({0, -infinite, 0, 1}, {infinite, 2, 1, 1});
-  const std::vector<double> y{-0.1, 2, 0.5, 1};
-  std::vector<double> slope{-1, 3, -4, 5};
-  bounds.remove_outward(y.data(), 1, slope.data());
-  CHECK((slope == std::vector<double>{0, 0, -4, 0}));
-  slope = {-1, 3, -4, 5};
-  bounds.remove_outward(y.data(), -1, slope.data());  // backwards these lead in
-  CHECK((slope == std::vector<double>{-1, 3, -4, 0}));
-  slope = {std::numeric_limits<double>::quiet_NaN(), 0, 0, 0};
-  bounds.remove_outward(y.data(), 1, slope.data());
-  CHECK(std::isnan(slope[0]));
+  const std::vector<double> y{-0.1, 2, 0.5, 1}, slope{-1, 3, -4, 5};
+  std::vector<std::size_t> found;
+  bounds.find_outward(y.data(), 1, slope.data(), found);
+  CHECK((found == std::vector<std::size_t>{0, 1, 3}));
+  bounds.find_outward(y.data(), -1, slope.data(), found);  // backwards these lead in
+  CHECK((found == std::vector<std::size_t>{3}));
+  const std::vector<double> undefined{std::numeric_limits<double>::quiet_NaN(), 0, 0, 0};
+  bounds.find_outward(y.data(), 1, undefined.data(), found);
+  CHECK(found.empty());
 }
 
 TEST(wrong_bounds_are_refused) {

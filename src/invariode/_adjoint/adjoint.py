@@ -185,8 +185,8 @@ class _Adjoint:
         fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
-        self._rests = at_bounds(problem, self._sol, self._y, self._threshold)
-        jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold)
+        self._rests = at_bounds(problem, self._sol, self._y, self._threshold, self._atol)
+        jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold, self._atol)
         jumps.follow_landings(self._schedule)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
@@ -323,7 +323,7 @@ class _Adjoint:
 
     @cached_property
     def _of_mass(self) -> MassDerivatives | None:
-        return mass_derivatives(self._problem, self._names, Rate(self._problem, lambda: self._moving_slope))
+        return mass_derivatives(self._problem, self._names, Rate(self._problem, self._atol, lambda: self._moving_slope))
 
     @property
     def _moving_slope(self) -> Directional:
@@ -332,8 +332,12 @@ class _Adjoint:
         return self._derivatives(fun, "fun", m=self.n, given=given, moves_t=True)
 
     @property
+    def _atol(self) -> Array:
+        return np.asarray(self._sol._atol, dtype=float)
+
+    @property
     def _threshold(self) -> Array:
-        return np.asarray(np.asarray(self._sol._atol, dtype=float) / self._sol._rtol)
+        return np.asarray(self._atol / self._sol._rtol)
 
     def _weights(self, y: Array) -> Array:
         """Return the weights of the error test at y (n,); for a component that is 0, with atol = 0, the largest."""

@@ -24,7 +24,7 @@ from .._problem.description import Description
 from .._problem.events import Event, titled
 from .._problem.parameters import ParameterName
 from .._results.result import DenseSolution, Result
-from .._sensitivity.actions import Rate, is_at_root, restoration
+from .._sensitivity.actions import Rate, is_at_root, of_event, restoration
 from .._sensitivity.algebraic import Algebraic, dense_mass
 from .._sensitivity.landings import LandingJump, Schedule, landing_jump
 from .._sensitivity.variations import Crossing, Switching, given_derivatives
@@ -131,14 +131,14 @@ class Action(NamedTuple):
     reholds: bool
 
 
+#: Of a component at a bound, in units of atol / rtol: `roundoff_at_bound` of the core.
+_AT_BOUND = 1e-13
 #: Relative differences of states that are one, but for the errors of the continuous solution.
 _SAME = 1e-6
 #: Relative differences of derivatives of times that are roundoff.
 _ALIKE = 1e-6
 #: Of M⁻¹ f, in units of its terms.
 _ROUNDOFF = 100 * EPS
-#: Of a component at a bound, in units of atol / rtol: `roundoff_at_bound` of the core.
-_AT_BOUND = 1e-13
 
 
 def _behind(one: Occurrence) -> Array:
@@ -180,10 +180,11 @@ class Jumps:
         derivatives: Derivatives,
         conditions: Sequence[Switching],
         threshold: float | Array,
+        atol: float | Array,
     ) -> None:
         fun, given = given_derivatives(problem, names)
         n = len(problem.y0)
-        self._rate = Rate(problem, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
+        self._rate = Rate(problem, atol, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
         self._problem, self._names = problem, names
         self._landing: LandingJump | None = None
         self._derivatives, self._conditions = derivatives, conditions
@@ -289,7 +290,7 @@ class Jumps:
         event = self._events[i]
         if event.action is None or not len(sol.t_events[i]):
             return []
-        times = self._derivatives(event.fun, titled(event.__name__), m=1, moves_t=True, event=True)
+        times, _ = of_event(event, self._derivatives)
         action = self._derivatives(event.action, f"the action of {titled(event.__name__)}", m=self._n, moves_t=True)
         last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
         occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
@@ -390,10 +391,15 @@ class Rest(NamedTuple):
 
 
 def at_bounds(
-    problem: Description, sol: Result, y: DenseSolution | SectionedSolution, threshold: float | Array
+    problem: Description,
+    sol: Result,
+    y: DenseSolution | SectionedSolution,
+    threshold: float | Array,
+    atol: float | Array,
 ) -> list[Rest]:
-    """Return the rests of components at their bounds: between steps that end there, except for roundoff in units of the
-    threshold atol / rtol, where y' leads out of the bounds, or is 0 since they have reached them.
+    """Return the rests of components at their bounds: in steps that start there, except for roundoff in units of the
+    threshold atol / rtol, and end there within the tolerance, as those do that an event cuts, where y' leads out of the
+    bounds, or is 0 since they have reached them.
 
     Raises
     ------
@@ -403,6 +409,7 @@ def at_bounds(
     if problem.bounds is None:
         return []
     near = _AT_BOUND * np.reshape(threshold, (-1, 1))
+    within = np.reshape(atol, (-1, 1))
     found: list[Rest] = []
     since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
     for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
@@ -410,7 +417,7 @@ def at_bounds(
         states, ends = y(t[:-1]), y(np.nextafter(t[1:], t[:-1]))
         bounds = (-1, problem.bounds.lower), (1, problem.bounds.upper)
         sides = [
-            (side, (np.abs(states - bound[:, None]) <= near) & (np.abs(ends - bound[:, None]) <= near))
+            (side, (np.abs(states - bound[:, None]) <= near) & (np.abs(ends - bound[:, None]) <= within))
             for side, bound in bounds
         ]
         middle = 0.5 * (t[1:] + t[:-1])

@@ -35,7 +35,7 @@ from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula
-from .graph.switches import Switch, conditions, evaluated, has_steps, switches
+from .graph.switches import Switch, conditions, evaluated, has_steps, surface, switches
 from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of, with_numbers
 
 #: Of an increment of a one-sided difference: a smaller one to compare with, and by how much a derivative that exists
@@ -133,7 +133,7 @@ class Directional:
         self._moves_t = moves_t
         self._evaluate = _Evaluation(fun, args, names, m, self.called, event)
         self.m = len(self._evaluate(at.t, at.y)) if m is None else m
-        self._evaluate.m = self.m
+        self._evaluate.m, self._at = self.m, at
         given = given or Given()
         self._dfdp = None if given.dfdp is None else self._shaped("dfdp", given.dfdp, int(self._evaluate.own.sum()))
         self._graph = self._by_graph(fun, args, names)
@@ -305,6 +305,20 @@ class Directional:
         """Return the switches of F's graph at which its values jump; an empty list without a graph, where they are
         unknown."""
         return [] if self._graph is None else self._graph.switches(at)
+
+    @property
+    def surface(self) -> Any:
+        """A function with F's arguments that changes its sign where F does, for an F of one value that takes two
+        constants, as a condition does; None of another F, or without a graph."""
+        if self._graph is None:
+            return None
+        found = surface(self._graph.outputs[0])
+        return None if found is None else self._graph.with_values([found], self.called)
+
+    @property
+    def is_condition(self) -> bool:
+        """True if F has no graph and returns True or False, of which derivatives say nothing."""
+        return self._graph is None and self._evaluate(*self._at).dtype == bool
 
     @property
     def has_conditions(self) -> bool:

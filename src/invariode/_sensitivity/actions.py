@@ -54,13 +54,15 @@ class Weights(NamedTuple):
 class Rate:
     """y' of M y' = f, also of its algebraic components; `slope` makes the derivatives of f, for these.
 
-    A component at a bound, where y' leads outside, rests: its y' is 0, as in the run.
+    A component at a bound, within the absolute tolerance, where y' leads outside, rests: its y' is 0, as in the run.
+    (Between steps, rests are as exact as Newton's iteration.)
     """
 
-    def __init__(self, problem: Description, slope: Callable[[], Directional]) -> None:
+    def __init__(self, problem: Description, atol: float | Array, slope: Callable[[], Directional]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
         self._algebraic = AlgebraicOverTime(problem)
         self._derivatives = slope() if self.is_singular else None
+        self._near = np.asarray(atol)
         self._bounds, self._direction = problem.bounds, np.sign(problem.t_span[1] - problem.t_span[0])
 
     @property
@@ -72,10 +74,10 @@ class Rate:
         f = self._slope(np.array([t]), y[:, None])[:, 0]
         if self._derivatives is not None:
             ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
-            # Of a singular M, f_i M_ii stands for y_i', as in the core; algebraic components follow from the others.
-            diagonal = np.diag(np.asarray(dense_mass(self._mass, t, self._args)))
-            f = np.where(self._rests(y, f * diagonal), 0, f)
-            return self._algebraic.at(t).rate(self._derivatives.jacobian(t, y), f, ft)
+            J, algebraic = self._derivatives.jacobian(t, y), self._algebraic.at(t)
+            rate = algebraic.rate(J, f, ft)
+            rests = self._rests(y, rate)  # algebraic components follow from the others
+            return algebraic.rate(J, f - algebraic.M @ np.where(rests, rate, 0), ft) if rests.any() else rate
         M = dense_mass(self._mass, t, self._args)
         rate = f if M is None else np.asarray(np.linalg.solve(M, f))
         return np.where(self._rests(y, rate), 0, rate)
@@ -85,7 +87,7 @@ class Rate:
         if self._bounds is None:
             return np.zeros(len(y), dtype=bool)
         outwards = self._direction * rate
-        at_lower, at_upper = y <= self._bounds.lower, y >= self._bounds.upper
+        at_lower, at_upper = y <= self._bounds.lower + self._near, y >= self._bounds.upper - self._near
         return np.asarray((at_lower & (outwards < 0)) | (at_upper & (outwards > 0)))
 
 
@@ -101,17 +103,49 @@ def is_at_root(event: Directional, t: float, y: Array, f: Array) -> bool:
     return bool(abs(event.value(t, y)[0]) <= _AT_ROOT * size)
 
 
+def of_event(event: Event, derivatives: Callable[..., Directional]) -> tuple[Directional, bool]:
+    """Return the derivatives of the function of an event, of a condition those of a function whose zeros are its
+    changes; and whether they are known.
+
+    Warns
+    -----
+    AccuracyWarning
+        A condition cannot be traced: nothing is known of its times but themselves, and their derivatives are 0.
+    """
+    called = titled(event.__name__)
+    made = derivatives(event.fun, called, m=1, moves_t=True, event=True)
+    surface = made.surface
+    if surface is not None:
+        return derivatives(surface, called, m=1, moves_t=True), True
+    if made.is_condition:
+        warn(
+            f"sensitivities: {called} is a condition (True or False) that cannot be traced, so that the derivatives of "
+            "its times are unknown, and 0 here. Return a number that changes its sign instead",
+            AccuracyWarning,
+        )
+        return derivatives(_unknown, called, m=1, moves_t=True), False
+    return made, True
+
+
+def _unknown(t: Any, y: Any, *args: Any) -> Any:
+    return 0.0 * y[0]
+
+
 class EventTime:
     """The derivatives of the times at which an event occurs."""
 
     def __init__(self, event: Event, derivatives: Callable[..., Directional], rate: Rate, weights: Weights) -> None:
         self._name, self._rate, self._weights = event.__name__, rate, weights
-        self.function = derivatives(event.fun, titled(event.__name__), m=1, moves_t=True, event=True)
+        self.function, self._is_known = of_event(event, derivatives)
         self._grazing: list[float] = []
 
     def at(self, t: float, Y: Array) -> Array:
         """∂τ/∂p for an occurrence, of shape (k,); 0 if the event does not cross zero."""
         return self.with_slope(t, Y, self._rate(t, Y[0]))
+
+    def is_at_root(self, t: float, Y: Array) -> bool:
+        """Return whether the event is zero for an occurrence, to roundoff."""
+        return is_at_root(self.function, t, Y[0], self._rate(t, Y[0]))
 
     def with_slope(self, t: float, Y: Array, f: Array) -> Array:
         """Return the derivative of the time of the event with respect to the parameters, with f for y' before it."""
@@ -119,7 +153,7 @@ class EventTime:
         rates = self.function.columns(
             t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
         )[:, 0]
-        if self._is_grazing(t, Y[0], f, rates[0], k):
+        if self._is_known and self._is_grazing(t, Y[0], f, rates[0], k):
             self._grazing.append(t)
         return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(k)
 

@@ -62,6 +62,8 @@ class Variations:
         Derivatives of the time of each event.
     actions : list
         Jump of S at the action of each event, with its log.
+    breaks : frozenset of float
+        Times of the breakpoints.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
     log : list of tuple
@@ -87,6 +89,7 @@ class Variations:
     how: dict[str, str]
     times: list[EventTime]
     actions: list[ActionOfEvent | None]
+    breaks: frozenset[float]
     switches: list[EventSpec]
     log: list[tuple[float, str]]
     near: float
@@ -187,18 +190,30 @@ class Variations:
         """The sensitivities at occurrences of events, of times and Y; what actions have done is taken from the log."""
         before, after, times = [], [], []
         k, n = len(self.names), n * (1 + self.is_complex)
-        for (t, rows), time, action in zip(happened, self.times, self.actions, strict=True):
-            states = np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)
+        found = [(t.tolist(), np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)) for t, rows in happened]
+        for i, ((t, states), time, action) in enumerate(zip(found, self.times, self.actions, strict=True)):
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
-            times.append(np.array([time.at(*one) for one in zip(t.tolist(), states, strict=True)]).reshape(len(t), k))
+            times.append(np.array([self._time(i, *one, found) for one in zip(t, states, strict=True)]).reshape(-1, k))
             log = {} if action is None else action.taken()
             unknown = np.full((n, k), np.nan)
-            behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t.tolist()])
+            behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t])
             after.append(behind.reshape(len(t), n, k))
             time.tell()
         if self.is_complex:
             before, after = ([in_complex(one, 1) for one in each] for each in (before, after))
         return AtEvents(before, after, times)
+
+    def _time(self, i: int, t: float, state: Array, found: Sequence[tuple[list[float], Array]]) -> Array:
+        """Return ∂τ (k,) of an occurrence of event i among those found. An event that a jump has carried over zero has
+        the time of that jump: of a breakpoint, or of the event that acts."""
+        acting = [j for j, (t_j, _) in enumerate(found) if j != i and self.actions[j] is not None and t in t_j]
+        if (t not in self.breaks and not acting) or self.times[i].is_at_root(t, state):
+            return self.times[i].at(t, state)
+        for j in acting:
+            cause = found[j][1][found[j][0].index(t)]
+            if self.times[j].is_at_root(t, cause):
+                return self.times[j].at(t, cause)
+        return np.zeros(len(self.names))
 
 
 def make_variations(
@@ -224,14 +239,13 @@ def make_variations(
     wanted = problem.sensitivities
     assert wanted is not None
     about = _Derivatives(args := problem.args, names, n := len(y0), Point(t0 := problem.t_span[0], y0))
-    slope, rate = about.of_fun(problem)
+    slope, rate = about.of_fun(problem, weights.rtol * np.asarray(weights.threshold))
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
         require_analytic(slope, about.at, of_start[0])
     mass = about.of_mass(problem, rate)
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
     jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
-    log: list[tuple[float, str]] = []
-    switches = followed(slope, about.of, problem, log)
+    switches = followed(slope, about.of, problem, about.log)
     schedule = schedule or schedule_of(problem, Parameters.of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
@@ -260,8 +274,9 @@ def make_variations(
         how=about.how,
         times=times,
         actions=jumps,
+        breaks=frozenset(float(one.t) for one in points),
         switches=[_condition(one, n, Parameters.of(args), form) for one in switches],
-        log=log,
+        log=about.log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
         derivatives_of=about.made,
@@ -286,17 +301,18 @@ class _Derivatives:
     def __init__(self, args: tuple[Any, ...], names: Sequence[ParameterName], n: int, at: Point) -> None:
         self._args, self._names, self._n, self.at = args, names, n, at
         self.how: dict[str, str] = {}
+        self.log: list[tuple[float, str]] = []  # of conditions of f that have changed
         self.made: list[Directional] = []
 
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
         """Return the derivatives of a function."""
         return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
 
-    def of_fun(self, problem: Description) -> tuple[Directional, Rate]:
+    def of_fun(self, problem: Description, atol: float | Array) -> tuple[Directional, Rate]:
         """Return the derivatives of f along directions of y and the parameters, and its rate along the solution."""
         fun, given = given_derivatives(problem, self._names)
         slope = self.of(fun, "fun", m=self._n, given=given)
-        return slope, Rate(problem, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
+        return slope, Rate(problem, atol, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
 
     def _note(self, made: Directional) -> Directional:
         self.how[made.called] = made.how
@@ -348,7 +364,9 @@ class _Derivatives:
 
     def tell(self) -> None:
         """A warning if some are differences."""
-        rough = [called for called, how in self.how.items() if how.endswith("differences")]
+        rough = dict.fromkeys(
+            one.called for one in self.made if one.how.endswith("differences") and not one.is_condition
+        )
         if rough:
             warn(
                 f"sensitivities: the derivatives of {', '.join(rough)} are differences, which are accurate to 1e-10 at "

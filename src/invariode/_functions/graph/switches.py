@@ -59,6 +59,48 @@ def conditions(outputs: Sequence[Node]) -> list[Switch]:
     return [*_comparisons(outputs), *_steps(outputs)]
 
 
+def surface(value: Node) -> Node | None:
+    """Return a function that changes its sign where a condition changes, smooth except where one comparison takes over
+    from another; None if `value` has other values than two constants, or changes where nothing is compared."""
+    found = _surface(value)
+    return found if isinstance(found, Node) else None
+
+
+def _surface(value: Node) -> Node | bool | None:
+    """`surface`; True or False of a constant."""
+    op, graph = value.op, value.graph
+    if op == "number":
+        return bool(value.value > 0)
+    if op in _ORDERED:
+        return value.arguments[1] - value.arguments[0]
+    if op == "sign":
+        return value.arguments[0]
+    parts = [_surface(one) for one in value.arguments] if op in ("not", "and", "or", "select") else []
+    if not parts or any(one is None for one in parts):
+        return None
+
+    def opposite(one: Node | bool | None) -> Node | bool:
+        assert one is not None
+        return -one if isinstance(one, Node) else not one
+
+    def both(one: Node | bool | None, other: Node | bool | None) -> Node | bool:
+        if isinstance(one, Node) and isinstance(other, Node):
+            return graph.make("minimum", one, other)
+        constant, rest = (one, other) if not isinstance(one, Node) else (other, one)
+        assert rest is not None
+        return rest if constant else False
+
+    def either(one: Node | bool | None, other: Node | bool | None) -> Node | bool:
+        return opposite(both(opposite(one), opposite(other)))
+
+    if op == "not":
+        return opposite(parts[0])
+    if op == "select":
+        chosen, yes, no = parts
+        return either(both(chosen, yes), both(opposite(chosen), no))
+    return both(*parts) if op == "and" else either(*parts)
+
+
 def _comparisons(outputs: Sequence[Node]) -> list[Switch]:
     groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
     for node in in_order(outputs):
