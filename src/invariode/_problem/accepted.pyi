@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 from numpy.typing import ArrayLike
 from .._base.arguments import Array
-from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, LargestStep, Numbers, OnFailure, OnInterrupt
+from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, LargestStep, Numbers, OnFailure, OnInterrupt, Progress
 from .grouped import CheckpointLike, Limits, LinearSolver
 from .invariants import InvariantsLike
 from .sensitivities import SensitivitiesLike
@@ -20,8 +20,8 @@ def solve_options(
     Numbers = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate:
     bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer:
     tuple[str, str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep |
-    None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None =
-    ..., limits: Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ...,
+    None = ..., callback: Callable[[float, Array], object] | None = ..., progress: Progress = ..., max_steps: int | None
+    = ..., limits: Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ...,
     on_failure: OnFailure | None = ...
 ) -> SolveOptions: ...
 def run_options(
@@ -30,9 +30,9 @@ def run_options(
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
     str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool |
     Literal['checkpoints'] = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ...,
-    callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits:
-    Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure
-    | None = ...
+    callback: Callable[[float, Array], object] | None = ..., progress: Progress = ..., max_steps: int | None = ...,
+    limits: Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure:
+    OnFailure | None = ...
 ) -> Options: ...
 def suite_options(
     *, args: Iterable[Any] | None = ..., vectorized: bool = ..., events: EventsLike = ..., invariants: InvariantsLike |
@@ -44,7 +44,7 @@ def suite_options(
     Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
     fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool | Literal['checkpoints'] =
     ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float,
-    Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ...,
+    Array], object] | None = ..., progress: Progress = ..., max_steps: int | None = ..., limits: Limits | None = ...,
     checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure | None = ...
 ) -> AllOptions: ...
 def ensemble_options(
@@ -55,25 +55,26 @@ def ensemble_options(
     Numbers = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate:
     bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer:
     tuple[str, str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ...,
-    callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits:
-    Limits | None = ..., on_failure: OnFailure | None = ..., workers: int | None = ..., lanes: Literal['auto', 1] = ...,
-    retry: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = ..., executor: Any = ..., chunk: int | None = ...,
-    resume: bool = ..., seed: Any = ...
+    callback: Callable[[float, Array], object] | None = ..., progress: Progress = ..., max_steps: int | None = ...,
+    limits: Limits | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure | None = ..., workers: int |
+    None = ..., lanes: Literal['auto', 1] = ..., retry: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = ...,
+    executor: Any = ..., chunk: int | None = ..., resume: bool = ..., seed: Any = ...
 ) -> EnsembleOptions: ...
 def problem_ensemble_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
     = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
     str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ..., callback:
-    Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits |
-    None = ..., on_failure: OnFailure | None = ..., workers: int | None = ..., lanes: Literal['auto', 1] = ..., retry:
-    Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = ..., executor: Any = ..., chunk: int | None = ..., resume:
-    bool = ..., seed: Any = ...
+    Callable[[float, Array], object] | None = ..., progress: Progress = ..., max_steps: int | None = ..., limits: Limits
+    | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure | None = ..., workers: int | None = ..., lanes:
+    Literal['auto', 1] = ..., retry: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = ..., executor: Any = ...,
+    chunk: int | None = ..., resume: bool = ..., seed: Any = ...
 ) -> ProblemEnsembleOptions: ...
 def extension_options(
     *, first_step: float | None = ..., max_step: LargestStep = ..., check: bool | Literal['strict'] = ..., t_eval:
-    ArrayLike | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps:
-    int | None = ..., limits: Limits | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure | None = ...
+    ArrayLike | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: Progress = ...,
+    max_steps: int | None = ..., limits: Limits | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure |
+    None = ...
 ) -> ExtensionOptions: ...
 def stepper_options(
     *, invariants: InvariantsLike | None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] |

@@ -291,7 +291,7 @@ class Fit:
         slopes = curves.tangent @ local.slopes
         errors = self._errors_of(slopes)
         lognormal = np.array([kind.startswith("log") for kind in one.noise] or [False])[:, None]
-        scale = np.where(lognormal, errors / np.abs(curves.values), errors)
+        scale = np.divide(errors, np.abs(curves.values), where=lognormal & (curves.values != 0), out=errors.copy())
         if noise:
             scale = np.hypot(scale, self._sigmas(experiment)[:, None])
         margin = np.multiply(q, scale, where=scale != 0, out=np.zeros_like(scale))  # q may be infinite
