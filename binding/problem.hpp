@@ -156,8 +156,9 @@ class BoundProblem {
   [[nodiscard]] bool native() const { return functions_.native(); }
   /// The motions that its functions are parts of.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
-  /// Puts a Python function in the place of f, which must be one.
-  void lend(nb::object f, nb::tuple args) { functions_.lend(std::move(f), std::move(args)); }
+  /// See `Functions::lend`.
+  void lend(const nb::object& functions, const nb::tuple& args) { functions_.lend(functions, args); }
+  void give_back() { functions_.give_back(); }
   /// Returns whether a run has failed because f overflows wherever it goes on: the exception is set then.
   [[nodiscard]] bool raise_overflow(const Integration& ended) const;
   void forget_overflows() const { functions_.forget_overflows(); }

@@ -23,9 +23,9 @@ from .._linear.null_space import null_space
 from .._problem.events import to_events
 from .._problem.methods import find_method
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import concluded
-from .._solve.problem import Problem
 from .linear_systems import condition
 from .solution import in_unknowns
 from .structure import SINGULAR

@@ -140,6 +140,14 @@ class BoundInvariants:
             jumps=tuple(jump._replace(value=jump.value[: len(kept)][kept]) for jump in self.jumps),
         )
 
+    def with_functions(self, invariants: Sequence[Invariants]) -> BoundInvariants:
+        """Return these with the functions of other invariants of their kind."""
+        specs = [
+            spec._replace(fun=one.fun, jac=one.jac if callable(one.jac) else spec.jac)
+            for spec, one in zip(self.specs, invariants, strict=True)
+        ]
+        return replace(self, specs=specs)
+
     @property
     def last_value(self) -> Array:
         """The values at which the invariants are held at the end of the run."""
@@ -286,7 +294,7 @@ _NO_VALUES = np.zeros(0)
 
 
 def bind(
-    invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
+    invariants: Sequence[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
 ) -> BoundInvariants:
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
     complex y. `threshold`: thr of the reals of y, the size below which a component gives no scale."""
@@ -345,6 +353,30 @@ def bind(
     negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
     names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def values_at_start(
+    bound: BoundInvariants,
+    invariants: Sequence[Invariants],
+    t: float,
+    y: Array,
+    args: tuple[Any, ...],
+    threshold: float | Array,
+) -> Array | None:
+    """Return the values of Python invariants from another start, as `bind` finds them. None: these are not of the kind
+    of the bound ones, or their evaluations would be counted otherwise."""
+    values, evaluations = [], len(invariants)
+    for one, spec in zip(invariants, bound.specs, strict=True):
+        found = _evaluate(one, spec.name, t, y, args)
+        if len(found) != spec.m:
+            return None
+        if one.jac is None and isinstance(spec.jac, str):
+            fits, spent = complex_steps_fit(partial(_values_at, one.fun, t, args), y, threshold)
+            evaluations += spent
+            if fits != (spec.jac == "complex-step or 3-point"):
+                return None
+        values.append(found if one.value is None else np.broadcast_to(one.value, (spec.m,)))
+    return np.concatenate(values) if evaluations == bound.evaluations else None
 
 
 def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:

@@ -21,10 +21,10 @@ from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.contents import content
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities
 from .._results.solution import Solution
 from .prepared import PreparedSolver
-from .problem import Problem
 
 Operands: TypeAlias = Sequence[Any]
 

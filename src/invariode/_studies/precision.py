@@ -19,9 +19,9 @@ from .._base.types import MethodName
 from .._functions.graph.function import OnGraph
 from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
+from .._problem.problem import Problem
 from .._results.result import LIMIT_REACHED, StiffnessWarning
 from .._results.solution import Solution
-from .._solve.problem import Problem
 from .below_zero import BelowZero, Lowest, below_zero
 
 #: With and without projection.

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from .._base.progress import bar, in_passing
 from .._problem.methods import Method
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .._studies.precision import (
     WAYS,
     Judgement,

@@ -23,7 +23,7 @@ from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import replaced
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .expressions import Expression, Translator
 from .library import UnsupportedError
 from .reading import Contents

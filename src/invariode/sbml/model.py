@@ -19,7 +19,7 @@ from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._problem.invariants import Invariants
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .equations import FAST, Equations, used
 from .events import SAME_TIME, EventCode, Machine, times_of_roots
 from .reading import Contents

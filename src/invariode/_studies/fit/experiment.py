@@ -19,7 +19,7 @@ from ..._base.types import MethodName
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
-from ..._solve.problem import Problem
+from ..._problem.problem import Problem
 from .data import Data, in_order, is_table, read
 
 #: Types of `observe`: components by label or index, or a function.
