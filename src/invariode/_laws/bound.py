@@ -37,6 +37,7 @@ from .._functions.derivatives import complex_steps_fit
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
+from .traced_jacobian import takes_no_more, traced_jacobian
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
 _NEGLIGIBLE = 0.01
@@ -307,11 +308,8 @@ def bind(
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
         if one.names is not None and len(one.names) != m:
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
-        kind, size, rows = one.jac, m * n, (_FULL, _FULL)
-        if kind is None and y.dtype.kind != "c" and (exact := derived(one.fun, n, m, count_of(p))) is not None:
-            kind = exact.dense()
-            if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * size:
-                kind, size, rows = exact.by_rows(), exact.entries, exact.row_pattern
+        kind, size, rows, spent = _by_expressions(one, m, t, y, args, p)
+        evaluations += spent
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
         forms = one.fun
@@ -345,6 +343,27 @@ def bind(
     negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
     names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def _by_expressions(
+    one: Invariants, m: int, t: float, y: Array, args: tuple[Any, ...], p: Array
+) -> tuple[Any, int, tuple[Sequence[int], Sequence[int]], int]:
+    """Return the Jacobian of an invariant as it is given, or exact if the expressions of g are known or follow from a
+    trace; with the number of its values, the pattern of its rows, and the evaluations of g that this took."""
+    n, spent = reals(y), 0
+    kind, exact = one.jac, None
+    if kind is None and y.dtype.kind != "c":
+        exact = derived(one.fun, n, m, count_of(p))
+    if kind is None and not is_native(one.fun) and one._in_core(n) is None:
+        kind = traced_jacobian(one.fun, m, t, y, args)
+        spent = 0 if kind is None else 2
+        if kind is not None and not args and takes_no_more(one.fun):
+            exact = kind.derived_for(args)
+    if exact is None:
+        return kind, m * n, (_FULL, _FULL), spent
+    if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
+        return exact.by_rows(), exact.entries, exact.row_pattern, spent
+    return exact.dense(), m * n, (_FULL, _FULL), spent
 
 
 def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
