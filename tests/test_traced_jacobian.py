@@ -4,6 +4,8 @@ stays the user's."""
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy import sparse
 
 import invariode as iv
 from cases import explicit_and_implicit, families
@@ -94,3 +96,33 @@ def test_arguments_of_another_kind_are_served_by_differences():
     exact = made(0.0, Y0 + 0.1, 2.0)
     other = TracedJacobian(g, len(Y0), PAIRS)
     np.testing.assert_allclose(other(0.0, Y0 + 0.1, {"k": 2.0}), exact, atol=1e-8)
+
+
+def test_sparse_jacobians_of_users_are_taken():
+    """Traced with arguments, traced without, and given as a sparse matrix: the same entries by three ways."""
+    n = 60
+
+    def lattice(t, y, k):
+        return np.concatenate([y[n:], -k * y[:n]])
+
+    def sums(t, y, k):
+        return k * y[:n] ** 2 + y[n:] ** 2
+
+    def gradients(t, y, k):
+        return sparse.hstack([sparse.diags_array(2 * k * y[:n]), sparse.diags_array(2 * y[n:])], format="coo")
+
+    def more(t, y, k):
+        found = gradients(t, y, k).tolil()
+        found[0, 1] = t
+        return found if t > 0.5 else gradients(t, y, k)
+
+    y0 = np.concatenate([np.linspace(1, 2, n), np.zeros(n)])
+    for method in ("ode45", "radau"):
+        traced = iv.solve_ivp(lattice, (0, 1), y0, method, args=(2.0,), invariants=sums)
+        given = iv.solve_ivp(lattice, (0, 1), y0, method, args=(2.0,), invariants=iv.Invariants(sums, gradients))
+        assert (traced.stats.derivatives, given.stats.derivatives) == ("traced", "given")
+        np.testing.assert_allclose(traced.y, given.y, rtol=0, atol=1e-12)
+    moved = iv.impose(iv.Invariants(sums, gradients, value=1.0), 0.0, y0, args=(2.0,))
+    np.testing.assert_allclose(sums(0.0, moved.y, 2.0), 1.0, atol=1e-10)
+    with pytest.raises(ValueError, match="were not stored at the start"):
+        iv.solve_ivp(lattice, (0, 1), y0, args=(2.0,), invariants=iv.Invariants(sums, more))

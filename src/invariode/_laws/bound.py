@@ -37,6 +37,7 @@ from .._functions.derivatives import complex_steps_fit
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
+from .sparse_jacobian import sparse_jacobian
 from .traced_jacobian import takes_no_more, traced_jacobian
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
@@ -351,19 +352,25 @@ def _by_expressions(
     """Return the Jacobian of an invariant as it is given, or exact if the expressions of g are known or follow from a
     trace; with the number of its values, the pattern of its rows, and the evaluations of g that this took."""
     n, spent = reals(y), 0
-    kind, exact = one.jac, None
+    kind, exact, traced = one.jac, None, None
     if kind is None and y.dtype.kind != "c":
         exact = derived(one.fun, n, m, count_of(p))
     if kind is None and not is_native(one.fun) and one._in_core(n) is None:
-        kind = traced_jacobian(one.fun, m, t, y, args)
-        spent = 0 if kind is None else 2
-        if kind is not None and not args and takes_no_more(one.fun):
-            exact = kind.derived_for(args)
+        traced = traced_jacobian(one.fun, m, t, y, args)
+    if traced is not None:
+        exact, spent = traced.derived_for(args), 2
+        if not args and takes_no_more(one.fun):
+            traced = None  # machine code is as good as a function that takes arguments
+    if callable(kind) and not is_native(kind) and n >= _MANY_COLUMNS and y.dtype.kind != "c":
+        sparse = sparse_jacobian(kind, f"jac of {call_name(one.fun, 'g')}", t, y, args, m)
+        if sparse is not None:
+            return sparse, len(sparse.pattern[1]), sparse.pattern, spent
     if exact is None:
         return kind, m * n, (_FULL, _FULL), spent
     if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
-        return exact.by_rows(), exact.entries, exact.row_pattern, spent
-    return exact.dense(), m * n, (_FULL, _FULL), spent
+        rows = exact.row_pattern
+        return exact.by_rows() if traced is None else traced.by_rows(rows), exact.entries, rows, spent
+    return exact.dense() if traced is None else traced, m * n, (_FULL, _FULL), spent
 
 
 def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:

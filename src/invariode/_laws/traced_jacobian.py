@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from typing import Any
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -24,6 +25,10 @@ FEWEST_COMPONENTS = 16
 _INCREMENT, _TOLERANCE = 1e-5, 1e-4
 
 
+#: Where the entries of each row begin, and their columns.
+RowPattern: TypeAlias = tuple[Sequence[int], Sequence[int]]
+
+
 class TracedJacobian:
     """∂g/∂y as a function of (t, y, \\*args): machine code of the derivatives of the traced g.
 
@@ -39,6 +44,7 @@ class TracedJacobian:
         self._fun, self._n, self._m = fun, n, m
         self._made: dict[Arguments, Derived] = {}
         self._last: tuple[tuple[Any, ...], Callable[[float, Array], Array]] | None = None
+        self._pattern: RowPattern | None = None
 
     def derived_for(self, args: tuple[Any, ...]) -> Derived | None:
         """The derivatives of g, for all arguments of these kinds; None: it is not traced."""
@@ -50,6 +56,12 @@ class TracedJacobian:
             self._made[given] = Derived(call_name(self._fun, "g"), graph.outputs, self._n, "own")
         return self._made[given]
 
+    def by_rows(self, pattern: RowPattern) -> TracedJacobian:
+        """Return this Jacobian as a function that returns the entries of a pattern, row by row."""
+        made = TracedJacobian(self._fun, self._n, self._m)
+        made._made, made._pattern = self._made, pattern
+        return made
+
     def __call__(self, t: float, y: Array, *args: Any) -> Array:
         last = self._last
         if last is not None and len(last[0]) == len(args) and all(map(_is_same_number, last[0], args)):
@@ -59,17 +71,24 @@ class TracedJacobian:
         return code(t, y)
 
     def _code(self, args: tuple[Any, ...]) -> Callable[[float, Array], Array]:
-        found = self.derived_for(args)
-        if found is None:  # arguments of other kinds than those at the start
-            return lambda t, y: self._by_differences(t, y, args)
-        size, p = self._m * self._n, arguments_of(args).values()
-        code = as_python(native(found.dense(), None, self._n, size, len(p)), size)
-        return lambda t, y: code(t, y, p).reshape(self._m, self._n)
+        found, p = self.derived_for(args), arguments_of(args).values()
+        if found is None or (self._pattern is not None and found.row_pattern != self._pattern):
+            return lambda t, y: self._by_differences(t, y, args)  # arguments of other kinds than those at the start
+        made, shape = found.dense(), [self._m, self._n]
+        if self._pattern is not None:
+            made, shape = found.by_rows(), [found.entries]
+        size = math.prod(shape)
+        code = as_python(native(made, None, self._n, size, len(p)), size)
+        return lambda t, y: code(t, y, p).reshape(shape)
 
     def _by_differences(self, t: float, y: Array, args: tuple[Any, ...]) -> Array:
         steps = np.diag(np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(y), 1.0))
         each = [self.along(t, y, step, args) / (2 * step.max()) for step in steps]
-        return np.column_stack(each)
+        whole = np.column_stack(each)
+        if self._pattern is None:
+            return whole
+        starts, columns = self._pattern
+        return whole[np.repeat(np.arange(self._m), np.diff(starts)), columns]
 
     def along(self, t: float, y: Array, step: Array, args: tuple[Any, ...]) -> Array:
         """g(t, y + step) - g(t, y - step), of shape (m,)."""
