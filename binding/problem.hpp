@@ -79,7 +79,7 @@ struct LinearSpec {
                                // the pattern of a sparse one); or for sparse differences the pattern
   nb::object mass;             // None, the values of a constant one, or M(t)
   nb::object null_basis;       // (starts, rows, values) of Z
-  nb::object lapack;           // None, or capsules by name
+  nb::object lapack;           // None, or a function that returns capsules by name
   std::int64_t found_pattern;  // evaluations of f that found the pattern; 0: it was given
   nb::object product, preconditioner;  // of the kind `products`, and of derived ones without a function; or None
   std::size_t dimension;               // of its Krylov space

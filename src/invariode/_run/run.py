@@ -24,6 +24,7 @@ from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, Jump, as_columns
+from .._laws.traced_jacobian import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .._plan.plan import Plan, course_of, make_plan, ordered_breakpoints, say_established, solver
@@ -556,7 +557,8 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
     """Return how the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
-    given = {"traced" if is_derived(one.jac) else "given" for one in plan.bound.specs if not isinstance(one.jac, str)}
+    functions = [one.jac for one in plan.bound.specs if not isinstance(one.jac, str)]
+    given = {"traced" if is_derived(one) or isinstance(one, TracedJacobian) else "given" for one in functions}
     return {kind for one in run.derivatives for kind in (given if one == "given" else {one})}
 
 
