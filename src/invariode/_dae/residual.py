@@ -257,6 +257,10 @@ class _Linear:
         """Return the values at one point."""
         return self._of(state)
 
+    def general(self, t: Any, state: Any, p: Any) -> Array:
+        """Return the values of other numbers than floats."""
+        return self._of(np.asarray(state))
+
 
 class _Unknowns:
     """y and y' of a residual form, as `Unknowns` of a reduction."""
