@@ -7,7 +7,6 @@ made once. Everything else is checked in each solve, by the same code.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import replace
@@ -15,6 +14,7 @@ from typing import cast
 
 from .. import _core
 from .._base.arguments import reals, warnings_given
+from .._base.forks import short_lock
 from .._base.types import MethodName
 from .._laws.bound import bind
 from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
@@ -30,7 +30,7 @@ _LARGE = 200
 _MOST = 64
 
 _templates: dict[Hashable, Template] = {}
-_keeping = threading.Lock()
+_keeping = short_lock()
 
 
 class Template:
