@@ -18,7 +18,6 @@ import ctypes
 import inspect
 import math
 import sys
-import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
@@ -31,6 +30,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .._base.forks import compiling
 from .contents import Captured
 from .filling import Filling
 from .first_order import FirstOrderForm
@@ -165,7 +165,6 @@ class CompiledFunction:
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
         self.is_complex = False  # whether the Python function takes complex y
-        self._making = threading.Lock()
         self._forget()
 
     def _forget(self) -> None:
@@ -183,7 +182,7 @@ class CompiledFunction:
         """Forget all code if the closure, the globals or the defaults of the function are other ones than when the code
         was made: machine code holds their values as constants."""
         if (self._made or self._calls or self._derivatives) and self._captured.changed():
-            with self._making:
+            with compiling:
                 self._forget()
 
     def __call__(self, *args: Any) -> Any:
@@ -357,7 +356,10 @@ class CompiledFunction:
             raise self._cannot_compile(error) from error
 
     def _machine_code(self, shape: Shape) -> _core.Native:
-        with self._making:
+        made = self._made.get(shape)
+        if made is not None:  # without waiting for other functions
+            return made
+        with compiling:
             made = self._made.get(shape)
             if made is None:
                 code = self._make(shape)

@@ -7,7 +7,6 @@ each run, by the same code.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import replace
@@ -15,6 +14,7 @@ from typing import Any, cast
 
 from .. import _core
 from .._base.arguments import Array, call_name, reals, warnings_given
+from .._base.forks import short_lock
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
 from .._functions.derivatives import at_complex
@@ -39,7 +39,7 @@ _LARGE = 200
 _MOST = 64
 
 _kept: dict[Hashable, Prepared] = {}
-_keeping = threading.Lock()
+_keeping = short_lock()
 
 #: In the place of a function that is lent in each run.
 _LENT: Any = ...

@@ -11,7 +11,6 @@ import builtins
 import dis
 import inspect
 import math
-import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..._base.forks import short_lock
 from ..._core import StateFirst
 from ..filling import Filling
 from ..first_order import FirstOrderForm
@@ -91,7 +91,7 @@ class _Code(NamedTuple):
 #: What is known of codes; the oldest go first.
 _known: dict[CodeType, _Code] = {}
 _MOST_KNOWN = 1024
-_knowing = threading.Lock()
+_knowing = short_lock()
 
 
 def may_switch(fun: Any) -> bool:
