@@ -28,6 +28,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "gallery_look",
+    "portable",
     "mathml",
     "formulas",
     "tables",

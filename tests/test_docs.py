@@ -164,3 +164,43 @@ def test_howtos_say_first_what_one_has_at_the_end_and_have_at_most_900_words():
         assert first[1].startswith("At the end of this page you have "), page.name
         words = len(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split())
         assert words <= 900, (page.name, words)
+
+
+class TestGuide:
+    """The folder `guide` has the pages that are not plain Markdown, with their outputs, as `make docs` writes them."""
+
+    @pytest.fixture(autouse=True)
+    def _portable(self, monkeypatch):
+        monkeypatch.syspath_prepend(str(ROOT / "docs"))
+        self.portable = importlib.import_module("portable")
+
+    def test_its_pages_are_those_of_the_documentation_as_it_is(self):
+        """Pages with code have the digest of their source; others are made again, and compared."""
+        there = {path.relative_to(ROOT / "guide") for path in (ROOT / "guide").rglob("*.md")}
+        assert there == {*self.portable.pages()}
+        for page in self.portable.pages():
+            text = (ROOT / "guide" / page).read_text(encoding="utf-8")
+            assert text.startswith(self.portable.head(page)), f"docs/{page.as_posix()} has changed: make docs"
+            if "{code-cell}" not in (ROOT / "docs" / page).read_text(encoding="utf-8"):
+                assert text == self.portable.page_of(page, []), f"docs/{page.as_posix()}: make docs"
+
+    def test_its_pages_are_plain_have_their_outputs_and_lead_somewhere(self):
+        pictures = set()
+        for path in (ROOT / "guide").rglob("*.md"):
+            text = path.read_text(encoding="utf-8")
+            outside = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+            assert not re.search(r"\{[a-z:]+\}`|^:::|^% |\{code-cell\}|\{\{", outside, re.MULTILINE), path.name
+            assert len(outside) > 300, path.name
+            for to in re.findall(LINK, outside):
+                target = (path.parent / to.partition("#")[0]).resolve()
+                assert target.exists(), (path.name, to)
+                pictures |= {target} & {*(ROOT / "guide/images").iterdir()}
+        assert pictures == {*(ROOT / "guide/images").iterdir()}
+        assert sum(path.stat().st_size for path in (ROOT / "guide").rglob("*.*")) < 2_000_000
+
+    def test_the_readme_leads_to_pages_that_show_as_they_are(self):
+        """To those of the guide where the documentation has code, roles or directives."""
+        made = {f"docs/{page.as_posix()}" for page in self.portable.pages()}
+        links = {to.partition("#")[0] for to in re.findall(LINK, (ROOT / "README.md").read_text(encoding="utf-8"))}
+        assert len(links) > 20
+        assert links & made == set()
