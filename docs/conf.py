@@ -29,6 +29,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "gallery_look",
     "portable",
+    "stacking",
     "mathml",
     "formulas",
     "tables",

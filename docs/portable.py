@@ -1,5 +1,5 @@
-"""The guide: pages of the documentation as plain Markdown with their outputs and pictures, for places that show Markdown
-only, such as code hosts. `make docs` writes them to the folder `guide`; a test finds those that are out of date.
+"""The guide: pages of the documentation as plain Markdown with their outputs and pictures, for places that show
+Markdown only, such as code hosts. `make docs` writes them to the folder `guide`; a test finds those that are out of date.
 
 Pages without code, roles and directives are plain already: links lead to them where they are.
 """
@@ -99,7 +99,9 @@ def _target(page: Path, target: str) -> Path:
     name = target.strip("/") if target.startswith("/") else (page.parent / target).as_posix()
     name = os.path.normpath(name)
     if name.startswith("gallery/"):
-        return ROOT / "examples" / f"{name.removeprefix('gallery/')}.py" if name != "gallery/index" else ROOT / "examples"
+        return (
+            ROOT / "examples" / f"{name.removeprefix('gallery/')}.py" if name != "gallery/index" else ROOT / "examples"
+        )
     path = DOCS / name
     return path if path.suffix else path.with_suffix(".md")
 

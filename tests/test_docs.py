@@ -204,3 +204,21 @@ class TestGuide:
         links = {to.partition("#")[0] for to in re.findall(LINK, (ROOT / "README.md").read_text(encoding="utf-8"))}
         assert len(links) > 20
         assert links & made == set()
+
+
+def test_cells_of_wide_tables_have_the_headings_of_their_columns(monkeypatch):
+    """For telephones; tables of two columns, and of numbers, stay as they are."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    stacked = importlib.import_module("stacking").stacked
+
+    def table(columns, cell="<td>"):
+        head = "".join(f'<th class="head"><p>h<em>{k}</em></p></th>' for k in range(columns))
+        row = "".join(f"{cell}<p>c{k}</p></td>" for k in range(columns))
+        return f'<table class="table"><thead><tr>{head}</tr></thead><tbody><tr>{row}</tr><tr>{row}</tr></tbody></table>'
+
+    wide = stacked(f"<p>before</p>{table(3)}{table(2)}")
+    assert '<table class="table stacks">' in wide
+    assert wide.count('data-label="h0"') == wide.count('data-label="h2"') == 2
+    assert wide.endswith(table(2))
+    numbers = table(4, '<td class="text-right">')
+    assert stacked(numbers) == numbers

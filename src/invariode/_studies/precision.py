@@ -17,8 +17,8 @@ import numpy as np
 from .._base.arguments import EPS, Array
 from .._base.types import MethodName
 from .._functions.graph.function import OnGraph
-from .._problem.grouped import Limits
 from .._laws.bound import BoundInvariants
+from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
 from .._results.result import LIMIT_REACHED, StiffnessWarning
 from .._results.solution import Solution

@@ -93,8 +93,9 @@ def compare(
 
     Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one on
     which two methods agree. The error is the largest over the components, each relative to its largest size along the
-    solution; beside it stands how far each run ends off the invariants, in the same unit. A component that falls below 0 by more than 100 atol in a run, but not in the reference, is named.
-    Evaluations of f include those that test the invariants; times are the smallest of several.
+    solution; beside it stands how far each run ends off the invariants, in the same unit. A component that falls below
+    0 by more than 100 atol in a run, but not in the reference, is named. Evaluations of f include those that test the
+    invariants; times are the smallest of several.
 
     Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
