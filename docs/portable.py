@@ -1,5 +1,5 @@
 """The guide: pages of the documentation as plain Markdown with their outputs and pictures, for places that show
-Markdown only, such as code hosts. `make docs` writes them to the folder `guide`; a test finds those that are out of date.
+Markdown only, such as code hosts. `make docs` writes them to the folder `guide`; a test finds old ones.
 
 Pages without code, roles and directives are plain already: links lead to them where they are.
 """

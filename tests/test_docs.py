@@ -11,6 +11,7 @@ import re
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import invariode
@@ -222,3 +223,57 @@ def test_cells_of_wide_tables_have_the_headings_of_their_columns(monkeypatch):
     assert wide.endswith(table(2))
     numbers = table(4, '<td class="text-right">')
     assert stacked(numbers) == numbers
+
+
+def test_benchmarks_are_of_this_version_or_say_why_not():
+    """A page that an earlier version was measured for has the reason above its figures."""
+    version = metadata.version("invariode")
+    stamped = 0
+    for page in sorted((ROOT / "docs/benchmarks").glob("*.md")):
+        marked = False
+        for line in page.read_text(encoding="utf-8").splitlines():
+            marked = marked or line.startswith("**Measured with an earlier version**: ")
+            for found in re.findall(r"invariode (\d+\.\d+\.\d+)", line):
+                stamped += 1
+                assert found == version or marked, f"{page.name}: measured with {found}: make bench, or say why not"
+                marked = False
+    assert stamped > 15
+
+
+def test_figures_of_projection_are_those_of_today():
+    """The row of docs/benchmarks/precision.md that the README quotes; times are the machine's."""
+    from invariode.problems import kepler
+    from problems import PROBLEMS
+
+    page = (ROOT / "docs/benchmarks/precision.md").read_text(encoding="utf-8").partition("Every tolerance")[0]
+    orbit = PROBLEMS["Kepler"]
+    y0 = kepler(0.6).y0.tolist()
+    row = re.search(r"^\| ode45 +\| +1e-06 \|(.*)", page, re.MULTILINE)[1]
+    errors, counts = [], []
+    for when in (None, "always", "needed"):
+        given = when and invariode.Invariants(orbit.g, orbit.jac, orbit.value, when=when)
+        sol = invariode.solve_ivp(
+            orbit.fun, (0, 20 * np.pi), y0, "ode45", invariants=given, rtol=1e-6, atol=1e-9, keep="end"
+        )
+        errors.append(f"{np.hypot(*(sol.y[:2, -1] - y0[:2])):.1e}")
+        counts.append(str(sol.nfev))
+    assert [cell.strip() for cell in row.split("|")][:6] == [*errors, *counts]
+
+
+#: Words that 'Words' in CONTRIBUTING.md replaces, as far as a search can find them.
+REPLACED = (
+    "round-off|outside of|right to the unit|those of the user's|(is|are) (asked for|looked at|told)|fails also|"
+    r"\bgo(es)? on\b|tells? nothing|\bfor ever\b|\banew\b|\ball but\b|\bbut for\b|with the bits of|put back"
+)
+
+
+def test_pages_use_the_words_of_the_table():
+    """Except the rules of the algorithms, whose sentences are older than the table."""
+    pages = [page for page in PAGES if "algorithms" not in str(page)]
+    found = [
+        (str(page.relative_to(ROOT)), match[0])
+        for page in pages
+        for match in re.finditer(REPLACED, page.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+    assert re.search(REPLACED, "The run goes on.")
