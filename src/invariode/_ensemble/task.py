@@ -10,7 +10,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.types import MethodName, OnFailure
 from .._plan.plan import Plan, make_plan
-from .._problem.description import Description
+from .._problem.description import Description, Posed
 from .._problem.options import Options
 
 
@@ -24,12 +24,20 @@ class Task:
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
+    first_here: bool = False  # functions of Python are called in this process first, and in others if that takes long
+
+    def posed(self, i: int) -> Posed | None:
+        """Return a row as a problem that has nothing besides y' = f(t, y, *args); None: it has."""
+        if not self.problem.is_plain:
+            return None
+        return Posed(Description, self.problem.fun, self.problem.t_span, self.y0[i], self._arguments(i))
 
     def plan(self, i: int) -> Plan:
+        return make_plan(self.problem.replace(y0=self.y0[i], args=self._arguments(i)), self.method, self.options)
+
+    def _arguments(self, i: int) -> tuple[Any, ...]:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
-        if isinstance(args, np.ndarray):
-            args = tuple(args.tolist())
-        return make_plan(self.problem.replace(y0=self.y0[i], args=args), self.method, self.options)
+        return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
 
 
 @dataclasses.dataclass
@@ -48,11 +56,12 @@ class Ensemble:
     attempts: list[Attempt]  # the first, and those for rows that failed
     in_lanes: bool  # if they can be
     on_failure: OnFailure
+    first_here: bool = False  # see `Task`
 
     def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
         """Return the task of solving these rows by one of the attempts."""
         chosen = self.attempts[attempt]
-        return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes)
+        return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes, self.first_here)
 
 
 def first_plan(task: Task) -> tuple[int, Plan]:
