@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from functools import partial
@@ -16,12 +17,13 @@ from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._plan.call_errors import error_at_start
-from .._plan.plan import Plan, solver
+from .._plan.plan import Plan, make_plan, solver
 from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
 from .._run.interruption import stopped_by_interrupt
+from .._run.prepared import Prepared, prepared_or_plan
 from .outcomes import UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
@@ -58,6 +60,9 @@ _CODES = np.array(
     dtype=np.int8,
 )
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+#: Seconds that rows in Python are solved in this process before others are started, which takes about as long
+#: (benchmarks/ensembles.py).
+_PATIENCE = 0.05
 #: Trajectories that failed, and runs that tell why they ended.
 Failures = Sequence[tuple[int, _core.Run]]
 
@@ -284,9 +289,7 @@ class _Outcome:
 def _solve_one(task: Task, i: int) -> _Outcome:
     """Solve one trajectory; an exception in it becomes its status."""
     try:
-        with quietly():  # the first plan has said it
-            plan = task.plan(i)
-        run = solver(plan).integrate(plan.start)
+        plan, run = _run(task, i)
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         row = _row(plan, run)
@@ -301,45 +304,58 @@ def _solve_one(task: Task, i: int) -> _Outcome:
         return _Outcome(i, _RAISED, _as_text(error), {}, [], error)
 
 
+def _run(task: Task, i: int) -> tuple[Plan, _core.Run]:
+    """Plan and run one trajectory; rows of one kind have a plan in common."""
+    with quietly():  # the first plan has said it
+        problem = task.row(i)
+        found = prepared_or_plan(problem, task.method, task.options)
+        if isinstance(found, Prepared):
+            course, run = found.run_of(problem, task.options, remember=False)
+            if run is not None:
+                return found.plan_of(problem, course, run), run
+            found = make_plan(problem, task.method, task.options)
+    return found, solver(found).integrate(found.start)
+
+
 def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
-    bound = plan.bound
-    if jumps := run.jumps:
-        bound = bound.jumped(jumps)
+    """Return the row of `Outcomes` of a trajectory, without what is as it was before the run."""
     t, y = run.take_points()
-    t_end, y_end = run.t_end, run.end
-    n, k = len(plan.y0), 0
-    S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
+    y_end, counts = run.end, np.array(run.counts)
+    row: dict[str, Any] = {"t_end": run.t_end, "y_end": y_end, "counts": counts}
     if plan.varied is not None:
-        k = len(plan.varied.names)
-        (y, S), (y_end, S_end) = states_and_sensitivities(y, n, k), states_and_sensitivities(y_end, n, k)
-    counts = np.array(run.counts)
-    counts[_NG] += bound.evaluations  # before the run, as in a single run
-    counts[_NGDIFF] += bound.evaluations - len(bound.specs)
-    before, _, correction = run.drift
-    after = np.zeros(len(bound))
+        n, k = len(plan.y0), len(plan.varied.names)
+        (y, S), (row["y_end"], row["S_end"]) = (states_and_sensitivities(one, n, k) for one in (y, y_end))
+        row["S"] = _at_times(plan, S)
+    if plan.course.times is not None:
+        row["y"] = _at_times(plan, y)
+    if run.remarkable:
+        row["stiff_since"] = run.stiff_since if run.stiff else np.nan
+        sticks = np.nan if run.sticks_since is None else run.sticks_since
+        row["discontinuity"] = next(iter(run.discontinuities), sticks)
+    if run.accumulation is not None:
+        row["accumulation"] = run.accumulation[1]
+    if run.clipped:
+        row["clipped_amount"] = run.clipped
+    bound = plan.bound
     if len(bound):
+        bound = bound.jumped(run.jumps)
+        counts[_NG] += bound.evaluations  # before the run, as in a single run
+        counts[_NGDIFF] += bound.evaluations - len(bound.specs)
+        before, _, _ = run.drift
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
-        after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
+        after = np.abs(bound.residual(np.append(t, run.t_end), np.column_stack([y, row["y_end"]]), pieces)).max(axis=1)
+        row |= {"value": bound.value, "residual_before": before[: len(bound)], "residual_after": after}
+    row["correction"] = run.drift[2]
+    return row
+
+
+def _at_times(plan: Plan, values: Array) -> Array:
+    """Return the values at the output times, the last axis of an array of what the run came to; NaN at the others."""
     times = 0 if plan.course.times is None else len(plan.course.times)
-    at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan, y.dtype)
-    reached = min(len(t), times)
-    at_times[:, :reached], S_at_times[:, :, :reached] = y[:, :reached], S[:, :, :reached]
-    return {
-        "t_end": t_end,
-        "y_end": y_end,
-        "y": at_times,
-        "S": S_at_times,
-        "S_end": S_end,
-        "counts": counts,
-        "value": bound.value,
-        "residual_before": before[: len(bound)],
-        "residual_after": after,
-        "correction": correction,
-        "clipped_amount": run.clipped,
-        "stiff_since": run.stiff_since if run.stiff else np.nan,
-        "discontinuity": next(iter(run.discontinuities), np.nan if run.sticks_since is None else run.sticks_since),
-        "accumulation": np.nan if run.accumulation is None else run.accumulation[1],
-    }
+    reached = min(values.shape[-1], times)
+    found = np.full((*values.shape[:-1], times), np.nan, values.dtype)
+    found[..., :reached] = values[..., :reached]
+    return found
 
 
 def unsolved(task: Task, plan: Plan) -> Outcomes:
@@ -413,7 +429,7 @@ def _in_processes(task: Task, plan: Plan, means: Locally) -> Outcomes:
         )
         workers = 1
     try:
-        with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
+        with closing(_here(task) if workers == 1 else _here_and_elsewhere(task, workers)) as chunks:
             for outcomes in chunks:
                 for one in outcomes:
                     _keep(found, one)
@@ -437,9 +453,25 @@ def _here(task: Task) -> Generator[list[_Outcome]]:
         yield [_solve_one(task, i)]
 
 
-def _elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
-    return solve_rows(partial(_solve_one, task), len(task.y0), workers, _died)
+def _here_and_elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
+    """Solve rows in worker processes; what takes no longer than to start these, in this process."""
+    first, end = 0, time.monotonic() + _PATIENCE
+    if task.first_here:
+        for outcomes in _here(task):
+            yield outcomes
+            first += 1
+            if time.monotonic() > end:
+                break
+    if first < len(task.y0):
+        rest = solve_rows(partial(_solve_later, task, first), len(task.y0) - first, workers, partial(_died, first))
+        with closing(rest) as chunks:
+            yield from chunks
 
 
-def _died(i: int) -> _Outcome:
+def _solve_later(task: Task, first: int, i: int) -> _Outcome:
+    return _solve_one(task, first + i)
+
+
+def _died(first: int, i: int) -> _Outcome:
+    i += first
     return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", {}, [])
