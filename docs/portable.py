@@ -148,6 +148,7 @@ def plain(page: Path, text: str) -> str:
     for k in range(0, len(blocks), 2):
         blocks[k] = _ROLE.sub(lambda found: _role(page, found[1], found[2]), blocks[k])
         blocks[k] = _LINK.sub(lambda found: found[1] + _moved(page, found[2]) + found[3], blocks[k])
+        blocks[k] = re.sub(r"\n{3,}", "\n\n", blocks[k])
     return "".join(blocks)
 
 
@@ -222,7 +223,7 @@ def page_of(page: Path, cells: list[Any]) -> str:
     found = []
     for k, part in enumerate(parts):
         if k % 2 == 0:
-            found.append(re.sub(r"\n{3,}", "\n\n", plain(page, part)).strip("\n"))
+            found.append(plain(page, part).strip("\n"))
             continue
         code, tags, alt = _options(part)
         if "remove-cell" in tags:

@@ -68,8 +68,8 @@ class Experiment:
     noise : {"normal", "lognormal", "laplace", "loglaplace"}, default "normal"
         The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
         which is then a relative error. "laplace": Laplace's distribution, with the density
-        ``exp(-|r| / sigma) / (2 sigma)`` of a residual r, for data with outliers; "loglaplace": that of logarithms. A list has one for each
-        quantity. Decadic logarithms have ln(10) times their sigma.
+        ``exp(-|r| / sigma) / (2 sigma)`` of a residual r, for data with outliers; "loglaplace": that of logarithms. A
+        list has one for each quantity. Decadic logarithms have ln(10) times their sigma.
     event_times : dict, optional
         Measured times of events of the problem, by name: that of ``Event(name=)``, or else of the event's function. The
         first value is the time of the first occurrence; NaN means not measured.
