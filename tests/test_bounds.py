@@ -433,6 +433,33 @@ def test_f_that_drives_out_of_a_bound_without_tolerance_is_told():
     assert "Component 0 of y leaves its bounds" in sol.message
 
 
+@pytest.mark.parametrize("nonnegative", [None, True])
+def test_taylor_rests_where_there_is_no_series(nonnegative):
+    """y' = -2 sqrt|y| reaches 0 at t = sqrt(y0), where sqrt(y) has no Taylor series and y' = 0, and stays there."""
+    for y0 in (1.0, 2.3):
+        sol = iv.solve_ivp(
+            lambda t, y: [-2 * np.sqrt(abs(y[0])), 1.0], (0, 3), [y0, 0.0], "taylor", nonnegative=nonnegative
+        )
+        assert sol.status == 0
+        exact = np.maximum(np.sqrt(y0) - sol.t, 0) ** 2
+        np.testing.assert_allclose(sol.y[0], exact, atol=1e-5)
+        np.testing.assert_allclose(sol.y[1], sol.t, rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_f_is_never_called_at_infinity(method):
+    """A consistent start that ends roundoff outside a bound on one side leaves finite increments."""
+
+    def f(t, y):
+        assert np.isfinite(y).all()
+        flow = 0.04 * y[0] - 1e4 * y[1] * y[2]
+        return [-flow, flow - 3e7 * y[1] ** 2, y[0] + y[1] + y[2] - 1]
+
+    if iv.METHODS[method].mass == "any":
+        sol = iv.solve_ivp(f, (0, 10), [1, 0, 1e-3], method, mass=np.diag([1.0, 1, 0]), nonnegative=True)
+        assert sol.success
+
+
 COUPLED = np.array([[2.0, 0.5, 0.3], [0.4, 2.0, 0.0], [0.0, 0.1, 1.0]])
 MASSES = {
     "coupled": COUPLED,

@@ -426,7 +426,14 @@ def test_it_takes_turns_with_no_other_method():
         iv.solve_ivp(circle, (0, 1), [1.0, 0.0], "auto", prefer=("taylor", "ode15s"))
 
 
-@pytest.mark.parametrize("fun", [lambda t, y: [np.sqrt(y[0])], lambda t, y: [1 + y[0] ** 1.5]])
+def test_a_point_without_a_series_at_rest_is_a_solution():
+    """y = 0 solves y' = √y, as with every other method."""
+    sol = solve(lambda t, y: [np.sqrt(y[0])], (0, 1), [0.0])
+    assert sol.success
+    assert not sol.y.any()
+
+
+@pytest.mark.parametrize("fun", [lambda t, y: [1 + y[0] ** 1.5], lambda t, y: [np.cos(t) + np.sqrt(y[0])]])
 def test_points_without_a_series_are_named(fun):
     sol = solve(fun, (0, 1), [0.0])
     assert sol.status == -1

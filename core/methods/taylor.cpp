@@ -103,10 +103,27 @@ Status Taylor::expand(double t, const double* y, Expansion& into) {
     into.per_unit = 1 / unit;
     into.finite = all_finite(row(into, order_ - 1), 2 * n());  // what is not finite makes all after it so too
     if (into.finite || !all_finite(row(into, 1), n())) break;
+    if (rest(t, y, into) == Status::stop) return Status::stop;
+    if (into.finite) break;
     unit *= shortened;
   } while (unit >= std::numeric_limits<double>::min());
   for (std::size_t k = 1; k <= order_ && !into.finite && undefined_.component < 0; ++k)
     undefined_ = {.component = first_undefined(row(into, k)), .coefficient = static_cast<int>(k)};
+  return Status::ok;
+}
+
+/// Components that have no series where y' is 0, as √y and y^1.5 at y = 0, are constants of the polynomial: the error
+/// test tells whether they stay at rest.
+Status Taylor::rest(double t, const double* y, Expansion& into) {
+  if (!projected_ && std::find(row(into, 1), row(into, 2), 0.0) == row(into, 2)) return Status::ok;
+  std::vector<double> slope(n());
+  if (f_(t, y, slope.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < n(); ++i) {
+    bool defined = true;
+    for (std::size_t k = 1; k <= order_; ++k) defined = defined && std::isfinite(row(into, k)[i]);
+    for (std::size_t k = 1; !defined && slope[i] == 0 && k <= order_; ++k) into.c[k * n() + i] = 0;
+  }
+  into.finite = all_finite(row(into, order_ - 1), 2 * n());
   return Status::ok;
 }
 

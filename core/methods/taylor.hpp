@@ -64,6 +64,7 @@ class Taylor final : public Step {
   [[nodiscard]] const Expansion& at_point_reached() const { return accepted_ ? next_ : current_; }
   [[nodiscard]] Expansion& at_point_reached() { return accepted_ ? next_ : current_; }
 
+  Status rest(double t, const double* y, Expansion& into);
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
   Status look_ahead(double t, const Expansion& expansion, double length, double reach);
