@@ -499,3 +499,29 @@ def test_what_could_not_be_read_is_not_written(name, value, tmp_path):
     with pytest.raises(ValueError, match=f"{name}, {value!r}, does not fit"):
         sol.save(tmp_path / "a")
     assert (tmp_path / "a").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["y", "t", "status", "stats"])
+def test_added_fields_replace_none_of_the_solution(name, tmp_path):
+    sol = problem().solve("ode45")
+    sol["mine"] = 3.0
+    sol.save(tmp_path / "a")
+    assert iv.load(tmp_path / "a")["mine"] == 3.0
+    rewritten(tmp_path / "a", lambda arrays, about: about["added"].update({name: about["added"]["mine"]}))
+    with pytest.raises(ValueError, match=rf"a is damaged: .*names of others: {name}"):
+        iv.load(tmp_path / "a")
+
+
+@pytest.mark.parametrize("method", ["ode45", "ode15s", "radau"])
+def test_edited_breakpoints_end_or_are_refused(method, tmp_path):
+    """A run that stands before t = 1 and whose next breakpoint is said to be behind it has no way to go."""
+    for points in ([0.1, 0.2], [0.5, 2.0], [1.0, 0.3], [1.5, 2.0], [-1.0, 5.0], [1.0, 2.0, 2.5]):
+        problem().solve(method, breakpoints=[1.0, 2.0], max_steps=9).save(tmp_path / "a")
+        rewritten(tmp_path / "a", lambda arrays, about, points=points: arrays.update({
+            "identity.breakpoints": np.array(points)
+        }))  # fmt: skip
+        loaded = iv.load(tmp_path / "a", problem())
+        try:
+            assert loaded.extend(8, max_steps=2000).t_end == 8
+        except ValueError as error:
+            assert "memory of the run is damaged" in str(error)

@@ -496,7 +496,7 @@ class EnsembleSolution:
                 "_labels": named,
                 "_sensitivities": names and EnsembleSensitivities(names, found["S"], found["S_end"]),
             })  # fmt: skip
-            vars(made).update(restored(found))
+            vars(made).update(restored(found, vars(made).keys() | cls.__annotations__.keys()))
         return made
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from operator import attrgetter
 from typing import Annotated, Any, TypedDict
 
@@ -187,9 +187,17 @@ def kept(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Array]]:
     return added, arrays
 
 
-def restored(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields that the user had added, from those of a file."""
+def restored(fields: Mapping[str, Any], own: Collection[str]) -> dict[str, Any]:
+    """Return the fields that the user had added, from those of a file.
+
+    Raises
+    ------
+    ValueError
+        One of them has the name of one of the `own` fields: the file has been changed.
+    """
     held = fields["added"].items()
+    if taken := sorted(set(own) & fields["added"].keys()):
+        raise ValueError(f"fields that a user has added have names of others: {', '.join(taken)}")
     return {name: fields[f"added.{one['array']}"] if "array" in one else one["value"] for name, one in held}
 
 

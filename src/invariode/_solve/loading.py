@@ -281,7 +281,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
         steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
         t_end=fields["t_end"],
     )
-    solution.update(restored(fields))
+    solution.update(restored(fields, solution.keys()))
     return solution
 
 
