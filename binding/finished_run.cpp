@@ -175,6 +175,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "misfit", [](const RunResult& r) { return fields_of(r.linear.misfit); });
   property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
+  property(run, "unresolved", [](const RunResult& r) { return r.unresolved; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });

@@ -273,3 +273,20 @@ class TestImpose:
             iv.impose([], 0, [1.0])
         with pytest.raises(ValueError, match="value must have shape"):
             iv.impose(g, 0, np.ones(4), value=[1, 2, 3])
+
+
+@families
+def test_an_invariant_whose_offset_drowns_its_changes_is_a_warning(method):
+    """Near 1e16 doubles are 2 apart: x² + v² = 1 is then not imposed, and a warning says so. An offset of 1e6 leaves
+    digits enough."""
+
+    def solve(offset):
+        return iv.solve_ivp(
+            lambda t, y: [y[1], -y[0]], (0, 5), [1.0, 0.0], method, rtol=1e-5, atol=1e-7,
+            invariants=lambda t, y: y[0] ** 2 + y[1] ** 2 + offset,
+        )  # fmt: skip
+
+    with pytest.warns(iv.AccuracyWarning, match="so large that its roundoff is a change of y by .* tolerances"):
+        solve(1e16)
+    sol = solve(1e6)
+    assert np.abs(sol.y[0] ** 2 + sol.y[1] ** 2 - 1).max() < 1e-8

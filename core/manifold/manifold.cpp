@@ -196,6 +196,13 @@ double Manifold::roundoff_of_correction() const {
   return largest;
 }
 
+double Manifold::unresolved(std::size_t i) const {
+  const Linearization at = projector_->linearization();
+  if (invariants_->untested(i) || !(at.row_norm[i] > 0)) return 0;
+  const double roundoff = invariants_->roundoff(i, at.y.data(), at.jacobian.data()) / roundoff_of_g;
+  return roundoff / at.row_norm[i] / weights_.rtol();
+}
+
 int Manifold::undefined() const {
   return projector_ && projected_.outcome == Outcome::not_finite ? projector_->undefined() : -1;
 }

@@ -64,6 +64,9 @@ class Manifold {
   [[nodiscard]] TangentProjector* output_tangent() { return output_tangent_ ? &*output_tangent_ : nullptr; }
   [[nodiscard]] Guard* guard() { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
+  /// How many tolerances the roundoff of invariant i, as one with an offset of 10¹⁴ has it, moves a solution that is
+  /// projected onto it: an invariant is not imposed more accurately than that.
+  [[nodiscard]] double unresolved(std::size_t i) const;
   [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
 
   /// The solution starts at (t, y), where the state has been moved onto the manifold: sensitivities are moved to its

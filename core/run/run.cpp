@@ -296,6 +296,7 @@ void Run::describe_invariants(RunResult& result) const {
   for (std::size_t i = 0; i < dropped.size(); ++i)
     if (dropped[i] != 0) result.dropped.push_back(static_cast<int>(i));
   result.dropped_at = projector.dropped_at();
+  for (std::size_t i = 0; i < dropped.size(); ++i) result.unresolved.push_back(integration_->manifold().unresolved(i));
   result.harm = integration_->manifold().harm();
 }
 

@@ -48,6 +48,7 @@ struct RunResult {
   std::vector<Derivative> derivatives;  ///< of each block of invariants: where its Jacobian came from
   std::vector<int> dropped;             ///< redundant invariants, and the t at which the first was seen
   double dropped_at = 0;
+  std::vector<double> unresolved;  ///< of each invariant: its roundoff, in tolerances
   Harm harm;
   Stiffness stiffness;
   std::vector<double> discontinuities;       ///< of f, where they were seen

@@ -525,6 +525,9 @@ class Run:
     def dropped(self) -> list[int]: ...
 
     @property
+    def unresolved(self) -> list[float]: ...
+
+    @property
     def dropped_at(self) -> float: ...
 
     @property

@@ -472,9 +472,20 @@ def _keep(checkpoint: RunFiles, core: _core.Solver, plan: Plan, source: Solved, 
     checkpoint.keep(sol, part.state == "running")
 
 
+#: Roundoff of an invariant, in tolerances, from which on it is a warning.
+_UNRESOLVED = 10.0
+
+
 def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
     if dropped := run.dropped:
         _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
+    for name, tolerances in zip(plan.names, run.unresolved, strict=False):
+        if tolerances > _UNRESOLVED:
+            warn(
+                f"invariant {name} is so large that its roundoff is a change of y by {tolerances:.2g} tolerances: it "
+                "is imposed no more accurately than that. Subtract its offset within the function",
+                AccuracyWarning,
+            )
     harmed = run.harmed
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
