@@ -87,7 +87,8 @@ def _with_sentences(index: str, examples: Path) -> Iterator[str]:
         if found := re.search(r":doc:`/gallery/(\w+)`", line):
             current = examples / f"{found[1]}.py"
         if current is not None and "sphx-glr-thumbnail-title" in line:
-            yield line.replace("</div>", f"</div>\n      <p>{html.escape(sentence(current))}</p>", 1)
+            below = f'<div class="sentence">{html.escape(sentence(current))}</div>'
+            yield line.replace("</div>", f"</div>\n      {below}", 1)
             current = None
         else:
             yield re.sub(r' tooltip="[^"]*"', "", line)

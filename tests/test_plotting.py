@@ -784,6 +784,17 @@ class TestDrift:
         np.testing.assert_allclose(drawn[1:], later, atol=1e-12)  # zeros are drawn below the others
         assert ax.get_ylim()[0] > np.nanmin(drawn) / 10
 
+    def test_the_first_steps_do_not_either(self):
+        """Drift that grows from rounding to 1e-2 in the first steps is drawn from where it has grown."""
+        sol = iv.solve_ivp(PROBLEMS["pendulum"].fun, (0, 50), [1, 0, 0, 0])
+        ax = sol.plot_drift(ax=axes(), invariants=lambda t, y: y[0] ** 2 + y[1] ** 2)
+        drawn = shown(ax)[0].get_ydata()
+        low = ax.get_ylim()[0]
+        assert np.nanmin(drawn) < 1e-10
+        assert low > 1e-7
+        assert (drawn[len(drawn) // 10 + 1 :] > low).all()
+        assert sol.plot_drift(ax=ax, invariants=lambda t, y: y[0] ** 2 + y[1] ** 2, label="again").get_ylim()[0] == low
+
     def test_the_legend_lists_curves_from_the_largest_residual_to_the_smallest(self):
         sol = turning((0, 20), invariants=None).solve("ode45", rtol=1e-3)
         given = {"small": lambda t, y: 1e-3 * y @ y, "large": lambda t, y: y @ y, "middle": lambda t, y: 0.1 * y @ y}

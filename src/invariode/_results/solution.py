@@ -363,10 +363,10 @@ class Solution(Exports):
         -----
         Zeros have no logarithm. They are drawn at half the smallest residual that is not zero; nothing is drawn below
         ε/2 times the larger of ``|value|`` and the largest residual. At points that define a value, such as the first
-        one, residuals below all later ones are rounding, and left out. The legend lists curves from that with the
-        largest residual to the smallest. If there are more than twelve invariants, the first twelve are drawn, or the
-        largest of each level. Lines of level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and
-        its rate share a colour.
+        one, residuals below all later ones are left out. The axis begins where drift has grown: residuals of the first
+        tenth of the outputs do not stretch it. The legend lists curves from that with the largest residual to the
+        smallest. If there are more than twelve invariants, the first twelve are drawn, or the largest of each level.
+        Lines of level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and its rate share a colour.
         """
         return drift.draw(self, ax, invariants, flag("relative", relative), line)
 

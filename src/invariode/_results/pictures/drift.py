@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,10 @@ from .curves import interrupted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+#: The axis does not follow the residuals of this part of the outputs, the first ones, if they are smaller than all
+#: later ones by this factor: the steps at the start are short.
+_BEGINNING, _FAR_BELOW = 0.1, 10.0
 
 
 def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relative: bool, line: dict[str, Any]) -> Axes:
@@ -37,19 +42,23 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     ax = new(sol._names.title) if ax is None else ax
     ax.set_yscale("log")
     line, given = properties(line)
+    lows: list[float] = []  # of each curve after the first steps
     for name, style, value, r, before in _drifting(g, residual, largest):
         colour, dashes = unused(ax, style)
         floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
         floor = floor if 0 < floor < np.inf else EPS / 2
         later = np.min(r[~defining & (r > 0)], initial=np.inf)
-        stretching = defining & ((r == 0) | (r < later)) & (later < np.inf)
-        drawn = interrupted(sol, np.where(stretching | (defining & (r == 0)), np.nan, np.maximum(r, floor)))
+        left_out = defining & ((r == 0) | ((r < later) & (later < np.inf)))
+        drawn = interrupted(sol, np.where(left_out, np.nan, np.maximum(r, floor)))
+        after = drawn[math.ceil(_BEGINNING * len(drawn)) :]
+        lows.append(float(np.nanmin(after, initial=np.inf)))
         label = joined(drawable(name), given)
         few = {"linewidth": 1.4, "marker": "." if len(sol.t) <= FEW else "none", "markersize": 5}
         paint = {**few, "color": colour, "linestyle": dashes[0], "label": label, **line}
         (curve,) = ax.plot(t, drawn, **paint)
         if before > 0:
             ax.plot(sol.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
+    _begin_where_drift_has_grown(ax, lows)
     _shade_roundoff(ax, EPS * np.abs(g.value).max(initial=0.0))
     if largest.any():
         ax.plot([], [], ":", color="0.5", lw=1, label=once(ax, "largest before\nprojection"))
@@ -59,6 +68,14 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     left_out = len(g) > MOST and not _has_levels(g)
     legend(ax, f"{MOST} of {len(g)} invariants" if left_out else None, by_height=True)
     return ax
+
+
+def _begin_where_drift_has_grown(ax: Axes, lows: list[float]) -> None:
+    """Let the axis begin below the residuals after the first steps, `lows`, if those of the first steps, which are
+    short, would stretch it."""
+    low = min(lows, default=np.inf) / 2
+    if ax.get_autoscaley_on() and _FAR_BELOW * ax.dataLim.intervaly[0] < low < np.inf:
+        ax.set_ylim(bottom=low, auto=None)
 
 
 def _shade_roundoff(ax: Axes, level: float) -> None:
