@@ -992,6 +992,10 @@ class TestRemarks:
             assert iv.fit([iv.Experiment(problem, data, sigma=0.1)], want).parameters == expected
         with pytest.raises(TypeError, match="t is a table of data, and data were given too"):
             iv.fit(problem, table, values, want)
+        with pytest.raises(TypeError, match="parameters must be a dict of names"):
+            iv.fit(problem, table, sigma=0.1)
+        with pytest.raises(TypeError, match="unknown option 'sigmas'; did you mean 'sigma'"):
+            iv.fit(problem, table, want, sigmas=0.1)
 
 
 class TestNoise:

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
-from ..._problem.options import Options
+from ..._problem.options import TABLE, Options, unknown_option
+from ..._solve.problem import Problem
 from .data import is_table
 from .experiment import Experiment
 from .failed import Failed
@@ -286,6 +287,10 @@ def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:
     return [Experiment(problem, **given)]
 
 
+#: Arguments of fits that are neither options of runs nor descriptions of data.
+_OF_FITS = ("parameters", "absolute_sigma", "starts", "seed", "workers", "loss", "method")
+
+
 def to_model(
     problem: Any,
     t: Any,
@@ -300,7 +305,11 @@ def to_model(
 ) -> Model:
     """Make the model from the arguments of `fit` and `objective`. `weighs_priors`: an unknown sigma is a parameter if
     there are priors, which have to be weighed against the data."""
-    if parameters is None and data is None:  # several experiments: fit(experiments, parameters)
+    for name in options:
+        if name not in TABLE:
+            raise unknown_option(name, [*_OF_FITS, *described, *TABLE])
+    several = not isinstance(problem, Problem) or described.get("event_times") is not None
+    if parameters is None and data is None and several:  # fit(experiments, parameters)
         t, parameters = None, t
     elif is_table(t):  # fit(problem, table, parameters)
         if parameters is None:
