@@ -211,7 +211,10 @@ def executed(page: Path, cache: Any) -> list[Any]:
 
     text = (DOCS / page).read_text(encoding="utf-8")
     notebook = read_myst_markdown_notebook(text, path=str(DOCS / page))
-    _, found = cache.merge_match_into_notebook(notebook)
+    try:
+        _, found = cache.merge_match_into_notebook(notebook)
+    except KeyError:
+        raise ValueError(f"{page} was not executed: remove build/docs, and build it again") from None
     return [cell for cell in found.cells if cell.cell_type == "code"]
 
 
