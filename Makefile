@@ -196,7 +196,7 @@ metadata: $(VENV)/bin/python  ## the workflows, the metadata and the files for p
 	$(BIN)/zizmor --offline .github
 	$(BIN)/sp-repo-review .
 
-docs: $(VENV)/.installed-docs  ## the documentation, in build/docs: every cell and example executed, warnings are errors
+docs: $(VENV)/.installed-docs  ## the documentation, in build/docs and as Markdown in guide: every cell and example executed, warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs
 
 clean:
