@@ -182,9 +182,7 @@ class TestGuide:
         for page in self.portable.pages():
             text = (ROOT / "guide" / page).read_text(encoding="utf-8")
             known = self.portable.known_outputs(page)
-            assert known is not None, (
-                f"docs/{page.as_posix()} has other code: python docs/portable.py"
-            )
+            assert known is not None, f"docs/{page.as_posix()} has other code: python docs/portable.py"
             assert text == self.portable.page_of(page, known), f"docs/{page.as_posix()}: python docs/portable.py"
 
     def test_its_pages_are_plain_have_their_outputs_and_lead_somewhere(self):

@@ -291,8 +291,10 @@ class _Origin:
         """See `RunOrigin.positions`: F does not say which unknowns are velocities of others."""
         return 0
 
-    def parameters(self) -> None:
-        """See `RunOrigin.parameters`: a DAE has no sensitivities."""
+    def parameters(self) -> Array:
+        """See `RunOrigin.parameters`: those of the reduced problem are the same."""
+        values: Array = self.reduced._origin.parameters()
+        return values
 
 
 class DaeSolution(Solution):
@@ -408,7 +410,7 @@ def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | 
 def _at_events(sol: Solution, unknowns: Any, p: Array, places: tuple[int | None, ...]) -> AtEvents | None:
     """Return the derivatives of times of events, and those of the unknowns there; behind an action, whose state is not
     kept, these are NaN."""
-    known = sol._sensitivities.events
+    known = None if sol._sensitivities is None else sol._sensitivities.events
     if known is None or sol.y_events is None:
         return None
     before, after = [], []
