@@ -1,6 +1,9 @@
 """The guide: pages of the documentation as plain Markdown with their outputs and pictures, for places that show
 Markdown only, such as code hosts. `make docs` writes them to the folder `guide`; a test finds old ones.
 
+`python docs/portable.py` brings the guide up to date with the text of the pages without a build; pages whose code has
+changed are executed.
+
 Pages without code, roles and directives are plain already: links lead to them where they are.
 """
 
@@ -14,7 +17,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -205,51 +208,100 @@ def _outputs(page: Path, cell: Any, alt: str, number: Iterator[int]) -> Iterator
             yield f"```text\n{data['text/plain'].rstrip()}\n```"
 
 
-def executed(page: Path, cache: Any) -> list[Any]:
-    """Return the executed code cells of a page, from the cache of the build."""
-    from myst_nb.core.read import read_myst_markdown_notebook
-
-    text = (DOCS / page).read_text(encoding="utf-8")
-    notebook = read_myst_markdown_notebook(text, path=str(DOCS / page))
-    try:
-        _, found = cache.merge_match_into_notebook(notebook)
-    except KeyError:
-        raise ValueError(f"{page} was not executed: remove build/docs, and build it again") from None
-    return [cell for cell in found.cells if cell.cell_type == "code"]
+def _code(part: str) -> str:
+    """Return the digest of a cell's code."""
+    return hashlib.sha256(part.encode()).hexdigest()[:8]
 
 
-def page_of(page: Path, cells: list[Any]) -> str:
-    """Return the text of a page of the guide; `cells`: its executed code cells."""
+def outputs_of(page: Path, cells: list[Any]) -> list[str]:
+    """Return the outputs of the executed code cells of a page as Markdown, and write their pictures."""
     number = iter(range(1, 1000))
-    parts = _CELL.split(source(page))
-    assert len(parts) == 2 * len(cells) + 1, page
+    parts = _CELL.split(source(page))[1::2]
+    return [
+        "" if "remove-cell" in _options(part)[1] else "\n\n".join(_outputs(page, cell, _options(part)[2], number))
+        for part, cell in zip(parts, cells, strict=True)
+    ]
+
+
+def known_outputs(page: Path) -> list[str] | None:
+    """Return the outputs that a page of the guide has, or None if the code of the page has changed since."""
+    path = GUIDE / page
+    parts = _CELL.split(source(page))[1::2]
+    if not path.exists():
+        return [] if not parts else None
+    there = re.findall(
+        r"<!-- cell (\w+) -->\n(?:\n```python\n.*?\n```\n)?(.*?)\n<!-- /cell -->",
+        path.read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
+    shown = [_code(part) for part in parts if "remove-cell" not in _options(part)[1]]
+    if [code for code, _ in there] != shown:
+        return None
+    left = iter(outputs.strip("\n") for _, outputs in there)
+    return ["" if "remove-cell" in _options(part)[1] else next(left) for part in parts]
+
+
+def page_of(page: Path, outputs: list[str]) -> str:
+    """Return the text of a page of the guide; `outputs`: of its code cells, as Markdown."""
     found = []
-    for k, part in enumerate(parts):
+    for k, part in enumerate(_CELL.split(source(page))):
         if k % 2 == 0:
             found.append(plain(page, part).strip("\n"))
             continue
-        code, tags, alt = _options(part)
+        code, tags, _ = _options(part)
         if "remove-cell" in tags:
             continue
+        found.append(f"<!-- cell {_code(part)} -->")
         if "remove-input" not in tags:
             found.append(f"```python\n{code.rstrip()}\n```")
-        found += _outputs(page, cells[k // 2], alt, number)
+        found += [outputs[k // 2], "<!-- /cell -->"]
     text = "\n\n".join(one for one in found if one)
     return head(page) + text.rstrip() + "\n"
 
 
-def write(cache: Any) -> None:
-    """Write all pages, and remove files that no page has any more."""
+def _notebook(page: Path) -> Any:
+    from myst_nb.core.read import read_myst_markdown_notebook
+
+    return read_myst_markdown_notebook((DOCS / page).read_text(encoding="utf-8"), path=str(DOCS / page))
+
+
+def from_cache(page: Path, cache: Any) -> list[str]:
+    """Return the outputs of a page from the cache of a build."""
+    try:
+        _, found = cache.merge_match_into_notebook(_notebook(page))
+    except KeyError:
+        raise ValueError(f"{page} was not executed: remove build/docs, and build it again") from None
+    return outputs_of(page, [cell for cell in found.cells if cell.cell_type == "code"])
+
+
+def from_run(page: Path) -> list[str]:
+    """Return the outputs of a page by executing it."""
+    from nbclient import NotebookClient
+
+    notebook = _notebook(page)
+    NotebookClient(
+        notebook, kernel_name="python3", resources={"metadata": {"path": str((DOCS / page).parent)}}
+    ).execute()
+    return outputs_of(page, [cell for cell in notebook.cells if cell.cell_type == "code"])
+
+
+def write(outputs: Callable[[Path], list[str]]) -> None:
+    """Write all pages with the outputs of their code, and remove files that no page has any more."""
     before = {path for path in GUIDE.rglob("*") if path.is_file()}
     for page in pages():
-        has_cells = _CELL.search(source(page)) is not None
-        text = page_of(page, executed(page, cache) if has_cells else [])
+        text = page_of(page, outputs(page) if _CELL.search(source(page)) else [])
         path = GUIDE / page
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         before -= {path, *((path.parent / image).resolve() for image in re.findall(r"\]\((\S+\.png)\)", text))}
     for path in before:
         path.unlink()
+
+
+def as_known(page: Path) -> list[str]:
+    """Return the outputs of a page as the guide has them; if its code has changed, execute it."""
+    found = known_outputs(page)
+    return from_run(page) if found is None else found
 
 
 def after_the_build(app: Any, failure: Exception | None) -> None:
@@ -260,9 +312,14 @@ def after_the_build(app: Any, failure: Exception | None) -> None:
             raise ValueError(f"pages above {LARGEST} bytes: {', '.join(map(str, large))}")
         from jupyter_cache import get_cache
 
-        write(get_cache(Path(app.outdir).parent / ".jupyter_cache"))
+        cache = get_cache(Path(app.outdir).parent / ".jupyter_cache")
+        write(lambda page: from_cache(page, cache))
 
 
 def setup(app: Any) -> dict[str, Any]:
     app.connect("build-finished", after_the_build)
     return {"parallel_read_safe": True}
+
+
+if __name__ == "__main__":
+    write(as_known)

@@ -844,6 +844,16 @@ class TestSensitivities:
         raw = sol.plot_sensitivities(kind="map", relative=False, ax=axes())
         np.testing.assert_array_equal(raw.collections[0].get_array().reshape(4, -1), sol.sensitivities.reshape(4, -1))
 
+    def test_unknowns_of_daes_are_drawn_too(self):
+        """y0' = -k y0 and y1 = 2 y0: relative sensitivities of both to k end at -k t exp(-k t)."""
+        for options in ({}, {"dense_output": True}):
+            sol = iv.solve_dae(
+                lambda t, y, yp, k: [yp[0] + k * y[0], y[1] - 2 * y[0]], (0, 2), [1.0, 2.0], args=(0.5,),
+                sensitivities=True, rtol=1e-8, atol=1e-10, **options,
+            )  # fmt: skip
+            for panel in sol.plot_sensitivities(relative=True).figure.axes:
+                np.testing.assert_allclose(shown(panel)[0].get_ydata()[-1], -np.exp(-1), atol=1e-6)
+
     def test_what_cannot_be_drawn_says_why(self, tmp_path):
         sol = decay_and_growth()
         with pytest.raises(ValueError, match="there is no parameter 'bb'"):

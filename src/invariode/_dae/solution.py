@@ -291,8 +291,10 @@ class _Origin:
         """See `RunOrigin.positions`: F does not say which unknowns are velocities of others."""
         return 0
 
-    def parameters(self) -> None:
-        """See `RunOrigin.parameters`: a DAE has no sensitivities."""
+    def parameters(self) -> Array:
+        """See `RunOrigin.parameters`: those of the reduced problem are the same."""
+        values: Array = self.reduced._origin.parameters()
+        return values
 
 
 class DaeSolution(Solution):

@@ -77,7 +77,7 @@ def _factors(sol: Result) -> Array:
 
 
 def _curves(sol: Result, factors: Array | None) -> _Curves:
-    if sol.sol is not None:
+    if hasattr(sol.sol, "sensitivities"):  # that of a DAE is continuous in its unknowns alone
         t, cuts = continuous_times(sol)
         found = _Curves(np.insert(t, cuts, np.nan), np.insert(sol.sol.sensitivities(t), cuts, np.nan, axis=2), True)
     else:

@@ -13,7 +13,7 @@ import numpy as np
 from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
 from ..._problem.options import TABLE, Options, unknown_option
-from ..._solve.problem import Problem
+from ..._problem.problem import Problem
 from .data import is_table
 from .experiment import Experiment
 from .failed import Failed
