@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from .._base.arguments import ATOL, EPS, RTOL, Array, shown
+from .._base.matrices import as_matrix, is_sparse
 from .._base.types import EventsLike, MethodName, OnFailure
 from .._linear.null_space import null_space
 from .._problem.events import to_events
+from .._problem.grouped import bandwidth
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
@@ -131,39 +133,63 @@ class ResidualForm:
         found: Array = y[self.bound] - self.V[:, self.bound].T @ y[self.free]
         return found
 
-    def jacobian(self, rtol: float, atol: Array) -> Callable[..., Array]:
-        """Return the Jacobian of the system, by forward differences of F, in increments of √ε max(|y|, atol / rtol).
+    def jacobian(self, rtol: float, atol: Array, given: Any, patterns: tuple[Any, Any] | None) -> Callable[..., Any]:
+        """Return the Jacobian of the system: from ``given(t, y, yp, *args)``, the pair (∂F/∂y, ∂F/∂y'), or by forward
+        differences of F, in increments of √ε max(|y|, atol / rtol), of columns in groups if there are patterns.
 
         The increments are fixed: those that follow the change of f, as in differences of other problems, would follow
         that of F, which is 0 along the solution.
         """
-        floor, root = atol / rtol, EPS**0.5
+        floor, root, n = atol / rtol, EPS**0.5, self.n
+        bound = {*self.bound.tolist()}
+        found: list[Any] = [None, None] if patterns is None else [one.tocsc() for one in patterns]
+        alone = [[j] for j in range(n)], [[j] for j in sorted(bound)]  # the combinations do not need other y_j'
+        groups = [one if pattern is None else _groups(pattern) for one, pattern in zip(alone, found, strict=True)]
 
-        def formed(t: float, u: Array, *args: Any) -> Array:
+        def differences(t: float, y: Array, yp: Array, args: tuple[Any, ...], F: Array, of_yp: bool) -> Any:
+            pattern, at = found[of_yp], yp if of_yp else y
+            steps = root * np.maximum(np.abs(at), np.maximum(floor, _SMALL) if of_yp else floor)
+            exact = (at + steps) - at
+            dense = np.zeros((n, n)) if pattern is None else None
+            values = np.zeros(0 if pattern is None else pattern.nnz)
+            for group in groups[of_yp]:
+                moved = at.copy()
+                moved[group] += steps[group]
+                change = self.residual(t, *((y, moved) if of_yp else (moved, yp)), *args) - F
+                for j in group:
+                    if dense is not None:
+                        dense[:, j] = change / exact[j]
+                    else:
+                        rows = slice(pattern.indptr[j], pattern.indptr[j + 1])
+                        values[rows] = change[pattern.indices[rows]] / exact[j]
+            return dense if dense is not None else type(pattern)((values, pattern.indices, pattern.indptr), (n, n))
+
+        def formed(t: float, u: Array, *args: Any) -> Any:
             y, yp = self.y(u), self.yp(u)
-            F, columns = self.residual(t, y, yp, *args), []
-            for j in range(self.n):
-                columns.append(self._difference(t, y, yp, args, j, root * max(abs(y[j]), floor[j]), F, of_yp=False))
-            of_y = np.array(columns).T
-            columns = []
-            for j in self.bound:
-                step = root * max(abs(yp[j]), floor[j], _SMALL)
-                columns.append(self._difference(t, y, yp, args, int(j), step, F, of_yp=True))
-            of_yp = np.reshape(columns, (self.r, self.n)).T
-            upper = np.hstack([np.zeros((self.r, self.n)), np.eye(self.r)])
-            return np.vstack([upper, np.hstack([of_y[:, self.bound], of_y @ self.V.T, of_yp])])
+            if given is None:
+                F = self.residual(t, y, yp, *args)
+                parts = [differences(t, y, yp, args, F, of_yp) for of_yp in (False, True)]
+            else:
+                pair = given(t, y, yp, *args)
+                if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                    raise ValueError(f"jac of F must return the pair (∂F/∂y, ∂F/∂y'), got {shown(pair)}")
+                parts = [as_matrix("jac of F", one, (n, n), at=t) for one in pair]
+            return self._of_system(*parts)
 
         return formed
 
-    def _difference(
-        self, t: float, y: Array, yp: Array, args: tuple[Any, ...], j: int, step: float, F: Array, *, of_yp: bool
-    ) -> Array:
-        """Return ∂F/∂y_j or ∂F/∂y_j' by a forward difference from the value F."""
-        moved = (yp if of_yp else y).copy()
-        moved[j] += step
-        exact = moved[j] - (yp if of_yp else y)[j]
-        found: Array = (self.residual(t, *((y, moved) if of_yp else (moved, yp)), *args) - F) / exact
-        return found
+    def _of_system(self, of_y: Any, of_yp: Any) -> Any:
+        """Return the Jacobian of the system from ∂F/∂y and ∂F/∂y', sparse if one of them is."""
+        if not (is_sparse(of_y) or is_sparse(of_yp)):
+            upper = np.hstack([np.zeros((self.r, self.n)), np.eye(self.r)])
+            return np.vstack([upper, np.hstack([of_y[:, self.bound], of_y @ self.V.T, of_yp[:, self.bound]])])
+        from scipy import sparse as scipy_sparse
+
+        sparse: Any = scipy_sparse
+        Fy, Fyp = sparse.csc_array(of_y), sparse.csc_array(of_yp)
+        lower = [Fy[:, self.bound], Fy @ sparse.csc_array(self.V.T), Fyp[:, self.bound]]
+        above = [sparse.csc_array((self.r, self.n)), sparse.eye_array(self.r)]
+        return sparse.vstack([sparse.hstack(above), sparse.hstack(lower)], format="csc")
 
     # ------------------------------------------------------------------------------------------------------------------
     # Structure
@@ -244,6 +270,45 @@ class ResidualForm:
         return each, np.concatenate([each[self.bound], each[self.free], _UNTESTED * each[self.bound]])
 
 
+def _groups(pattern: Any) -> list[list[int]]:
+    """Return groups of columns that have no row in common (A. R. Curtis, M. J. D. Powell and J. K. Reid, J. Inst. Math.
+    Appl. 13 (1974) 117-119), each column in the first group that takes it."""
+    groups: list[list[int]] = []
+    taken: list[set[int]] = []
+    for j in range(pattern.shape[1]):
+        rows = {*pattern.indices[pattern.indptr[j] : pattern.indptr[j + 1]].tolist()}
+        if not rows:
+            continue
+        for group, others in zip(groups, taken, strict=True):
+            if not rows & others:
+                group.append(j)
+                others |= rows
+                break
+        else:
+            groups.append([j])
+            taken.append(rows)
+    return groups
+
+
+def patterns_of(n: int, jac_sparsity: Any, lband: int | None, uband: int | None) -> tuple[Any, Any] | None:
+    """Return the patterns of ∂F/∂y and ∂F/∂y': a pair of them, or one for both, or bands; None: not known."""
+    if jac_sparsity is None and lband is None and uband is None:
+        return None
+    from scipy import sparse
+
+    if jac_sparsity is None:
+        below, above = (bandwidth(name, one or 0, n) for name, one in (("lband", lband), ("uband", uband)))
+        both: Any = sparse.diags_array(
+            [np.ones(n)] * (below + above + 1), offsets=range(-below, above + 1), shape=(n, n)
+        )
+        return both.tocsc(), both.tocsc()
+    if lband is not None or uband is not None:
+        raise ValueError("give either jac_sparsity or lband and uband, not both")
+    pair = jac_sparsity if isinstance(jac_sparsity, tuple) and len(jac_sparsity) == 2 else (jac_sparsity,) * 2
+    made = [sparse.csc_array(as_matrix("jac_sparsity", one, (n, n))) for one in pair]
+    return made[0], made[1]
+
+
 class _Linear:
     """A linear function of the state, as `Values` of expressions."""
 
@@ -277,8 +342,10 @@ def solve_residual(
     events: EventsLike,
     name: str,
     options: Options,
+    jac: Any,
+    structure: tuple[Any, int | None, int | None],
 ) -> Solution:
-    """Return the solution of F(t, y, y') = 0 in residual form.
+    """Return the solution of F(t, y, y') = 0 in residual form; `structure`: jac_sparsity, lband and uband.
 
     `nfev` counts all calls of F, those for its structure and for Jacobians included.
     """
@@ -286,6 +353,9 @@ def solve_residual(
         method = "ode15s"
     if find_method(method)[0].mass != "any":
         raise ValueError(f"F cannot be traced, and is solved as it stands by ode15s, radau or ode23t, not by {method}")
+    patterns = patterns_of(form.n, *structure)
+    if jac is not None and patterns is not None:
+        raise ValueError("give either jac, or jac_sparsity or bands, which are for finite differences")
     unknowns, none = _Unknowns(form), np.zeros(0)
 
     def after_action(
@@ -308,7 +378,7 @@ def solve_residual(
         form.start,
         args=args,
         mass=form.mass,
-        jac=form.jacobian(float(np.min(rtol)), of_y),
+        jac=form.jacobian(float(np.min(rtol)), of_y, jac, patterns),
         name=name,
         events=None if events is None else [through.event(one) for one in to_events(events)],
     )

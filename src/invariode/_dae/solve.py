@@ -36,6 +36,10 @@ def solve_dae(
     equations: Sequence[str] | None = None,
     events: EventsLike = None,
     sensitivities: SensitivitiesLike | None = None,
+    jac: Callable[..., Any] | None = None,
+    jac_sparsity: Any = None,
+    lband: int | None = None,
+    uband: int | None = None,
     **options: Unpack[Options],
 ) -> Solution:
     """Solve differential-algebraic equations ``F(t, y, y', *args) = 0`` of any index.
@@ -70,6 +74,13 @@ def solve_dae(
         where it changes derivatives; the run continues from the nearest consistent state.
     sensitivities : bool, str, list of these, or Sensitivities, optional
         Parameters among `args`, as for `solve_ivp`.
+    jac : callable, optional
+        Of an F that cannot be traced: ``jac(t, y, yp, *args)`` returns the pair (∂F/∂y, ∂F/∂y'), (n, n) each, dense or
+        sparse. Default: finite differences.
+    jac_sparsity : array_like or sparse matrix of shape (n, n), or a pair of them, optional
+        Where ∂F/∂y and ∂F/∂y' are not zero, for finite differences in groups of columns and sparse linear algebra.
+    lband, uband : int, optional
+        The bandwidths of both, in place of `jac_sparsity`.
     **options
         Those of `Problem.solve`, such as rtol, atol, t_eval, dense_output, max_step. A vector `atol` has one value per
         unknown; the derivatives of an unknown have the same.
@@ -88,7 +99,8 @@ def solve_dae(
         There are no consistent initial values; or the solution does not satisfy F = 0 at an output, which is tested
         with all derivatives at each of them.
     TypeError
-        F cannot be traced, and is not of index 0 or 1.
+        F cannot be traced, and is not of index 0 or 1; or it can, and jac or its structure is given, which its
+        expressions have.
 
     Warns
     -----
@@ -125,7 +137,13 @@ def solve_dae(
             form = ResidualForm(F, span[0], *start, tuple(args), labels)
         except ValueError as objection:
             raise TypeError(f"{error}. As it stands it cannot be solved either: {objection}") from None
-        return solve_residual(form, span, tuple(args), method, events, call_name(F, "dae"), options)
+        called = call_name(F, "dae")
+        return solve_residual(
+            form, span, tuple(args), method, events, called, options, jac, (jac_sparsity, lband, uband)
+        )
+    for name, given in (("jac", jac), ("jac_sparsity", jac_sparsity), ("lband", lband), ("uband", uband)):
+        if given is not None:
+            raise TypeError(f"{name} is for an F that cannot be traced: the derivatives of {dae.name} are exact")
     return dae.solve(span, method, fixed=fixed or (), events=events, sensitivities=sensitivities, **options)
 
 
@@ -136,6 +154,8 @@ def ode15i(
     yp0: ArrayLike,
     *,
     args: Iterable[Any] = (),
+    jac: Callable[..., Any] | None = None,
+    jac_sparsity: Any = None,
     **options: Unpack[Options],
 ) -> Solution:
     """Solve ``F(t, y, y', *args) = 0`` with the formulas of ode15s, as MATLAB's function of this name does.
@@ -152,6 +172,8 @@ def ode15i(
         Initial values and derivatives; `decic` finds consistent ones.
     args : tuple, optional
         Further arguments of F.
+    jac, jac_sparsity : optional
+        As in `solve_dae`.
     **options
         Those of `solve_dae`; the default of `max_step` is a tenth of the interval, as in MATLAB.
 
@@ -176,7 +198,7 @@ def ode15i(
     True
     """
     options.setdefault("max_step", "tenth")
-    return solve_dae(F, t_span, y0, yp0, method="ode15s", args=args, **options)
+    return solve_dae(F, t_span, y0, yp0, method="ode15s", args=args, jac=jac, jac_sparsity=jac_sparsity, **options)
 
 
 def decic(
