@@ -250,7 +250,8 @@ def test_the_search_finds_the_optimum_from_many_starts(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"problem.yaml": "format_version: 2.0.0\nproblems: []\n"}, "version 2"),
+        ({"problem.yaml": "format_version: 3.0.0\nproblems: []\n"}, "version 3"),
+        ({"problem.yaml": "format_version: 2.0.0\nmodel_files: {}\n"}, "models none"),
         ({"conditions.tsv": "conditionId\tk1\nbefore\tk1\nafter\tkk\n"}, "no parameter"),
         ({"observables.tsv": "observableId\tobservableFormula\tnoiseFormula\na\tA\t1\n"}, "no observable"),
     ],
@@ -258,6 +259,59 @@ def test_the_search_finds_the_optimum_from_many_starts(tmp_path):
 def test_what_is_wrong_is_named(tmp_path, changes, message):
     with pytest.raises(ValueError, match=message):
         petab.load(written(tmp_path, **changes)).log_likelihood()
+
+
+def second(folder, **changes):
+    """The problem in version 2: parameters on the linear scale, conditions by row, experiments, named placeholders."""
+    written(
+        folder,
+        **{
+            "problem.yaml": "format_version: 2.0.0\nmodel_files:\n  m:\n    location: model.xml\n    language: sbml\n"
+            + "".join(
+                f"{one}_files: [{one}s.tsv]\n"
+                for one in ("parameter", "condition", "experiment", "observable", "measurement")
+            ),
+            "parameters.tsv": "parameterId\tlowerBound\tupperBound\tnominalValue\testimate\tpriorDistribution\t"
+            "priorParameters\nk1\t0.01\t100\t0.8\ttrue\t\t\nk2\t0.01\t100\t0.6\ttrue\tlog-normal\t-1;2\n"
+            "k_after\t0\t10\t2\ttrue\t\t\ns\t0.01\t10\t0.2\ttrue\t\t\nscale\t0\t10\t3\tfalse\t\t\n",
+            "conditions.tsv": "conditionId\ttargetId\ttargetValue\nc\tk1\tk_after\n",
+            "experiments.tsv": "experimentId\ttime\tconditionId\ne\t-inf\t\ne\t0\tc\n",
+            "observables.tsv": "observableId\tobservableFormula\tnoiseFormula\tnoiseDistribution\t"
+            "observablePlaceholders\tnoisePlaceholders\nb\tgain * B\twidth\tlog-laplace\tgain\twidth\n"
+            "a\tA + 0.1\t0.1 + s * A\tnormal\t\t\n",
+            "measurements.tsv": "observableId\texperimentId\tmeasurement\ttime\tobservableParameters\t"
+            "noiseParameters\nb\te\t1.5\t0\tscale\ts\nb\te\t2.0\t1\tscale\ts\na\te\t0.4\t1\t\t\n"
+            "a\te\t0.3\tinf\t\t\na\t\t0.8\t0.5\t\t\n",
+            **changes,
+        },
+    )
+    return folder / "problem.yaml"
+
+
+def test_version_2_is_the_same_problem(tmp_path):
+    """Likelihood, simulations and gradient are those of version 1, apart from the scales of the parameters."""
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    one, two = petab.load(written(tmp_path / "one")), petab.load(second(tmp_path / "two"))
+    assert two.log_likelihood() == pytest.approx(one.log_likelihood(), rel=1e-12)
+    np.testing.assert_allclose(two.simulate(), one.simulate(), rtol=1e-9)
+    slopes = one.objective()(one.nominal).gradient / [0.8 * math.log(10), 0.6, 1, 0.2 * math.log(10)]
+    found = two.objective()(two.nominal)
+    np.testing.assert_allclose(found.gradient, slopes, rtol=1e-6)
+    z = math.log(0.6)
+    assert found.log_prior == pytest.approx(-0.5 * math.log(2 * math.pi * 4) - (z + 1) ** 2 / 8 - z)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"experiments.tsv": "experimentId\ttime\tconditionId\ne\t0\t\ne\t5\tc\n"}, "periods that begin at 0, 5"),
+        ({"conditions.tsv": "conditionId\ttargetId\ttargetValue\nc\tk1\t2 * k_after\n"}, "by the formula"),
+    ],
+)
+def test_what_is_not_read_of_version_2_is_named(tmp_path, changes, message):
+    with pytest.raises(ValueError, match=message):
+        petab.load(second(tmp_path, **changes))
 
 
 def test_other_searches_get_what_they_need(tmp_path):

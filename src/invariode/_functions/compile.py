@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any, Literal
 
 from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
+from .directional import has_llvm
 from .filling import Filling
 from .graph.function import TracedFunction
 from .second_order import SecondOrder
@@ -96,6 +96,6 @@ def compile(
     if by == "numba":
         numba_or_say_so()
         return CompiledFunction(fun, inplace)
-    if find_spec("llvmlite") is None:
+    if not has_llvm():
         raise ModuleNotFoundError('invariode.compile needs llvmlite: pip install "invariode[compiled]"')
     return TracedFunction(fun, inplace, elementary, by)

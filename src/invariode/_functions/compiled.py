@@ -46,6 +46,16 @@ _EVENT = "double (double t, const double* y, const double* p)"
 _UNROLLED = 32
 
 
+#: Makes of (f, t, y, args) ∂f/∂y as a function of t, y and the numbers of args, or None without a graph; and ∂f/∂y
+#: itself whatever f is. `directional`, which imports this module, puts them here.
+_jacobians: list[tuple[Callable[..., Any], Callable[..., Array]]] = []
+
+
+def form_jacobians_by(exact: Callable[..., Any], whole: Callable[..., Array]) -> None:
+    """State how ``jacobian`` of compiled functions is formed: see `_jacobians`."""
+    _jacobians[:] = [(exact, whole)]
+
+
 class Watch(Protocol):
     """Observer of the accepted steps of a run, used as its callback; it may stop the run for reasons that the run does
     not see.
@@ -267,8 +277,6 @@ class CompiledFunction:
         TypeError
             The function fills an output array, so that the number of its values is not known.
         """
-        from .directional import Directional, Point  # which imports this module
-
         if self.inplace:
             raise TypeError(
                 f"{self!r} fills an array, and does not say how many values it has: compile it without inplace"
@@ -277,18 +285,13 @@ class CompiledFunction:
         state = np.array(y, dtype=float)
         if state.ndim != 1:
             raise ValueError(f"y must have shape (n,), got {state.shape}")
-        at = Point(float(t), state)
-        found, p = self._known(
-            self._derivatives,
-            args,
-            len(state),
-            lambda _: Directional(self, args, (), len(state), at=at).jacobian_of_args(),
-        )
+        exact, whole = _jacobians[0]
+        found, p = self._known(self._derivatives, args, len(state), lambda _: exact(self, float(t), state, args))
         if found is not None:
             J: Array = found(float(t), state, p)
             if np.isfinite(J).all():
                 return J
-        return Directional(self, args, (), len(state), at=at).jacobian(float(t), state)
+        return whole(self, float(t), state, args)
 
     def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
         """The Python function, with the arguments of the problem as numbers one after the other."""

@@ -25,6 +25,7 @@ from .compiled import (
     Shape,
     as_python,
     event_value,
+    form_jacobians_by,
     is_native,
     to_native,
 )
@@ -663,3 +664,13 @@ class _Steps:
         h = INCREMENT / np.max(np.abs(direction) / size)
         up, down = (self._values(x + side * h * direction) for side in (1, -1))
         return np.asarray((up - down) / (2 * h))
+
+
+def _of_compiled(fun: CompiledFunction, t: float, y: Array, args: tuple[Any, ...]) -> Directional:
+    return Directional(fun, args, (), len(y), at=Point(t, y))
+
+
+form_jacobians_by(
+    lambda fun, t, y, args: _of_compiled(fun, t, y, args).jacobian_of_args(),
+    lambda fun, t, y, args: _of_compiled(fun, t, y, args).jacobian(t, y),
+)

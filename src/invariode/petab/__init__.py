@@ -1,4 +1,4 @@
-"""Problems of PEtab, version 1: ``petab.load("problem.yaml")``. Needs python-libsbml and PyYAML, the extra `petab`."""
+"""Problems of PEtab, versions 1 and 2: ``petab.load("problem.yaml")``. The extra `petab` installs what it needs."""
 
 from __future__ import annotations
 

@@ -99,6 +99,11 @@ class Experiments:
         where = [places[_group(one)] for one in measured], [columns[key] for key in keys]
         data[where] = [one.value for one in measured]
         times = np.array([t for t, _ in columns])
+        if self.model.events and (before or np.isinf(times).any()):
+            raise ValueError(
+                f"condition {condition!r} needs a steady state of a model with events, which may happen on the way: "
+                "such problems are not read"
+            )
         finite = times[np.isfinite(times) & (times > 0)]
         observables = [self._tables.observables[group[0]] for group in groups]
         noise: Any = [
@@ -116,12 +121,17 @@ class Experiments:
             y0=self._start,
             where=self._where(condition, starts=not before),
             before=self._where(before) if before else None,
-            resets=[n for n in self._tables.conditions[condition] if n in self._equations.place] if before else None,
+            resets=self._resets(condition) if before else None,
             method=self._method,
             rtol=self._rtol,
             atol=self._atol,
         )
         return Part(experiment, rows, where)
+
+    def _resets(self, condition: str) -> list[str]:
+        """Return the states that a condition sets behind a pre-equilibration."""
+        own = self._tables.resets.get(condition, self._tables.conditions[condition])
+        return [name for name in self._equations.states if name in own]
 
     def _where(self, condition: str, starts: bool = True) -> dict[str, float | str]:
         """Return what the numbers of p are in a condition: numbers, or names of estimated parameters. `starts`: it has
@@ -198,8 +208,16 @@ class Experiments:
         name, observable_parameters, noise_parameters = group
         if group not in self._known:
             one = self._tables.observables[name]
-            fixed = {f"observableParameter{i}_{name}": v for i, v in enumerate(observable_parameters, 1)}
-            fixed |= {f"noiseParameter{i}_{name}": v for i, v in enumerate(noise_parameters, 1)}
+            fixed: dict[str, str | float] = {}
+            for kind, given, known in (
+                ("observable", observable_parameters, one.placeholders),
+                ("noise", noise_parameters, one.noise_placeholders),
+            ):
+                if known is None:
+                    known = tuple(f"{kind}Parameter{i}_{name}" for i in range(1, len(given) + 1))
+                if len(known) != len(given):
+                    raise ValueError(f"a measurement of {name!r} fills {len(given)} of {len(known)} placeholders")
+                fixed |= dict(zip(known, given, strict=True))
             words = self._translator(fixed)
             noise = words.number(parse(one.noise))
             self._known[group] = words.number(parse(one.formula)), noise * LN10 if one.scale == "log10" else noise
@@ -244,8 +262,8 @@ def require_known(tables: Tables) -> None:
     for one in tables.measurements:
         if one.observable not in tables.observables:
             raise ValueError(f"a measurement is of {one.observable!r}, which is no observable")
-        for name in (one.condition, one.before):
-            if name and name not in tables.conditions:
+        for name in filter(None, (one.condition, one.before)):
+            if name not in tables.conditions:
                 raise ValueError(f"a measurement is of condition {name!r}, which does not exist")
 
 

@@ -312,7 +312,7 @@ def _key_of(one: Measurement) -> tuple[str, ...]:
 def load(
     path: str | os.PathLike[str], *, method: MethodName = "radau", rtol: float = 1e-8, atol: float = 1e-12
 ) -> Problem:
-    """Load a problem of PEtab, version 1, with a model in SBML.
+    """Load a problem of PEtab, version 1 or 2, with a model in SBML.
 
     Parameters
     ----------

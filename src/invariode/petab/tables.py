@@ -1,11 +1,12 @@
-"""Tables of a PEtab problem, version 1: YAML and tab-separated values as plain data."""
+"""Tables of a PEtab problem, versions 1 and 2: YAML and tab-separated values as plain data."""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from .._base.extras import extra
@@ -25,18 +26,20 @@ class ParameterRow:
     upper: float
     estimated: bool
     prior: tuple[str, tuple[float, ...]] | None
-    initialization: tuple[str, tuple[float, ...]] | None
 
 
 @dataclass
 class ObservableRow:
-    """An observable: formulas, transformation and distribution of the noise."""
+    """An observable: formulas, transformation and distribution of the noise, and placeholders in both formulas, which
+    measurements fill in their order; None: they are called by number, as in version 1."""
 
     name: str
     formula: str
     noise: str
     scale: Scale
     laplace: bool
+    placeholders: tuple[str, ...] | None = None
+    noise_placeholders: tuple[str, ...] | None = None
 
 
 @dataclass
@@ -54,7 +57,8 @@ class Measurement:
 
 @dataclass
 class Tables:
-    """A problem as its files have it. `conditions`: values by condition and symbol, numbers or names of parameters."""
+    """A problem as its files have it. `conditions`: values by condition and symbol, numbers or names of parameters.
+    `resets`: the symbols that a condition sets behind a pre-equilibration; all of its own if it is not there."""
 
     folder: str
     model: str
@@ -62,6 +66,7 @@ class Tables:
     conditions: dict[str, dict[str, float | str]]
     observables: dict[str, ObservableRow]
     measurements: list[Measurement]
+    resets: dict[str, set[str]] = field(default_factory=dict)
 
 
 def tables(path: str) -> Tables:
@@ -77,8 +82,10 @@ def tables(path: str) -> Tables:
     with open(path, encoding="utf-8") as file:
         given = yaml.safe_load(file)
     version = str(given.get("format_version"))
+    if version.split(".")[0] == "2":
+        return _second(path, folder, given)
     if version.split(".")[0] != "1":
-        raise ValueError(f"{path} is of version {version} of PEtab: version 1 is read")
+        raise ValueError(f"{path} is of version {version} of PEtab: versions 1 and 2 are read")
     if len(given["problems"]) != 1:
         raise ValueError(f"{path} describes {len(given['problems'])} problems: one is read")
     one = given["problems"][0]
@@ -100,6 +107,63 @@ def tables(path: str) -> Tables:
         {row["observableId"]: _observable(row) for row in _rows(folder, one["observable_files"])},
         [_measurement(row) for row in _rows(folder, one["measurement_files"])],
     )
+
+
+def _second(path: str, folder: str, given: dict[str, Any]) -> Tables:
+    """Read the files of a problem of version 2, of which each experiment has one period, from t = 0 on, and perhaps a
+    pre-equilibration."""
+
+    def rows(kind: str) -> list[dict[str, str]]:
+        return _rows(folder, given.get(f"{kind}_files") or [])
+
+    models = [*(given.get("model_files") or {}).values()]
+    if len(models) != 1 or models[0].get("language") != "sbml":
+        listed = ", ".join(f"{one.get('location')} ({one.get('language')})" for one in models)
+        raise ValueError(f"{path} names the models {listed or 'none'}: one in SBML is read")
+    changes: dict[str, dict[str, float | str]] = {}
+    for row in rows("condition"):
+        value = _number_or_name(row["targetValue"])
+        if isinstance(value, str) and not value.isidentifier():
+            raise ValueError(
+                f"condition {row['conditionId']!r} sets {row['targetId']!r} by the formula {value!r}: numbers and "
+                "names of parameters are read"
+            )
+        changes.setdefault(row["conditionId"], {})[row["targetId"]] = value
+    periods: dict[str, dict[float, dict[str, float | str]]] = {"": {}}
+    for row in rows("experiment"):
+        condition = row.get("conditionId")
+        begun = periods.setdefault(row["experimentId"], {}).setdefault(float(row["time"]), {})
+        if condition is not None and not _missing(condition):
+            begun.update(changes[condition])
+    conditions: dict[str, dict[str, float | str]] = {}
+    resets: dict[str, set[str]] = {}
+    for name, own in periods.items():
+        finite = sorted(t for t in own if t > -math.inf)
+        if finite not in ([], [0.0]):
+            raise ValueError(
+                f"experiment {name!r} has periods that begin at {', '.join(f'{t:g}' for t in finite)}: one that begins "
+                "at 0 is read, and a pre-equilibration from -inf"
+            )
+        main: dict[str, float | str] = own.get(0.0, {})
+        before = own.get(-math.inf)
+        conditions[name] = {**(before or {}), **main}
+        if before is not None:  # whose changes stay in effect
+            conditions[_before(name)], resets[name] = before, {*main}
+    measurements = [_measurement(row, conditions) for row in rows("measurement")]
+    return Tables(
+        folder,
+        os.path.join(folder, models[0]["location"]),
+        {row["parameterId"]: _parameter(row) for row in rows("parameter")},
+        conditions,
+        {row["observableId"]: _observable(row) for row in rows("observable")},
+        measurements,
+        resets,
+    )
+
+
+def _before(experiment: str) -> str:
+    """Return the name of the condition of an experiment's pre-equilibration."""
+    return f"{experiment} before"
 
 
 def rows_of(path: str) -> list[dict[str, str]]:
@@ -136,16 +200,16 @@ def _scale(value: str | None) -> Scale:
     return text  # type: ignore[return-value]  # one of them
 
 
-def _prior(row: dict[str, str], kind: str) -> tuple[str, tuple[float, ...]] | None:
-    name, numbers = row.get(f"{kind}PriorType"), row.get(f"{kind}PriorParameters")
+def _prior(row: dict[str, str], kind: str, parameters: str) -> tuple[str, tuple[float, ...]] | None:
+    name, numbers = row.get(kind), row.get(parameters)
     if name is None or _missing(name):
         return None
     given = "" if numbers is None or _missing(numbers) else numbers
-    return name.strip(), tuple(float(x) for x in given.split(";") if x.strip())
+    return name.strip().replace("-", ""), tuple(float(x) for x in given.split(";") if x.strip())
 
 
 def _parameter(row: dict[str, str]) -> ParameterRow:
-    estimated = str(row.get("estimate", "1")).strip().split(".")[0] == "1"
+    estimated = str(row.get("estimate", "1")).strip().lower().split(".")[0] in ("1", "true")
     return ParameterRow(
         row["parameterId"],
         _scale(row.get("parameterScale")),
@@ -153,29 +217,41 @@ def _parameter(row: dict[str, str]) -> ParameterRow:
         _float(row, "lowerBound", -math.inf),
         _float(row, "upperBound", math.inf),
         estimated,
-        _prior(row, "objective"),
-        _prior(row, "initialization"),
+        _prior(row, "objectivePriorType", "objectivePriorParameters")
+        or _prior(row, "priorDistribution", "priorParameters"),
     )
 
 
 def _observable(row: dict[str, str]) -> ObservableRow:
     law = (row.get("noiseDistribution") or "normal").strip() or "normal"
-    if law not in ("normal", "laplace"):
-        raise ValueError(f"there is no distribution of noise {law!r}: there are normal and laplace")
-    scale = _scale(row.get("observableTransformation"))
-    return ObservableRow(row["observableId"], row["observableFormula"], row["noiseFormula"], scale, law == "laplace")
+    if law.removeprefix("log-") not in ("normal", "laplace"):
+        raise ValueError(
+            f"there is no distribution of noise {law!r}: there are normal, laplace, log-normal, log-laplace"
+        )
+    scale = "log" if law.startswith("log-") else _scale(row.get("observableTransformation"))
+    placeholders = [
+        None if name not in row else tuple(x.strip() for x in (row[name] or "").split(";") if x.strip())
+        for name in ("observablePlaceholders", "noisePlaceholders")
+    ]
+    formulas = row["observableFormula"], row["noiseFormula"]
+    return ObservableRow(row["observableId"], *formulas, scale, law.endswith("laplace"), *placeholders)
 
 
-def _measurement(row: dict[str, str]) -> Measurement:
+def _measurement(row: dict[str, str], conditions: Sequence[str] | dict[str, Any] = ()) -> Measurement:
     def listed(name: str) -> tuple[str | float, ...]:
         text = row.get(name)
         return () if text is None or _missing(text) else tuple(_number_or_name(x) for x in text.split(";"))
 
-    before = row.get("preequilibrationConditionId")
+    if "simulationConditionId" in row:
+        before, condition = row.get("preequilibrationConditionId"), row["simulationConditionId"]
+        before = "" if before is None or _missing(before) else before
+    else:
+        condition = row.get("experimentId") or ""
+        before = _before(condition) if _before(condition) in conditions else ""
     return Measurement(
         row["observableId"],
-        "" if before is None or _missing(before) else before,
-        row["simulationConditionId"],
+        before,
+        condition,
         float(row["measurement"]),
         float(row["time"]),
         listed("observableParameters"),

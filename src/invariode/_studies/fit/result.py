@@ -296,7 +296,9 @@ class Fit:
             scale = np.hypot(scale, self._sigmas(experiment)[:, None])
         margin = np.multiply(q, scale, where=scale != 0, out=np.zeros_like(scale))  # q may be infinite
         lower, upper = (
-            np.where(lognormal, curves.values * np.exp(sign * margin), curves.values + sign * margin)
+            np.where(
+                lognormal, curves.values * np.exp(np.where(lognormal, sign * margin, 0)), curves.values + sign * margin
+            )
             for sign in (-1.0, 1.0)
         )
         return Prediction(times, curves.values, errors, lower, upper, list(one.names))

@@ -311,7 +311,7 @@ class Simulation:
         there = {j for j, _ in columns}
         k = 0 if start.slopes is None else start.slopes.shape[1]
         columns += [(j, ParameterName("", "y0", 0)) for j in range(k) if j not in there]  # by way of y0 alone
-        key = (id(problem.fun), problem.t_span[0], tuple(one for _, one in columns))
+        key = (id(problem.fun), id(problem.matrices.mass), problem.t_span[0], tuple(one for _, one in columns))
         if key not in self._states:
             self._states[key] = _Known(SteadyStates(problem, [one for _, one in columns], "ode15s"))
         S0, seen = None, set[int]()
