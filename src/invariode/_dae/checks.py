@@ -14,7 +14,8 @@ from .start import Point, conditions
 #: Residuals are compared with changes of F where its arguments change by this part, times random numbers: even if
 #: leading derivatives have lost half of the digits, they are smaller.
 _CHANGE, _SEED, _TIMES = 1e-7, 5, 4
-#: Algebraic equations are solved to the tolerance only, by iterations that leave some of it: in units of rtol.
+#: Algebraic equations are solved to the tolerance only, by iterations that leave some of it, which the condition of
+#: their block enlarges: in units of rtol. A choice, not derived; the nonlinear resistor of the tests needs the most.
 _TOLERANCES = 100.0
 #: Arguments below this part of their largest value along the solution change as one of that size.
 _SMALL = 1e-5
