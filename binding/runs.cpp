@@ -402,8 +402,9 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, nb::handle y0, cons
 /// A run that Python advances step by step. It keeps its solver alive.
 class Stepper {
  public:
-  Stepper(nb::object owner, const ConstVector& y0)
-      : owner_(std::move(owner)),
+  /// `course`: see `follow`; None: that of the solver.
+  Stepper(nb::object owner, const ConstVector& y0, const nb::object& course)
+      : owner_(on_course(std::move(owner), course)),
         bound_(nb::cast<const BoundSolver&>(owner_).bound),
         solver_(nb::cast<const BoundSolver&>(owner_).solver),
         run_(solver_) {
@@ -447,6 +448,11 @@ class Stepper {
   [[nodiscard]] nb::handle owner() const { return owner_; }
 
  private:
+  static nb::object on_course(nb::object solver, const nb::object& course) {
+    if (!course.is_none()) follow(course, nb::cast<BoundSolver&>(solver));
+    return solver;
+  }
+
   /// A user function may not step the run that calls it, nor may another thread meanwhile.
   template <class Work>
   void guarded(Work&& work) {
@@ -700,11 +706,12 @@ void define_stepper(nb::module_& module) {
                       "A run that is advanced step by step. Threads take turns.")
       .def(
           "__init__",
-          [](Stepper* self, nb::object solver, const ConstVector& y0) {
+          [](Stepper* self, nb::object solver, const ConstVector& y0, const nb::object& course) {
             if (!nb::isinstance<BoundSolver>(solver)) throw nb::type_error("a Stepper needs a Solver");
-            new (self) Stepper(std::move(solver), y0);
+            new (self) Stepper(std::move(solver), y0, course);
           },
-          nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
+          nb::arg("solver"), nb::arg("y0"), nb::arg("course") = nb::none(),
+          "Starts at (t0, y0), on a course as in `Solver.integrate_anew`; None: that of the solver.")
       .def("step", &Stepper::step, nb::lock_self(), "Goes on by one accepted step, if it can: see `state`.")
       .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
       .def("result", &Stepper::result, nb::lock_self(),

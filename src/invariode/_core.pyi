@@ -677,8 +677,10 @@ class Solver:
 class Stepper:
     """A run that is advanced step by step. Threads take turns."""
 
-    def __init__(self, solver: object, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
-        """Starts at (t0, y0)."""
+    def __init__(self, solver: object, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], course: object | None = None) -> None:
+        """
+        Starts at (t0, y0), on a course as in `Solver.integrate_anew`; None: that of the solver.
+        """
 
     def step(self) -> None:
         """Goes on by one accepted step, if it can: see `state`."""

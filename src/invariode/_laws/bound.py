@@ -252,7 +252,7 @@ class BoundInvariants:
 
     def evaluate(self, dense: _core.Dense, t: Array) -> Array:
         """The rows of a continuous solution of the core at t, projected between the steps if the run does so."""
-        problem = self._problem(dense.n, dense.complex, self.value, dense.parameters)
+        problem = self._problem(dense.n, dense.complex, self.value, dense.parameters) if self.specs else None
         return dense.evaluate(t, problem)
 
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .. import _core
 from .._base.arguments import Array, default_labels, warn
 from .._problem.invariants import AccuracyWarning
@@ -14,7 +16,7 @@ FEW_STEPS = 64
 
 
 class Walk:
-    """A plan that is carried out step by step.
+    """A plan that is carried out step by step, by a solver of its own or by one that was made for it.
 
     Raises
     ------
@@ -22,13 +24,13 @@ class Walk:
         The plan cannot start there.
     """
 
-    def __init__(self, plan: Plan, y0: Array) -> None:
+    def __init__(self, plan: Plan, y0: Array, core: _core.Solver | None = None) -> None:
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self.plan = plan._replace(functions=plan.functions._replace(linear=None))
-        self.core = _core.Stepper(solver(plan), y0.view(float))
+        self.core = _core.Stepper(core or solver(plan), y0.view(float), None if core is None else plan.course)
         if self.core.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self.plan.exception(self.core.result()) or AssertionError
-        self._inside: DenseSolution | None = None  # the solution over the last step, once it was asked for
+        self._inside: _core.Dense | None = None  # the solution over the last step, once it was asked for
         self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
 
     def step(self) -> None:
@@ -64,8 +66,16 @@ class Walk:
 
     def over_last_step(self) -> DenseSolution:
         """The solution over the last step. It may take evaluations of f."""
+        return DenseSolution(self._over_last_step(), self.plan.y0.dtype, self.plan.bound)
+
+    def at(self, t: float) -> Array:
+        """Return the state at a time in the last step."""
+        found: Array = self.plan.bound.evaluate(self._over_last_step(), np.array([t]))[0].view(self.plan.y0.dtype)
+        return found
+
+    def _over_last_step(self) -> _core.Dense:
         if self._inside is None:
-            self._inside = DenseSolution(self.core.interpolant(), self.plan.y0.dtype, self.plan.bound)
+            self._inside = self.core.interpolant()
         return self._inside
 
     def _watch(self) -> None:

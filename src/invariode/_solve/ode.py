@@ -11,13 +11,14 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import _core
 from .._base.arguments import Array, choice, count, function, number, state, warn
 from .._base.public import public
 from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native
 from .._plan.call_errors import explain
-from .._plan.plan import Plan, make_plan
+from .._plan.plan import Plan, make_plan, solver
 from .._plan.walk import Walk
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
@@ -256,6 +257,7 @@ class ode:  # noqa: N801 - SciPy's name
         self._problem: Problem | None = None
         self._plan: Plan | None = None
         self._walk: Walk | None = None  # the run that continues from call to call
+        self._core: _core.Solver | None = None  # of runs that start anew in each call
         self._begun = 0.0  # where its last step began
 
     def __repr__(self) -> str:
@@ -302,9 +304,11 @@ class ode:  # noqa: N801 - SciPy's name
         return self
 
     def set_f_params(self, *args: Any) -> Self:
-        """Set the additional arguments of f and of the invariants. The method restarts at the next call."""
-        self._calls.f_params = args
-        self._forget()
+        """Set the additional arguments of f and of the invariants. If they are not the same numbers as before, the
+        method restarts at the next call."""
+        if not _are_same_numbers(self._calls.f_params, args):
+            self._calls.f_params = args
+            self._forget()
         return self
 
     def set_jac_params(self, *args: Any) -> Self:
@@ -409,7 +413,7 @@ class ode:  # noqa: N801 - SciPy's name
 
     def _forget(self) -> None:
         """Discard the plan: the next call makes a new one, and fixes the invariants at its start."""
-        self._problem = self._plan = self._walk = None
+        self._problem = self._plan = self._walk = self._core = None
 
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
         """Return a run from here to `tf`. If there is a plan, invariants keep its values."""
@@ -421,11 +425,14 @@ class ode:  # noqa: N801 - SciPy's name
                 calls.f, (self.t, endless), self._y, args=calls.f_params, invariants=self._invariants, **linear
             )
             plan = make_plan(self._problem, chosen.method, chosen.options)
-            self._plan = plan if held is None else plan.holding(held)
-        settings = self._plan.settings
-        settings = settings._replace(first_step=min(settings.first_step, abs(tf - self.t)))
-        course = self._plan.course._replace(t0=self.t, tf=tf)
-        return Walk(self._plan._replace(course=course, settings=settings), self._y)
+            self._plan, self._core = plan if held is None else plan.holding(held), None
+        plan, first = self._plan, self._plan.settings.first_step
+        plan = plan._replace(course=plan.course._replace(t0=self.t, tf=tf))
+        if first > abs(tf - self.t):
+            return Walk(plan._replace(settings=plan.settings._replace(first_step=abs(tf - self.t))), self._y)
+        if self._core is None:
+            self._core = solver(plan)
+        return Walk(plan, self._y, self._core)
 
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
         """Integrate from the current time to `target`, calling solout at the start and after each step."""
@@ -458,7 +465,7 @@ class ode:  # noqa: N801 - SciPy's name
             steps += 1
         reached = walk.state == "running" and forward * (goal - walk.t) <= 0
         inside = reached and not (step or relax) and target != walk.t
-        self.t, self._y = (target, walk.over_last_step()(target)) if inside else (walk.t, walk.y)
+        self.t, self._y = (target, walk.at(target)) if inside else (walk.t, walk.y)
         self._end(walk, chosen, reached=reached, stopped=False)
 
     def _leads_to(self, target: float, walk: Walk) -> bool:
@@ -480,6 +487,12 @@ class ode:  # noqa: N801 - SciPy's name
             wrong = walk.state in ("start_undefined", "invariant_convicted")
             self._code = codes.wrong if wrong else codes.unsolved if newton else codes.failed
         warn(f"{chosen.name}: {why}")
+
+
+def _are_same_numbers(before: tuple[Any, ...], after: tuple[Any, ...]) -> bool:
+    """Return whether arguments are floats or ints with the same values; nothing else is known not to have changed."""
+    alike = len(before) == len(after) > 0
+    return alike and all(type(a) is type(b) in (float, int) and a == b for a, b in zip(before, after, strict=True))
 
 
 @public
