@@ -325,6 +325,88 @@ def set_up(case: Case) -> str:
     return table(["solve of one step", "total, µs", "÷ ours"], rows)
 
 
+def pendulum(t: float, y: Array, k: float = 1.0) -> list[float]:
+    return [y[1], -k * y[0]]
+
+
+def amplitude(t: float, y: Array) -> float:
+    return float(y[0] * y[0] + y[1] * y[1])
+
+
+def amplitude_gradient(t: float, y: Array) -> list[float]:
+    return [2.0 * y[0], 2.0 * y[1]]
+
+
+def far_off(t: float, y: Array) -> float:
+    return float(y[0]) - 5.0
+
+
+def calls() -> str:
+    """Calls of one step: whatever a problem has, a call finds the plan of the first one of its kind."""
+    end = 1e-6
+    y0, span = np.array([1.0, 0.0]), (0.0, end)
+    compiled = iv.compile(pendulum)
+    g = iv.Invariants(amplitude, amplitude_gradient)
+
+    def solve(fun: Function = pendulum, method: str = "ode45", **more: Any) -> Callable[[], iv.Solution]:
+        return partial(iv.solve_ivp, fun, span, y0, method, first_step=end, **more)
+
+    def prepared(fun: Function = pendulum, method: str = "ode45", **more: Any) -> Callable[[], iv.Solution]:
+        changed = {"args": (1.5,)} if "args" in more else {}
+        return partial(iv.Problem(fun, span, y0, **more).prepare(method, first_step=end), **changed)
+
+    runs: dict[str, Callable[[], Any]] = {
+        "SciPy's solve_ivp": partial(scipy.integrate.solve_ivp, pendulum, span, y0, first_step=end),
+        "plain": solve(),
+        "compiled": solve(compiled),
+        "compiled, ode15s": solve(compiled, "ode15s"),
+        "an event": solve(events=far_off),
+        "bounds": solve(bounds=(-2.0, 2.0)),
+        "an invariant with its Jacobian": solve(invariants=g),
+        "an invariant": solve(invariants=amplitude),
+        "prepared": prepared(),
+        "prepared, other args": prepared(args=(1.0,)),
+        "prepared, an event": prepared(events=far_off),
+        "prepared, an invariant with its Jacobian": prepared(invariants=g),
+        "prepared, compiled": prepared(compiled),
+        "prepared, compiled, ode15s": prepared(compiled, "ode15s"),
+        "prepared, compiled, sensitivities, other args": prepared(compiled, args=(1.0,), sensitivities=True),
+    }
+    many = 50
+    times = interleaved({name: partial(_each, [run] * many) for name, run in runs.items()}, REPETITIONS, process_time)
+    plain = times["plain"]
+    rows = [
+        [name, spread([s / many for s in seconds], US, 1), f"{ratio(seconds, plain):.2f}"]
+        for name, seconds in times.items()
+    ]
+    return table(["solve of one step", "total, µs", "÷ plain"], rows)
+
+
+def loops() -> str:
+    """One step more of SciPy's `ode`, as control loops call it."""
+    rows = []
+    for name in ("vode", "lsoda", "dopri5", "dop853"):
+        runs: dict[str, Callable[[], Any]] = {}
+        for who, kind in (("ours", iv.ode), ("SciPy", scipy.integrate.ode)):
+            run = kind(pendulum).set_integrator(name).set_f_params(1.0).set_initial_value([1.0, 0.0], 0.0)
+            runs[who] = partial(_advance, run)
+            runs[f"{who}, set_f_params"] = partial(_advance, run, (1.0,))
+        many = 50
+        times = interleaved({who: partial(_each, [run] * many) for who, run in runs.items()}, REPETITIONS, process_time)
+        each = {who: [s / many for s in seconds] for who, seconds in times.items()}
+        quotients = [ratio(each[f"ours{more}"], each[f"SciPy{more}"]) for more in ("", ", set_f_params")]
+        rows.append(
+            [name, spread(each["ours"], US, 1), spread(each["SciPy"], US, 1), *(f"{one:.2f}" for one in quotients)]
+        )
+    return table(["ode.integrate", "ours, µs", "SciPy, µs", "ours ÷ SciPy", "after unchanged set_f_params"], rows)
+
+
+def _advance(run: Any, args: tuple[float, ...] = ()) -> None:
+    if args:
+        run.set_f_params(*args)
+    run.integrate(run.t + 1e-3)
+
+
 def circle(y: Array, t: float) -> tuple[float, float]:
     return y[1], -y[0]
 
@@ -529,8 +611,12 @@ def report() -> str:
         peers(plain),
         "## The fixed cost of a solve",
         set_up(plain),
+        "## Calls of other kinds",
+        calls(),
         "## `odeint`",
         odeint_calls(),
+        "## `ode` in a loop",
+        loops(),
         "## Other right-hand sides",
         right_hand_sides(cases),
         "## One invariant, one event",

@@ -156,6 +156,24 @@ def test_rooms_import_downwards_only_and_the_map_has_their_files():
     assert [*not_in_the_map()] == []
 
 
+#: What stands in one file alone: how a plan runs again, what a problem is, weights of the error test, and the course
+#: of a plan, which nothing takes apart by position.
+ONLY_IN = {
+    r"\.integrate_anew\(": {"_run/prepared.py"},
+    r"^class (Problem|Posed|Description)\b": {"_problem/problem.py", "petab/problem.py"},
+    r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
+    r"^class Course\b": {"_plan/plan.py"},
+    r"(Settings|Plan|Course)\._make\(": set(),
+    r"__signature__ = .*Problem|Problem\.__init__\.__qualname__": set(),
+}
+
+
+def test_each_thing_has_one_mechanism():
+    for pattern, files in ONLY_IN.items():
+        found = {path for name, path in SOURCES if path.suffix == ".py" and re.search(pattern, path.read_text(), re.M)}
+        assert {path.relative_to(PACKAGE).as_posix() for path in found} == files, pattern
+
+
 def test_the_package_imports_numpy_alone():
     """SciPy, whose sparse matrices take longer than everything else, and the extras are imported when they are used."""
     code = "import sys, invariode; print(*{name.partition('.')[0] for name in sys.modules})"

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import LEAST_RTOL, Array, function, numbers, quietly, real_numbers, shown, warn
+from .._base.arguments import LEAST_RTOL, Array, Weights, function, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.compiled import is_native
@@ -45,7 +45,7 @@ from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
-from .._sensitivity.actions import Rate, Weights
+from .._sensitivity.actions import Rate
 from .._sensitivity.algebraic import dense_mass
 from .._sensitivity.landings import Schedule, schedule_of
 from .._sensitivity.mass_derivatives import AlgebraicOverTime, MassDerivatives, mass_derivatives, mass_rate
@@ -185,8 +185,8 @@ class _Adjoint:
         fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
         conditions = self._conditions()
-        self._rests = at_bounds(problem, self._sol, self._y, self._threshold, self._atol)
-        jumps = Jumps(problem, names, self._derivatives, conditions, self._threshold, self._atol)
+        self._rests = at_bounds(problem, self._sol, self._y, self._of_y.threshold, self._atol)
+        jumps = Jumps(problem, names, self._derivatives, conditions, self._of_y.threshold, self._atol)
         jumps.follow_landings(self._schedule)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
@@ -336,12 +336,13 @@ class _Adjoint:
         return np.asarray(self._sol._atol, dtype=float)
 
     @property
-    def _threshold(self) -> Array:
-        return np.asarray(self._atol / self._sol._rtol)
+    def _of_y(self) -> Weights:
+        """The weights of y in the error test of the run."""
+        return Weights(float(np.max(self._sol._rtol)), np.asarray(self._atol / self._sol._rtol))
 
     def _weights(self, y: Array) -> Array:
         """Return the weights of the error test at y (n,); for a component that is 0, with atol = 0, the largest."""
-        w = np.maximum(np.abs(y), self._threshold)
+        w = np.maximum(np.abs(y), self._of_y.threshold)
         return np.where(w == 0, w.max() or 1.0, w)
 
     # ------------------------------------------------------------------------------------------------------- backwards
@@ -464,7 +465,7 @@ class _Adjoint:
         self._sizes = size / weights.max(axis=0)
         problem, wanted = self._problem, self._problem.sensitivities
         assert wanted is not None
-        of_y = Weights(float(np.max(self._sol._rtol)), self._threshold)
+        of_y = self._of_y
         sizes = Sizes.of(wanted, self._names, of_y, problem.args)
         values = values_of(problem.args, problem.y0, self._names)
         forward = sizes.tolerances(problem.y0, values) @ shares.sum(axis=0)

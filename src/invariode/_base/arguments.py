@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -387,12 +387,29 @@ def reals(y: Array) -> int:
 LEAST_RTOL = 100 * EPS
 
 
-def tolerances(
-    rtol: ArrayLike, atol: ArrayLike, y: Array, least: float = LEAST_RTOL
-) -> tuple[float, float | Array, Array | None]:
-    """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
+class Weights(NamedTuple):
+    """The weights of the error test, max(s_i |y_i|, thr_i), for the reals that make up y."""
+
+    rtol: float  # the smallest
+    threshold: float | Array
+    scale: Array | None = None  # None: 1
+
+    @property
+    def atol(self) -> Array:
+        """The absolute tolerances."""
+        return self.rtol * np.asarray(self.threshold)
+
+    def of(self, y: Array) -> Array:
+        """Return the tolerances at a state y (n,), rtol times the weights."""
+        size = np.abs(y) if self.scale is None else self.scale * np.abs(y)
+        return self.rtol * np.maximum(size, self.threshold)
+
+
+def weights_of(rtol: ArrayLike, atol: ArrayLike, y: Array, least: float = LEAST_RTOL) -> Weights:
+    """Return the weights of these tolerances for states like y; a relative one below `least` is raised, with a
+    warning."""
     if type(rtol) is float and type(atol) is float and least <= rtol < math.inf and 0 <= atol < math.inf:
-        return rtol, atol / rtol, None  # the common case, without arrays
+        return Weights(rtol, atol / rtol)  # the common case, without arrays
     pairs = 2 if y.dtype.kind == "c" else 1
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
     if (relative < least).any():
@@ -402,7 +419,7 @@ def tolerances(
     smallest = float(relative.min()) if relative.size else RTOL
     threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
     scale = np.repeat(relative / smallest, pairs) if relative.ndim == 1 and (relative != smallest).any() else None
-    return smallest, threshold, scale
+    return Weights(smallest, threshold, scale)
 
 
 #: Output times that lie beyond the interval by at most this, relative to its ends, do so by rounding.

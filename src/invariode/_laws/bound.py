@@ -22,7 +22,7 @@ from .._base.arguments import (
     real_numbers,
     reals,
     shown,
-    tolerances,
+    weights_of,
 )
 from .._functions.compiled import (
     CompiledFunction,
@@ -278,7 +278,7 @@ class BoundInvariants:
 
 
 def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> _core.Tolerances:
-    return _core.Tolerances(*tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype)))
+    return _core.Tolerances(*weights_of(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype)))
 
 
 def _as_rows(y: Array) -> Array:

@@ -19,7 +19,7 @@ from .._base.arguments import (
     numbers,
     real_numbers,
     shown,
-    tolerances,
+    weights_of,
 )
 from .._base.types import Numbers, Points
 from .._functions.compiled import is_native
@@ -166,7 +166,7 @@ def impose(
     if points.shape[1] == 0:
         empty, values = np.zeros(0, dtype=int), sum(_count_values(one, points, extra) for one in listed)
         return ImposeResult(points, empty.astype(bool), np.zeros((values, 0)), empty)
-    _, threshold, _ = tolerances(rtol, atol, points[:, 0])
+    threshold = weights_of(rtol, atol, points[:, 0]).threshold
     bound = bind(listed, float(times[0]), points[:, 0], extra, threshold)
     if value is not None:
         demanded = demanded_values(value)

@@ -21,13 +21,14 @@ from .._base.arguments import (
     LARGEST_COUNT,
     LEAST_RTOL,
     Array,
+    Weights,
     distinct,
     kept,
     output_times,
     reals,
     shown,
-    tolerances,
     warn,
+    weights_of,
 )
 from .._base.failures import InvariantError
 from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt, Progress
@@ -76,14 +77,6 @@ CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 #: The length of steps by series follows from coefficients, and their errors may be below one unit of roundoff: in long
 #: runs their sum counts.
 _LEAST_BY_SERIES = 1e-30
-
-
-class Tolerances(NamedTuple):
-    """The weights of the error test, max(s_i |y_i|, thr_i), for the reals that make up y."""
-
-    rtol: float  # the smallest
-    threshold: float | Array
-    scale: Array | None
 
 
 class Course(NamedTuple):
@@ -160,7 +153,7 @@ class Plan(NamedTuple):
     functions: Functions
     y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
     method: Method
-    tolerances: Tolerances
+    tolerances: Weights
     moved: bool
     names: list[str]  # of the invariants, algebraic equations last
     event_names: list[str]
@@ -362,7 +355,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
         problem = on_graph(problem, chosen)
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
-    weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
+    weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
     course = course_of(choice, problem.t_span, reals(problem.y0), options["t_eval"])
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
@@ -429,11 +422,9 @@ def _require_fitting(problem: Problem, method: Method) -> None:
 
 def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoint]) -> Plan:
     """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
-    from .._sensitivity.actions import Weights
     from .._sensitivity.variations import make_variations
 
-    weights = Weights(plan.tolerances.rtol, plan.tolerances.threshold)
-    varied = make_variations(problem, plan.y0, weights, plan.bound.specs, breakpoints, plan.schedule)
+    varied = make_variations(problem, plan.y0, plan.tolerances, plan.bound.specs, breakpoints, plan.schedule)
     return plan._replace(
         varied=varied,
         schedule=varied.schedule,
@@ -523,7 +514,7 @@ def longest_step(given: LargestStep, span: float) -> float:
     return span / 10 if given == "tenth" else given
 
 
-def _calibrated(weights: Tolerances, order: int) -> Tolerances:
+def _calibrated(weights: Weights, order: int) -> Weights:
     """Return tolerances of the steps with which errors have the size of these tolerances ('NDF'). atol / rtol stays as
     it is."""
     factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / order)
@@ -659,7 +650,7 @@ def _linear_algebra(
     fun: Any,
     traced: Any,
     parameters: Array,
-    weights: Tolerances,
+    weights: Weights,
     jac: str | None = None,
 ) -> tuple[_core.Linear | None, Array]:
     """Return the matrices of an implicit method for the core, and y0, moved where the algebraic equations of a singular

@@ -70,6 +70,14 @@ _ARGUMENTS = ProblemArguments.__annotations__.keys()
 _NOTHING_GIVEN: Mapping[str, Any] = dict.fromkeys(
     ("jac", "jac_sparsity", "lband", "uband", "mass", "nonnegative", "bounds")
 )
+#: The attributes of a problem that has nothing besides f, y0, t_span and args.
+_NOTHING_ELSE: Mapping[str, Any] = {
+    **dict.fromkeys(("invariants", "events", "inputs", "breakpoints"), ()),
+    **dict.fromkeys(("bounds", "sensitivities", "_title", "_labels"), None),
+    **dict.fromkeys(("records_events", "second_order"), False),
+    "matrices": NO_MATRICES,
+    "_as_given": _NOTHING_GIVEN,
+}
 
 
 @documented(describing=[*table_of(CallingOptions), *table_of(DescribingOptions)])
@@ -141,19 +149,18 @@ class Problem:
     t_span: tuple[float, float]
     y0: Array
     args: tuple[Any, ...]
-    # Most problems have nothing of the following.
-    invariants: Sequence[Invariants] = ()
-    events: Sequence[Event] = ()
-    matrices: Matrices = NO_MATRICES
-    inputs: Sequence[Input] = ()
-    breakpoints: Sequence[Breakpoint] = ()
-    bounds: Bounds | None = None
-    sensitivities: Sensitivities | None = None
-    records_events: bool = False
-    second_order: bool = False
-    _title: str | None = None
-    _labels: list[str] | None = None
-    _as_given: Mapping[str, Any] = _NOTHING_GIVEN
+    invariants: Sequence[Invariants]
+    events: Sequence[Event]
+    matrices: Matrices
+    inputs: Sequence[Input]
+    breakpoints: Sequence[Breakpoint]
+    bounds: Bounds | None
+    sensitivities: Sensitivities | None
+    records_events: bool
+    second_order: bool
+    _title: str | None
+    _labels: list[str] | None
+    _as_given: Mapping[str, Any]
 
     def __init__(
         self,
@@ -234,7 +241,7 @@ class Problem:
             span, start = interval(t_span), state(y0)
             called, extra = _as_called(fun, start), extra_arguments(args)
             start.setflags(write=False)
-        self.__dict__.update(fun=called, t_span=span, y0=start, args=extra)
+        self.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra)
 
     @property
     def name(self) -> str:
@@ -380,10 +387,11 @@ class Problem:
     def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
         """Return a solver for this problem with any y0, args and interval, which checks everything else only once.
 
-        For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps if all
-        functions are native and `keep` is 'end' or 'outputs'. If the problem must be checked again for another
-        y0, other arguments or another interval, as for Python functions with invariants or a Jacobian, for algebraic
-        equations or mechanical systems, and for `t_eval` on another interval, a call costs as much as a solve.
+        For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps, whatever the
+        problem has: events, bounds, invariants, arguments, sensitivities of compiled functions. It costs as much as a
+        solve where something is found anew for another y0, other arguments or another interval: a Jacobian in Python
+        (`jac`), algebraic equations, sensitivities of Python functions, a mechanical system, times of `breakpoints` or
+        of conditions of f on another interval, and options that work around the run, such as `progress`.
 
         Parameters
         ----------

@@ -505,7 +505,7 @@ def _integrated(
 
 def _solution(finished: Finished) -> Solution:
     run, plan = finished.run, finished.general
-    ordinary = run.ordinary and plan.varied is None and plan.watch is None
+    ordinary = run.ordinary and plan.watch is None
     status, message = MESSAGES[run.state] if ordinary else finished.plan.verdict(run)
     dense = run.take_dense() if plan.settings.dense else None
     t, y = run.take_points()

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.arguments import EPS, RTOL, Array, warn
+from .._base.arguments import EPS, RTOL, Array, Weights, warn
 from .._functions.compiled import CoreFunction
 from .._functions.directional import Directional, Point
 from .._laws.imposing import impose
@@ -38,17 +38,6 @@ _AHEAD = 1e-6
 _AT_ROOT = 64
 #: Relative differences of ∂τ of events at one time beyond the errors of the run.
 _ALIKE = 1e-3
-
-
-class Weights(NamedTuple):
-    """The weights of y in the error test, max(rtol |y_i|, rtol thr_i)."""
-
-    rtol: float
-    threshold: float | Array
-
-    def of(self, y: Array) -> Array:
-        """Return the weights at a state y (n,)."""
-        return self.rtol * np.maximum(np.abs(y), self.threshold)
 
 
 class Rate:

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._base.arguments import Array
+from .._base.arguments import Array, Weights
 from .._functions.layout import place_of
 from .._problem.parameters import ParameterName
 from .._problem.sensitivities import Sensitivities
-from .actions import Weights
 
 
 class Sizes(NamedTuple):
@@ -69,8 +68,11 @@ class Sizes(NamedTuple):
     def _of_state(self, y0: Array) -> Array:
         """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0:
         then that of y at the start."""
-        rtol, sizes = self.weights.rtol, np.abs(y0)
-        absolute = rtol * np.broadcast_to(self.weights.threshold, y0.shape)
+        rtol = self.weights.rtol
+        absolute: Array = rtol * np.broadcast_to(self.weights.threshold, y0.shape)
+        if absolute.all():
+            return absolute
+        sizes = np.abs(y0)
         largest = sizes.max(axis=-1, initial=0, keepdims=True)
         relative = rtol * np.where(y0 == 0, np.where(largest == 0, 1.0, largest), sizes)
         return np.where(absolute == 0, relative, absolute)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import EPS, Array, warn
+from .._base.arguments import EPS, Array, Weights, warn
 from .._functions.compiled import is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
@@ -26,7 +26,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .._results.sensitivities import AtEvents
-from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, NoReturn, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, tolerances, warn
+from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, warn, weights_of
 from .._base.files import PathLike, damage_of, unreadable
 from .._base.formats import read, under
 from .._base.public import version
@@ -302,11 +302,9 @@ def _tangents(path: PathLike, solution: Solution, problem: Problem | None, bound
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
             "load(path, problem)"
         )
-    from .._sensitivity.actions import Weights
     from .._sensitivity.variations import make_variations
 
-    rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
-    weights = Weights(rtol, threshold)
+    weights = weights_of(solution._rtol, solution._atol, problem.y0)
     with quietly():
         return make_variations(problem, problem.y0, weights, bound.specs, []).tangents
 
@@ -412,7 +410,7 @@ def _bind_again(
     if listed and not len(stored):
         raise ValueError(f"invariants are given, but the run in {os.fspath(path)} had none")
     rtol, atol = solution._rtol, solution._atol
-    bound = bind(listed, *start, args, tolerances(rtol, atol, start[1])[1])
+    bound = bind(listed, *start, args, weights_of(rtol, atol, start[1]).threshold)
     if bound.names != stored.names:
         raise ValueError(
             f"the invariants given are named {', '.join(bound.names)}, those of the run in {os.fspath(path)} "

@@ -309,7 +309,7 @@ def _problem(
     return Problem(fun, span, start, args=args, invariants=invariants, jac=jac, lband=lower, uband=upper)
 
 
-#: Of equal values of equal types; like templates, so many are kept.
+#: Of equal values of equal types; like prepared plans, so many are kept.
 _call_by_value = functools.lru_cache(maxsize=64, typed=True)(_call)
 
 

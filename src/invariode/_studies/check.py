@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, tolerances
+from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, weights_of
 from .._base.notebook import html_of_check
 from .._base.public import public
 from .._base.types import Function, Numbers
@@ -167,8 +167,8 @@ def check_invariants(
 def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool) -> CheckReport:
     """Return the report on the invariants of a problem at a point."""
     extra, listed = given.args, given.invariants
-    least, threshold, scale = tolerances(rtol, atol, point)
-    bound = bind(listed, at, point, extra, threshold)
+    weights = weights_of(rtol, atol, point)
+    bound = bind(listed, at, point, extra, weights.threshold)
     p = native_parameters(extra, [given.fun, *(f for one in listed for f in (one.fun, one.jac))])
     problem = _core.Problem(
         n=reals(point),
@@ -179,8 +179,8 @@ def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: 
         invariants=[_core.Invariant(*spec) for spec in bound.specs],
         value=bound.value,
     )
-    weights = _core.Tolerances(least, threshold, scale)
-    found = _core.examine(at, point.view(float), problem, weights)
+    tolerances = _core.Tolerances(*weights)
+    found = _core.examine(at, point.view(float), problem, tolerances)
     if found is None:
         raise ValueError(
             f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}: give a point where all are"
@@ -191,7 +191,7 @@ def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: 
     others = _points_nearby(
         Problem(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
     )
-    return _with_points(report, [_examined(*other, problem, weights) for other in others])
+    return _with_points(report, [_examined(*other, problem, tolerances) for other in others])
 
 
 #: Points near the one that is checked, and their distance in units of the sizes of the components.

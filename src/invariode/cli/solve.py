@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .._base.arguments import Array, tolerances
+from .._base.arguments import Array, weights_of
 from .._base.progress import in_passing
 from .._base.style import STYLE
 from .._base.types import MethodName
@@ -322,7 +322,7 @@ def _print_drift(console: Console, problem: Problem, sol: Solution, projected: b
     elif any(event.action for event in problem.events):
         note = "Nothing is imposed. The values that the invariants should have after event actions are not known."
     else:
-        threshold = tolerances(rtol, atol, problem.y0)[1]
+        threshold = weights_of(rtol, atol, problem.y0).threshold
         g = bind(problem.invariants, problem.t_span[0], problem.y0, problem.args, threshold)
         table = numbers("invariant", ("value", "residual", "distance"))
         residual, distance = g.residual(sol.t, sol.y), g.distance(sol.t, sol.y, rtol, atol)

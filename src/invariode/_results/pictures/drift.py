@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._base.arguments import ATOL, EPS, RTOL, Array, tolerances
+from ..._base.arguments import ATOL, EPS, RTOL, Array, weights_of
 from ..._base.style import LEVELS
 from ..._laws.bound import BoundInvariants, Jump, bind
 from ..._problem.invariants import Invariants, InvariantsLike, to_invariants
@@ -87,7 +87,7 @@ def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[Boun
 def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
     """Return invariants that the run did not have, fixed at their values at the first output and after each jump."""
     own, y0 = sol._invariants, sol.y[:, 0].copy()
-    g = bind(listed, float(sol.t[0]), y0, own.args, tolerances(RTOL, ATOL, y0)[1])
+    g = bind(listed, float(sol.t[0]), y0, own.args, weights_of(RTOL, ATOL, y0).threshold)
     jumps = []
     for row, t, _ in own.jumps:
         here = slice(row, row + 1)

@@ -316,6 +316,106 @@ def test_a_template_keeps_nothing_of_the_users() -> None:
         assert [one() for one in kept] == [None, None]
 
 
+def above(t, y, *args):
+    return y[0] - 0.75
+
+
+def momentum(t, y, *args):
+    return y[0] * y[3] - y[1] * y[2]
+
+
+def momentum_gradient(t, y, *args):
+    return [y[3], -y[2], -y[1], y[0]]
+
+
+def energy(t, y, *args):
+    return (y[2] ** 2 + y[3] ** 2) / 2 - (y[0] ** 2 + y[1] ** 2) ** -0.5
+
+
+def squares(t, y, *args):
+    return [y[0] ** 2 + y[1] ** 2, y[2] ** 2 + y[3] ** 2]
+
+
+def turned(t, y, *args):
+    return [y[1], -y[0], y[3], -y[2]]
+
+
+def reflected(t, y, *args):
+    return [y[0], y[1], -y[2], y[3]]
+
+
+def ending(t, y, *args):
+    return y[0] - 0.7
+
+
+ending.terminal, ending.direction = 2, -1  # type: ignore[attr-defined]  # as SciPy has them
+#: What a problem may have besides f, and still share a plan.
+DESCRIBED: dict[str, dict[str, Any]] = {
+    "an event": {"events": above},
+    "no events": {"events": []},
+    "events": {"events": [ending, iv.Event(above, direction=1, samples=8)]},
+    "an action": {"events": iv.Event(above, action=reflected)},
+    "bounds": {"bounds": (-3, [3.0, 3.0, 4.0, 4.0])},
+    "an invariant": {"invariants": momentum},
+    "an invariant with its Jacobian": {"invariants": iv.Invariants(momentum, momentum_gradient, names="momentum")},
+    "by differences": {"invariants": iv.Invariants(momentum, "3-point", when="needed")},
+    "by complex steps": {"invariants": iv.Invariants(momentum, "complex-step")},
+    "several": {"invariants": [energy, iv.Invariants(momentum, momentum_gradient)], "events": ending},
+}
+STARTS: dict[str, dict[str, Any]] = {name: PROBLEMS[name] for name in ("as it is", "y0", "t_span", "times")}
+
+
+@dealt(40, described=DESCRIBED, start=STARTS, method=GENERAL, fun=["function", "lambda", "object"])
+def test_whatever_a_problem_has_a_solve_by_a_kept_plan_is_a_solve(
+    described: str, start: str, method: str, fun: str
+) -> None:
+    call = case(fun, start, **DESCRIBED[described], method=method)
+    if fun == "object":
+        call["invariants"] = None  # which it does not conserve
+    outcome(**{**call, "y0": np.array(call["y0"]) * 0.99, "fun": FUNCTIONS[fun]})
+    np.testing.assert_equal(outcome(**call), alone(**call))
+
+
+@pytest.mark.parametrize("described", DESCRIBED)
+def test_a_kept_plan_is_of_one_kind_and_keeps_no_function(described: str) -> None:
+    for _ in range(2):
+        fun = partial(orbit)
+        held = weakref.ref(fun)
+        iv.solve_ivp(**{**case(**DESCRIBED[described]), "fun": fun})
+        del fun
+        gc.collect()
+        assert held() is None
+        assert len(prepared._kept) == 1
+
+
+def test_invariants_of_other_sizes_have_other_plans() -> None:
+    """The values that hold are those at the start of each run."""
+    iv.solve_ivp(turned, (0, 5), START, invariants=momentum, rtol=1e-6)
+    for y0 in (START, START * 1.1, START * 0.9):
+        sol = iv.solve_ivp(turned, (0, 5), y0, invariants=iv.Invariants(squares), rtol=1e-6)
+        np.testing.assert_allclose(sol._invariants.value, squares(0, y0), rtol=1e-15)
+        assert np.abs(sol.residual).max() < 1e-9
+        with pytest.raises(iv.InvariantError, match="not conserved"):
+            iv.solve_ivp(lambda t, y: [1.0, 0, 0, 0], (0, 5), y0, invariants=iv.Invariants(squares), rtol=1e-6)
+
+
+def test_a_compiled_function_keeps_its_plans_until_it_has_captured_something_else() -> None:
+    pytest.importorskip("llvmlite")
+    rate = [1.0]
+
+    def decay(t, y, k):
+        return [-k * rate[0] * y[0]]
+
+    compiled = iv.compile(decay)
+    for method in ("ode45", "ode15s"):
+        for k in (1.0, 2.0, 3.0, 2):
+            for _ in range(2):
+                sol = iv.solve_ivp(compiled, (0, 1), [1.0], method, args=(k,), rtol=1e-8, atol=1e-10)
+                assert sol.y[0, -1] == pytest.approx(np.exp(-k * rate[0]), rel=1e-6)
+        assert compiled.prepared
+        rate[0] += 0.5
+
+
 def test_nested_solves_and_threads_do_not_meet() -> None:
     def inner(t: float, y: Any) -> Any:
         return -y
