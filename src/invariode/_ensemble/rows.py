@@ -285,8 +285,7 @@ def _solve_one(task: Task, i: int) -> _Outcome:
     """Solve one trajectory; an exception in it becomes its status."""
     try:
         with quietly():  # the first plan has said it
-            plan = task.plan(i)
-        run = solver(plan).integrate(plan.start)
+            run, plan = task.run(i)
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         row = _row(plan, run)

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from .. import _core
 from .._base.arguments import Array
 from .._base.types import MethodName, OnFailure
-from .._plan.plan import Plan, make_plan
+from .._plan.plan import Plan, make_plan, solver
 from .._problem.options import Options
 from .._problem.problem import Problem
+from .._run.prepared import Prepared, prepared_or_plan
 
 
 @dataclasses.dataclass
@@ -26,10 +28,25 @@ class Task:
     in_lanes: bool
 
     def plan(self, i: int) -> Plan:
+        """Return the plan of one trajectory."""
+        return make_plan(self._problem(i), self.method, self.options)
+
+    def run(self, i: int) -> tuple[_core.Run, Plan]:
+        """Return the run of one trajectory and its plan, which those of its kind have in common."""
+        problem = self._problem(i)
+        found = prepared_or_plan(problem, self.method, self.options)
+        if isinstance(found, Prepared):
+            solved = found.run_of(problem, self.options, remember=False)
+            if solved is not None:
+                return solved[0], found.plan_of(problem, solved[1], solved[0])
+            found = make_plan(problem, self.method, self.options)
+        return solver(found).integrate(found.start), found
+
+    def _problem(self, i: int) -> Problem:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
         if isinstance(args, np.ndarray):
             args = tuple(args.tolist())
-        return make_plan(self.problem.replace(y0=self.y0[i], args=args), self.method, self.options)
+        return self.problem.replace(y0=self.y0[i], args=args)
 
 
 @dataclasses.dataclass

@@ -22,7 +22,7 @@ from .._functions.graph.function import TracedFunction
 from .._functions.layout import Arguments, count_of
 from .._functions.second_order import SecondOrder
 from .._laws.bound import BoundInvariants, InvariantSpec, values_at_start
-from .._plan.plan import Choice, Course, Plan, choose, names_of, planned, solver
+from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 from .._plan.second_order import fits_any_args
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants
@@ -150,7 +150,20 @@ class Prepared:
             bound = replace(bound, value=run.value, parameters=native_parameters(problem.args, used))
             if self._lends:
                 bound = bound.with_functions(described.invariants)
-        return plan.on(course, bound, names_of(problem, list(plan.called.events)))
+        called = names_of(problem, list(plan.called.events))
+        return plan._replace(course=course, bound=bound, called=called, y0=problem.y0)
+
+    def run_of(self, problem: Problem, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course] | None:
+        """Return the run of a problem of the kind of this plan with options that it was found for, and its course.
+        None: see `run`."""
+        course = course_of(self.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
+        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
+        if breaks is not None:
+            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
+            if breaks is None:
+                raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
+        run = self.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
+        return None if run is None else (run, course)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
 from .._adjoint.adjoint import Forward, gradient
 from .._adjoint.sections import Sectioned, SectionedSolution
-from .._base.arguments import Array, number, output_times, quietly, reals, shown, warn
+from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
@@ -27,7 +27,7 @@ from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._laws.traced_jacobian import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .._plan.plan import Plan, course_of, make_plan, ordered_breakpoints, say_established, solver
+from .._plan.plan import Plan, make_plan, ordered_breakpoints, say_established, solver
 from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
 from .._problem.invariants import AccuracyWarning
@@ -268,15 +268,10 @@ def _run_of(
     """Return the run of a problem by a prepared plan; None if it needs a plan of its own."""
     if not isinstance(found, Prepared):
         return None
-    course = course_of(found.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
-    breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
-    if breaks is not None:
-        breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
-        if breaks is None:
-            raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
-    run = found.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
-    if run is None:
+    solved = found.run_of(problem, options, remember=remember)
+    if solved is None:
         return None
+    run, course = solved
     return Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course, run))
 
 
