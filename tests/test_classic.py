@@ -71,7 +71,7 @@ def test_they_can_be_sent_to_processes(problem):
 @pytest.mark.parametrize("name", problems.__all__)
 def test_imposed_or_not(name):
     free = getattr(problems, name)(imposed=False)
-    assert free.invariants == []
+    assert not free.invariants
     assert len(free.labels) == len(free.y0)
 
 

@@ -373,7 +373,7 @@ class TestConstraints:
     def test_together_or_not_at_all(self):
         joint = rod().problem((0, 1), [1, 0], [0, 0], correction="joint", compiled=False)
         assert {one[1:] for one in self.levels(joint)} == {(0, None)}
-        assert rod().problem((0, 1), [1, 0], [0, 0], correction="none", compiled=False).invariants == []
+        assert not rod().problem((0, 1), [1, 0], [0, 0], correction="none", compiled=False).invariants
         with pytest.raises(ValueError, match="correction must be"):
             rod().problem((0, 1), [1, 0], [0, 0], correction="some")
         with pytest.raises(ValueError, match="consistent must be"):

@@ -17,13 +17,12 @@ from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._plan.call_errors import error_at_start
-from .._plan.plan import Plan, make_plan, solver
+from .._plan.plan import Plan, solver
 from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
 from .._run.interruption import stopped_by_interrupt
-from .._run.prepared import Prepared, prepared_or_plan
 from .outcomes import UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
@@ -289,7 +288,8 @@ class _Outcome:
 def _solve_one(task: Task, i: int) -> _Outcome:
     """Solve one trajectory; an exception in it becomes its status."""
     try:
-        plan, run = _run(task, i)
+        with quietly():  # the first plan has said it
+            run, plan = task.run(i)
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         row = _row(plan, run)
@@ -302,19 +302,6 @@ def _solve_one(task: Task, i: int) -> _Outcome:
         raise
     except BaseException as error:  # sys.exit in a function too
         return _Outcome(i, _RAISED, _as_text(error), {}, [], error)
-
-
-def _run(task: Task, i: int) -> tuple[Plan, _core.Run]:
-    """Plan and run one trajectory; rows of one kind have a plan in common."""
-    with quietly():  # the first plan has said it
-        problem = task.row(i)
-        found = prepared_or_plan(problem, task.method, task.options)
-        if isinstance(found, Prepared):
-            course, run = found.run_of(problem, task.options, remember=False)
-            if run is not None:
-                return found.plan_of(problem, course, run), run
-            found = make_plan(problem, task.method, task.options)
-    return found, solver(found).integrate(found.start)
 
 
 def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:

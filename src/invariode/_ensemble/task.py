@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from .. import _core
 from .._base.arguments import Array
 from .._base.types import MethodName, OnFailure
-from .._plan.plan import Plan, make_plan
+from .._plan.plan import Plan, make_plan, solver
 from .._problem.options import Options
 from .._problem.problem import Problem
+from .._run.prepared import Prepared, prepared_or_plan
 
 
 @dataclasses.dataclass
@@ -26,17 +28,26 @@ class Task:
     in_lanes: bool
     first_here: bool = False  # functions of Python are called in this process first, and in others if that takes long
 
-    def row(self, i: int) -> Problem:
-        """Return the problem of a row."""
-        return self.problem.replace(y0=self.y0[i], args=self._arguments(i))
-
     def plan(self, i: int) -> Plan:
-        """Return the plan of a row."""
-        return make_plan(self.row(i), self.method, self.options)
+        """Return the plan of one trajectory."""
+        return make_plan(self._problem(i), self.method, self.options)
 
-    def _arguments(self, i: int) -> tuple[Any, ...]:
+    def run(self, i: int) -> tuple[_core.Run, Plan]:
+        """Return the run of one trajectory and its plan, which those of its kind have in common."""
+        problem = self._problem(i)
+        found = prepared_or_plan(problem, self.method, self.options)
+        if isinstance(found, Prepared):
+            solved = found.run_of(problem, self.options, remember=False)
+            if solved is not None:
+                return solved[0], found.plan_of(problem, solved[1], solved[0])
+            found = make_plan(problem, self.method, self.options)
+        return solver(found).integrate(found.start), found
+
+    def _problem(self, i: int) -> Problem:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
-        return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
+        if isinstance(args, np.ndarray):
+            args = tuple(args.tolist())
+        return self.problem.replace(y0=self.y0[i], args=args)
 
 
 @dataclasses.dataclass

@@ -216,10 +216,6 @@ class Plan(NamedTuple):
             pairs=pairs,
         )
 
-    def on(self, course: Course, bound: BoundInvariants, called: Names) -> Plan:
-        """Return the plan on another interval."""
-        return self._replace(course=course, bound=bound, called=called)
-
     def holding(self, value: Array) -> Plan:
         """Return the plan with the invariants fixed at these values."""
         functions = self.functions._replace(value=value)

@@ -161,7 +161,20 @@ class Prepared:
             bound = replace(bound, value=run.value, parameters=native_parameters(problem.args, used))
             if self._lends:
                 bound = bound.with_functions(described.invariants)
-        return plan.on(course, bound, names_of(problem, list(plan.called.events)))
+        called = names_of(problem, list(plan.called.events))
+        return plan._replace(course=course, bound=bound, called=called, y0=problem.y0)
+
+    def run_of(self, problem: Problem, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course] | None:
+        """Return the run of a problem of the kind of this plan with options that it was found for, and its course.
+        None: see `run`."""
+        course = course_of(self.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
+        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
+        if breaks is not None:
+            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
+            if breaks is None:
+                raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
+        run = self.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
+        return None if run is None else (run, course)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -268,9 +268,10 @@ def _run_of(
     """Return the run of a problem by a prepared plan; None if it needs a plan of its own."""
     if not isinstance(found, Prepared):
         return None
-    course, run = found.run_of(problem, options, remember=remember)
-    if run is None:
+    solved = found.run_of(problem, options, remember=remember)
+    if solved is None:
         return None
+    run, course = solved
     return Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course, run))
 
 
