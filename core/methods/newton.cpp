@@ -12,7 +12,6 @@ namespace {
 
 constexpr double rate_memory = 0.9;        // what remains of the last rate in the present one (the suite's constant)
 constexpr double least_first_rate = 1e-3;  // of convergence, by which a first update is judged: see `judge`
-constexpr double large_stiffness = 10;     // c ‖J‖ above which a Jacobian of another point may do harm
 constexpr double tolerated_noise = 0.01;   // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;       // of |c|, after which a J that may be roundoff is taken anew
 
@@ -20,22 +19,9 @@ constexpr double noise_growth = 100;       // of |c|, after which a J that may b
 // a residual that is as good as nothing. (The old Jacobians of HIRES, whose counts are published, leave 56 of it at
 // 1e-6, by iterations that remove 6 % of a residual.)
 constexpr double most_left = 60, hardly = 0.03;
-// Differences of f that tell branches apart consist of so many roundoffs, and differ by more than this part from J e.
-constexpr double resolved = 1000, of_another_branch = 0.5;
-constexpr double roundoffs_of_f = 10;  // in a residual, each of the size of its terms
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
 constexpr int careful_steps = 10, careful_iterations = 20;
 constexpr double careful_part = 1e-3;
-
-// Of y in units of the weights, over which what y does to the slopes of S is a difference, ε^{1/4}: it need not be
-// exact, and laws of S are disturbed by roundoff of it.
-const double coupling_increment = std::pow(eps, 0.25);
-
-// How far from y, in units of the weights, J is tested: rtol, or where that is large this, since f may end there.
-constexpr double widest_reach = 1e-3;
-constexpr double on_one_side = 0.25;      // of that, from a point half of it at least away from where f jumps
-const double part_of_y = std::sqrt(eps);  // in which missing entries are sought
-constexpr double suspicious_growth = 10;  // of the size of J
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
 constexpr double tolerated_change = 0.3;  // of c, with a preconditioner, or sparse factors, for the old one
@@ -93,203 +79,46 @@ bool unmoved(std::span<const double> before, const double* after, const double* 
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
 
 AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
-    : f_(f),
-      state_f_(linear.state ? *linear.state->f : f),
-      weights_(linear.state ? *linear.state->weights : weights),
-      extent_(linear.state ? linear.state->extent : Extent(weights.size())),
-      coupled_(linear.state ? linear.state->coupled() : weights.size()),
-      sensitivity_weights_(linear.state ? linear.state->iteration : nullptr),
-      jacobian_(*linear.jacobian),
+    : jacobian_(*linear.jacobian),
+      function_(f, weights, linear, jacobian_),
       mass_(linear.mass),
-      scratch_(linear.krylov ? 0 : extent_.n),
-      reach_(scratch_.size()),
-      branch_y_(scratch_.size()) {
-  if (linear.state) sensitivities_ = *linear.state->sensitivities;
+      scratch_(linear.krylov ? 0 : extent().n) {
   if (linear.krylov)
-    free_.emplace(state_f_, weights_, linear, complex);
+    free_.emplace(function_.of_state(), function_.state_weights(), linear, complex);
   else
-    check_.emplace(extent_.n);
+    audit_.emplace(jacobian_, function_.of_state(), function_.state_weights());
 }
 
 void AgingJacobian::forget() {
   if (free_) free_->forget_failures();
-  factored_.reset();
-  renew_ = false;
+  if (audit_) audit_->start();
+  cache_.forget();
+  age_.start();
   noisy_ = false;
   careful_ = 0;
-  first_ = true;
-}
-
-Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
-  undefined_ = -1;
-  if (!all_finite(y, extent_.size())) return Outcome::not_finite;
-  if (f_(t, y, out) == Status::stop) return Outcome::stop;
-  jacobian_.extend(y, out);
-  return finite_or_noted(out, extent_.size());
-}
-
-Outcome AgingJacobian::evaluate_state(double t, const double* y, double* out) {
-  undefined_ = -1;
-  if (!all_finite(y, extent_.n)) return Outcome::not_finite;
-  if (state_f_(t, y, out) == Status::stop) return Outcome::stop;
-  jacobian_.extend(y, out);
-  return finite_or_noted(out, extent_.n);
-}
-
-Outcome AgingJacobian::evaluate_sensitivities(double t, const double* Y, double* out) {
-  undefined_ = -1;
-  if (!all_finite(Y, extent_.size())) return Outcome::not_finite;
-  if ((*sensitivities_)(t, Y, out + extent_.n) == Status::stop) return Outcome::stop;
-  return all_finite(out + extent_.n, extent_.n * extent_.k) ? Outcome::ok : Outcome::not_finite;
-}
-
-Outcome AgingJacobian::finite_or_noted(const double* out, std::size_t count) {
-  if (all_finite(out, count)) return Outcome::ok;
-  undefined_ = static_cast<int>(std::find_if_not(out, out + count, [](double x) { return std::isfinite(x); }) - out);
-  return Outcome::not_finite;
-}
-
-Status AgingJacobian::sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h,
-                                       double* rate) {
-  const std::size_t n = extent_.n;
-  const double least = std::sqrt(eps) * std::max(std::abs(t), std::abs(t + h));
-  const double dt = t + std::copysign(std::min(least, std::abs(h)), h) - t;
-  beyond_.assign(Y, Y + extent_.size());
-  for (std::size_t i = 0; i < n && slope != nullptr; ++i) beyond_[i] += dt * slope[i];
-  if ((*sensitivities_)(t + dt, beyond_.data(), rate + n) == Status::stop) return Status::stop;
-  for (std::size_t i = n; i < extent_.size(); ++i) rate[i] = dt == 0 ? 0 : (rate[i] - f[i]) / dt;
-  if (!all_finite(rate + n, n * extent_.k)) std::fill_n(rate + n, n * extent_.k, 0);
-  return Status::ok;
 }
 
 /// The blocks below the first, which is solved.
 Status AgingJacobian::solve_below(Factorization& factors, double c, double t, const double* Y, const double* f,
                                   double* b) {
   if (couple(c, t, Y, f, b) == Status::stop) return Status::stop;
-  solve_blocks(factors, b, extent_.n, extent_.size());
+  solve_blocks(factors, b, extent().n, extent().size());
   return Status::ok;
-}
-
-/// b_j += c ∂(J S_j + f_pj)/∂y b_0, by a difference along b_0. It need not be exact: the formulas have their order with
-/// any matrix, and it is what keeps S stable where y is stiff.
-Status AgingJacobian::couple(double c, double t, const double* Y, const double* f, double* b) {
-  const std::size_t n = extent_.n;
-  const double size = max_norm(n, [&](std::size_t i) { return b[i] / weights_.at(i, Y[i]); });
-  if (!(size > 0) || !std::isfinite(size)) return Status::ok;
-  const double part = coupling_increment / size;
-  beyond_.assign(Y, Y + extent_.size());
-  changed_.resize(n * extent_.k);
-  for (std::size_t i = 0; i < n; ++i) beyond_[i] += part * b[i];
-  if ((*sensitivities_)(t, beyond_.data(), changed_.data()) == Status::stop) return Status::stop;
-  if (!all_finite(changed_.data(), changed_.size())) return Status::ok;
-  for (std::size_t i = 0; i < changed_.size(); ++i) b[n + i] += c * ((changed_[i] - f[n + i]) / part);
-  return Status::ok;
-}
-
-Outcome AgingJacobian::evaluate_apart(double t, const double* y, double* out) {
-  Callback f = state_f_;
-  ++work_.checks;
-  if (f(t, y, out) == Status::stop) return Outcome::stop;
-  jacobian_.extend(y, out);
-  return all_finite(out, weights_.size()) ? Outcome::ok : Outcome::not_finite;
 }
 
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
-  factored_.reset();
-  first_c_.reset();
-  renew_ = false;
-  current_ = true;
-  age_ = 0;
-  too_large_ = beside_ = false;
-  branch_examined_ = false;
-  if (!free_) note_branch(t, y);
-  if (plainly_) return jacobian_.evaluate_plainly(state_f_, t, y, slope);
-  if (jacobian_.evaluate(state_f_, t, y, slope) == Status::stop) return Status::stop;
-  return slope != nullptr && fit_due(y) ? make_fit(t, y, slope) : Status::ok;
-}
-
-/// The first J of a start, the evaluations 1, 2, 4, 8, …, and one that has grown much beyond those that fitted; of
-/// those that are given, which no look can improve, the first. A J that is not larger than the right one cannot make
-/// Newton's iteration look converged.
-bool AgingJacobian::fit_due(const double* y) {
-  if (!check_) return false;
-  const bool first = std::exchange(first_, false);
-  if (!jacobian_.computed()) return !fitting_;
-  if (first || !fitting_ || std::has_single_bit(static_cast<std::uint64_t>(jacobian_.count()))) return true;
-  weights_.fill(y, reach_.data());
-  return check_->size(jacobian(), reach_.data()) > suspicious_growth * *fitting_;
-}
-
-/// J is to describe f as far as steps are accurate: otherwise Newton's iteration may seem to converge at once, to what
-/// does not solve the equations. This takes evaluations of f that are counted apart.
-Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
-  Callback f = state_f_;
-  // Columns that are differenced together and share a row after all fit in the direction of the increments: random
-  // signs tell them apart, in parts of y that leave its signs as they are.
-  const auto seek_missing = [&] {
-    if (!jacobian_.computed() || jacobian().structure.kind == Structure::Kind::dense) return Status::ok;
-    for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = part_of_y * std::abs(y[j]);
-    const auto turn = static_cast<std::size_t>(jacobian_.count());
-    switch (check_->examine(f, t, y, slope, jacobian(), reach_.data(), turn, jacobian_.box())) {
-      case JacobianCheck::Verdict::stop: return Status::stop;
-      case JacobianCheck::Verdict::wrong: return jacobian_.complete(f, t, y, slope, check_->direction());
-      case JacobianCheck::Verdict::right: break;
-    }
-    return Status::ok;
-  };
-  Status status = Status::ok;
-  switch (fit(f, t, y, slope, 1)) {
-    case JacobianCheck::Fit::stop: status = Status::stop; break;
-    case JacobianCheck::Fit::good: status = seek_missing(); break;
-    case JacobianCheck::Fit::wrong: status = mend(f, t, y, slope); break;
-    case JacobianCheck::Fit::bent: status = take_beside(f, t, y); break;
+  cache_.forget_jacobian();
+  age_.take();
+  Callback& f = function_.of_state();
+  if (audit_) audit_->begin(t, y);
+  if (age_.plain()) return jacobian_.evaluate_plainly(f, t, y, slope);
+  if (jacobian_.evaluate(f, t, y, slope) == Status::stop) return Status::stop;
+  if (!audit_) return Status::ok;
+  switch (audit_->look(t, y, slope)) {
+    case JacobianAudit::Result::stop: return Status::stop;
+    case JacobianAudit::Result::beside: age_.take_beside(); break;
+    case JacobianAudit::Result::at_point: break;
   }
-  work_.checks += f.calls() - state_f_.calls();
-  weights_.fill(y, reach_.data());
-  fitting_ = std::max(fitting_.value_or(0), check_->size(jacobian(), reach_.data()));
-  return status;
-}
-
-/// As far as that part of the tolerance.
-JacobianCheck::Fit AgingJacobian::fit(Callback& f, double t, const double* y, const double* slope, double part) {
-  const double reach = part * std::min(weights_.rtol(), widest_reach);
-  for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = reach * jacobian_.scale(j, y);
-  const auto turn = static_cast<std::size_t>(jacobian_.count());
-  return check_->fit(f, t, y, slope, jacobian(), reach_.data(), turn, jacobian_.box());
-}
-
-/// f jumps, or bends sharply, within the tolerance: J is taken on the side to which f leads.
-Status AgingJacobian::take_beside(Callback& f, double t, const double* y) {
-  const std::size_t n = weights_.size();
-  if (jacobian_.kind() == Jacobian::Kind::constant) return Status::ok;
-  std::vector<double> point(y, y + n), slope(n);
-  for (std::size_t j = 0; j < n; ++j) point[j] += check_->direction()[j];
-  if (f(t, point.data(), slope.data()) == Status::stop) return Status::stop;
-  if (!all_finite(slope.data(), n)) return Status::ok;
-  beside_ = true;
-  note_branch(t, point.data());
-  if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
-  switch (fit(f, t, point.data(), slope.data(), on_one_side)) {
-    case JacobianCheck::Fit::stop: return Status::stop;
-    case JacobianCheck::Fit::wrong: return mend(f, t, point.data(), slope.data());
-    case JacobianCheck::Fit::good:
-    case JacobianCheck::Fit::bent: break;
-  }
-  return Status::ok;
-}
-
-/// f is smooth, and J is not its derivative: entries are missing, increments are too small for the noise of f, or the
-/// user's function is wrong.
-Status AgingJacobian::mend(Callback& f, double t, const double* y, const double* slope) {
-  if (jacobian_.computed()) return jacobian_.complete(f, t, y, slope, check_->direction());
-  if (jacobian_.kind() == Jacobian::Kind::derived) return Status::ok;
-  const bool too_small = std::abs(check_->predicted()) < 0.5 * std::abs(check_->change());  // which costs steps only
-  if (!misfit_ && !too_small)
-    misfit_ = Misfit{.kind = Misfit::Kind::matrix,
-                     .t = t,
-                     .row = check_->row(),
-                     .change = check_->change(),
-                     .predicted = check_->predicted()};
   return Status::ok;
 }
 
@@ -306,9 +135,9 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   if (free_) {
     free_->begin_attempt();
     free_->reach(t, y);
-    if (age_ >= old_preconditioner) renew();
+    if (age_.steps() >= old_preconditioner) renew();
   }
-  if (!renew_) return Status::ok;
+  if (!age_.renewal_due()) return Status::ok;
   if (slope == nullptr) {
     slope = scratch_.data();
     if (!jacobian_.needs_slope()) return take_jacobian(t, y, nullptr);
@@ -317,111 +146,34 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   return take_jacobian(t, y, slope);
 }
 
-void AgingJacobian::note_branch(double t, const double* y) {
-  branch_t_ = t;
-  std::copy_n(y, branch_y_.size(), branch_y_.begin());
-}
-
-AgingJacobian::Fitness AgingJacobian::examine(double c, double t, const double* y, const double* r, const double* w) {
-  const std::size_t n = extent_.n;
-  const auto evaluate_here = [](void* self, double at, const double* point, double* out) {
-    return static_cast<AgingJacobian*>(self)->evaluate_apart(at, point, out) == Outcome::stop ? Status::stop
-                                                                                              : Status::ok;
-  };
-  Callback f(evaluate_here, this);
-  find_increment(y, r, w);
-  const auto norm = [&](const double* v) { return max_norm(n, [&](std::size_t i) { return v[i] / w[i]; }); };
-  const double change = norm(changes_.data());
-  if (!(change > 0)) return Fitness::fits;
-  if (!branch_examined_) {
-    const Outcome outcome = examine_branch(f, w);
-    if (outcome == Outcome::stop) return Fitness::stop;
-    if (outcome == Outcome::not_finite) return Fitness::of_another_branch;
-    branch_examined_ = true;
-  }
-  switch (kinks_.search(f, branch_t_, branch_y_.data(), t, y, increment_.data(), {w, n}, reach_.data())) {
-    case KinkSearch::Verdict::stop: return Fitness::stop;
-    case KinkSearch::Verdict::kink: return Fitness::of_another_branch;
-    case KinkSearch::Verdict::smooth: break;
-  }
-  note_branch(t, y);
-  const bool stiff = std::abs(c) * norm(kinks_.at_end()) > large_stiffness * norm(increment_.data());
-  return stiff ? Fitness::fits : Fitness::stiffness_has_gone;
-}
-
-/// The increment e along r is the shortest that f resolves, since kinks are not seen any sharper: J e, in `changes_`,
-/// is so many roundoffs of f in its largest row. `reach_`: that roundoff, between where J was taken and y.
-void AgingJacobian::find_increment(const double* y, const double* r, const double* w) {
-  const std::size_t n = extent_.n;
-  increment_.resize(n);
-  changes_.resize(n);
-  std::fill(reach_.begin(), reach_.end(), 0);
-  jacobian().for_each([&](std::size_t i, std::size_t j, double value) {
-    reach_[i] += roundoffs_of_f * eps * std::abs(value) * std::max(std::abs(y[j]), std::abs(branch_y_[j]));
-  });
-  jacobian().multiply(r, changes_.data());
-  std::size_t row = 0;
-  for (std::size_t i = 1; i < n; ++i)
-    if (std::abs(changes_[i] / w[i]) > std::abs(changes_[row] / w[row])) row = i;
-  const double part = changes_[row] != 0 ? resolved * reach_[row] / std::abs(changes_[row]) : 0;
-  for (std::size_t j = 0; j < n; ++j) {
-    increment_[j] = part * r[j];
-    changes_[j] *= part;
-  }
-}
-
-/// Is J e the change of f to both sides of where J was taken? `not_finite`: it is not, beyond the roundoff in `reach_`:
-/// the point is on a kink, or differences have led through one.
-Outcome AgingJacobian::examine_branch(Callback& f, const double* w) {
-  const std::size_t n = extent_.n;
-  std::vector<double> here(n), there(n), point(n);
-  if (f(branch_t_, branch_y_.data(), here.data()) == Status::stop) return Outcome::stop;
-  const double change = max_norm(n, [&](std::size_t i) { return changes_[i] / w[i]; });
-  for (const double side : {1.0, -1.0}) {
-    for (std::size_t j = 0; j < n; ++j) point[j] = branch_y_[j] + side * increment_[j];
-    if (f(branch_t_, point.data(), there.data()) == Status::stop) return Outcome::stop;
-    const auto off = [&](std::size_t i) {
-      return std::max(0.0, std::abs(side * (there[i] - here[i]) - changes_[i]) - reach_[i]) / w[i];
-    };
-    if (max_norm(n, off) > of_another_branch * change) return Outcome::not_finite;
-  }
-  return Outcome::ok;
-}
-
 void AgingJacobian::be_careful() { careful_ = careful_steps; }
 
-bool AgingJacobian::may_take_in_place() const { return !in_place_ && jacobian_.kind() != Jacobian::Kind::constant; }
+bool AgingJacobian::may_take_in_place() const {
+  return age_.taken() != JacobianAge::Taken::at_iterate && jacobian_.kind() != Jacobian::Kind::constant;
+}
 
 Status AgingJacobian::take_in_place(double t, const double* y, const double* slope) {
-  in_place_ = plainly_ = true;
+  age_.begin_at_iterate();
   return take_jacobian(t, y, slope);
 }
 
 bool AgingJacobian::renew_if_old() {
   jacobian_.doubt();
-  if (std::exchange(in_place_, false)) {
-    renew();
-    return false;
-  }
-  if (!current_) return renew();
-  const bool elsewhere = beside_ || jacobian_.adapted();
-  if (!too_large_ || plainly_ || !elsewhere) return false;
-  plainly_ = renew();
-  return plainly_;
+  return age_.fail(renewable(), jacobian_.adapted());
 }
 
-bool AgingJacobian::renew() {
-  if (jacobian_.kind() == Jacobian::Kind::constant || (free_ && !free_->preconditioned())) return false;
-  return renew_ = true;
+bool AgingJacobian::renewable() const {
+  return jacobian_.kind() != Jacobian::Kind::constant && (!free_ || free_->preconditioned());
 }
 
 /// Roundoff in J that looks like stiffness damps the updates: the iteration converges, to what does not solve the
 /// equations. Where it has counted once (components that start at 0 cause it), J is taken anew, with wide increments,
 /// as |c| grows: those of the first steps, with y tiny still, are not good enough for long ones.
 void AgingJacobian::renew_if_noise(double c) {
-  if (current_) return;
+  if (age_.current()) return;
   c = std::abs(c);
-  if (noisy_ ? first_c_ && c < noise_growth * *first_c_ : c * jacobian_.noise() <= tolerated_noise) return;
+  const std::optional<double>& first_c = cache_.first_c();
+  if (noisy_ ? first_c && c < noise_growth * *first_c : c * jacobian_.noise() <= tolerated_noise) return;
   noisy_ = true;
   jacobian_.widen_increments();
   renew();
@@ -429,9 +181,8 @@ void AgingJacobian::renew_if_noise(double c) {
 
 void AgingJacobian::step_accepted() {
   if (free_) free_->forget_failures();
-  current_ = plainly_ = in_place_ = false;
+  age_.accept_step();
   careful_ = std::max(careful_ - 1, 0);
-  ++age_;
 }
 
 /// Returns whether the values of M(t) are finite, which are tested where M is a function.
@@ -441,11 +192,8 @@ bool AgingJacobian::defined_mass() {
   return !work_.undefined_mass;
 }
 
-/// Forgets the factors at hand if they are not those for c.
 bool AgingJacobian::needs_factors(double c, double tolerated) {
-  if (factored_ && std::abs(c - *factored_) <= tolerated * std::abs(*factored_)) return false;
-  if (!first_c_) first_c_ = std::abs(c);
-  factored_.reset();
+  if (cache_.serves(c, tolerated)) return false;
   work_.undefined_jacobian = !all_finite(jacobian().values.data(), jacobian().values.size());
   return true;
 }
@@ -453,8 +201,7 @@ bool AgingJacobian::needs_factors(double c, double tolerated) {
 Outcome AgingJacobian::factored(double c, double t1, bool regular) {
   work_.singular = !regular;
   if (work_.singular) return Outcome::not_finite;
-  factored_ = c;
-  factored_at_ = t1;
+  cache_.made(c, t1);
   return Outcome::ok;
 }
 
@@ -462,8 +209,7 @@ Outcome AgingJacobian::prepare_preconditioner(double c, double t1) {
   bool stopped = false;
   const auto set_up = [&] {
     if (free_->preconditioned()) count_factorization();
-    current_ = true;
-    age_ = 0;
+    age_.set_up();
     stopped = free_->set_up(c) == Status::stop;
     return true;
   };
@@ -481,7 +227,7 @@ void AgingJacobian::forget_roundoff(double c, const double* y, std::initializer_
   jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value * y[j]); });
   for (std::vector<double>* r : residuals)
     for (std::size_t i = 0; i < scratch_.size(); ++i)
-      if (std::abs((*r)[i]) <= roundoffs_of_f * eps * std::abs(c) * scratch_[i]) (*r)[i] = 0;
+      if (std::abs((*r)[i]) <= JacobianAudit::roundoffs_of_f * eps * std::abs(c) * scratch_[i]) (*r)[i] = 0;
 }
 
 bool AgingJacobian::stiff(double c, const double* w) {
@@ -491,23 +237,25 @@ bool AgingJacobian::stiff(double c, const double* w) {
   jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value) * w[j]; });
   MaxNorm norm;
   for (std::size_t i = 0; i < scratch_.size(); ++i) norm.add(scratch_[i] / w[i]);
-  return norm.value() * std::abs(c) > large_stiffness;
+  return norm.value() * std::abs(c) > JacobianAudit::large_stiffness;
 }
 
 void AgingJacobian::fields(Archive& archive) {
   jacobian_.state(archive);
   jacobian_.matrix_state(archive);
   if (free_) free_->state(archive);
-  archive(work_.checks, fitting_, misfit_, first_);
-  archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_,
-          beside_, careful_, branch_t_, branch_y_, branch_examined_);
+  if (audit_) audit_->state(archive);
+  cache_.state(archive);
+  age_.state(archive);
+  archive(work_.factorizations, work_.solves, noisy_, careful_);
   archive.require(careful_ >= 0);
 }
 
 LinearWork AgingJacobian::work() const {
   LinearWork work = work_;
   work.jacobians = jacobian_.count();
-  work.misfit = misfit_ ? misfit_ : jacobian_.misfit();
+  work.misfit = audit_ && audit_->misfit() ? audit_->misfit() : jacobian_.misfit();
+  work.checks = audit_ ? audit_->evaluations() : 0;
   if (free_) {
     work.products = free_->products();
     work.iterations = free_->iterations();
@@ -775,7 +523,7 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
   before = norm(before_);
   const bool slow = several && !solved(size, norm(earlier_), before);
   if (!slow && (before <= tolerated_residual() || !stiff)) return Result::converged;
-  switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
+  switch (audit()->evaluate(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return slow ? Result::failed : Result::converged;
     case Outcome::ok: break;
@@ -785,7 +533,7 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
   const bool stuck = unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly);
   if (!slow && !stuck && solved(size, before, norm(residual_))) return Result::converged;
   for (std::size_t i = 0; i < extent().n; ++i) residual_[i] -= before_[i];
-  const Result result = doubt(norm(residual_) <= large_stiffness * size);
+  const Result result = doubt(norm(residual_) <= JacobianAudit::large_stiffness * size);
   if (result == Result::failed && stuck) be_careful();
   return result;
 }
@@ -794,7 +542,8 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
 /// steps are published: what is left of the solution is much less than the residual. `soft`: f is not stiff along the
 /// update.
 Newton::Result Newton::doubt(bool soft) {
-  switch (examine(place_.c, place_.t, place_.y, before_.data(), place_.w)) {
+  using Fitness = JacobianAudit::Fitness;
+  switch (audit()->examine(place_.c, place_.t, place_.y, before_.data(), place_.w)) {
     case Fitness::stop: return Result::stop;
     case Fitness::of_another_branch: return Result::failed;
     case Fitness::stiffness_has_gone: return soft ? Result::failed : Result::converged;

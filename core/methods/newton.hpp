@@ -10,9 +10,12 @@
 #include <span>
 #include <vector>
 
-#include "linear/kink.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix_free.hpp"
+#include "methods/factor_cache.hpp"
+#include "methods/jacobian_age.hpp"
+#include "methods/jacobian_audit.hpp"
+#include "methods/state_function.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -76,6 +79,8 @@ class AgingJacobian {
  public:
   /// `f` and the weights are of all that the method integrates. `complex`: see MatrixFree.
   AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
+  AgingJacobian(const AgingJacobian&) = delete;
+  AgingJacobian& operator=(const AgingJacobian&) = delete;
 
   /// Memory as it is before any step.
   void forget();
@@ -95,9 +100,9 @@ class AgingJacobian {
   /// factor(c) of `state`, matrix-free.
   bool set_up_again(double c, Archive& archive);
 
-  [[nodiscard]] bool has_factors() const { return factored_.has_value(); }
-  [[nodiscard]] double factored_for() const { return *factored_; }
-  void forget_factors() { factored_.reset(); }
+  [[nodiscard]] bool has_factors() const { return cache_.holds(); }
+  [[nodiscard]] double factored_for() const { return cache_.c(); }
+  void forget_factors() { cache_.forget(); }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
   template <class Factor>
   void state(Archive& archive, Factor&& factor);
@@ -105,13 +110,11 @@ class AgingJacobian {
   /// J is no longer that of the point reached.
   void step_accepted();
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.
-  bool renew();
+  bool renew() { return age_.renew(renewable()); }
   /// J at (t, y), an iterate of the step in work, where f is `slope`: once in a step.
   [[nodiscard]] bool may_take_in_place() const;
   Status take_in_place(double t, const double* y, const double* slope);
-  /// Renews J after an iteration that failed, as `renew` does: a J of the point reached cannot be improved, unless it
-  /// was undefined, or is much too large and may be that of a place where f has another derivative. After one of an
-  /// iterate it is renewed, and shorter steps are to be made all the same.
+  /// After an iteration that failed: see `JacobianAge::fail`.
   bool renew_if_old();
   /// Renews J before an attempt with c, if it comes from differences and is roundoff in part, where that has begun to
   /// count.
@@ -121,18 +124,12 @@ class AgingJacobian {
   /// An iteration had converged, and solved nothing: those of the next steps are to leave less than others.
   void be_careful();
   [[nodiscard]] bool careful() const { return careful_ > 0; }
-  /// How J fits the iterate y at t, of which updates by J have not removed the residual r. It is `of_another_branch` if
-  /// J r was not the derivative of f where J was taken, or if this derivative jumps between there and (t, y); otherwise
-  /// `stiffness_has_gone` says that c times the derivative along r is not large any more. (r points to where J is
-  /// large; the updates do not, since it is large there.) `w`: weights.
-  enum class [[nodiscard]] Fitness { fits, of_another_branch, stiffness_has_gone, stop };
-  Fitness examine(double c, double t, const double* y, const double* r, const double* w);
   /// Residuals say that updates with J are much too small.
-  void note_too_large() { too_large_ = true; }
+  void note_too_large() { age_.note_too_large(); }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
   /// Returns whether J is to be renewed before the next attempt.
-  [[nodiscard]] bool renewal_due() const { return renew_; }
-  [[nodiscard]] int jacobian_age() const { return age_; }  ///< steps since it was taken
+  [[nodiscard]] bool renewal_due() const { return age_.renewal_due(); }
+  [[nodiscard]] int jacobian_age() const { return age_.steps(); }  ///< steps since it was taken
   /// Returns whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted
   /// to tell: yes.)
   [[nodiscard]] bool stiff(double c, const double* w);
@@ -142,29 +139,27 @@ class AgingJacobian {
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
   /// ∂f/∂t of the state, as `Jacobian::time_derivative`.
   Status time_derivative(double t, const double* y, const double* slope, double h, double* ft) {
-    return jacobian_.time_derivative(state_f_, t, y, slope, h, ft);
+    return jacobian_.time_derivative(function_.of_state(), t, y, slope, h, ft);
   }
-  /// ∂/∂t (J S_j + f_pj), (k, n) behind the state in `rate`, by a difference over part of the signed step h; with
-  /// `slope` the derivative along y' is added. What the method integrates has the value `f` at (t, Y).
-  Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate);
+  /// See `StateFunction::sensitivity_rate`.
+  Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate) {
+    return function_.sensitivity_rate(t, Y, slope, f, h, rate);
+  }
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
-  [[nodiscard]] const Extent& extent() const { return extent_; }
-  /// The weights in which iterations for sensitivities converge, where there are any.
-  [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
-  /// Doubles at the beginning of Y to whose blocks J and M belong; quadratures are behind them, with 0 and the
-  /// identity.
-  [[nodiscard]] std::size_t coupled() const { return coupled_; }
+  [[nodiscard]] const Extent& extent() const { return function_.extent(); }
+  [[nodiscard]] const Weights& sensitivity_weights() const { return function_.sensitivity_weights(); }
+  [[nodiscard]] std::size_t coupled() const { return function_.coupled(); }
   /// M v, block by block.
   void multiply_mass(const Matrix& M, const double* v, double* out) const {
-    for (std::size_t first = 0; first < coupled_; first += extent_.n) M.multiply(v + first, out + first);
-    std::copy(v + coupled_, v + extent_.size(), out + coupled_);
+    for (std::size_t first = 0; first < coupled(); first += extent().n) M.multiply(v + first, out + first);
+    std::copy(v + coupled(), v + extent().size(), out + coupled());
   }
   /// b, in the blocks from component `first` to `end`, becomes the solution with the factors, of each block for itself.
   template <class Scalar>
   void solve_blocks(Factors<Scalar>& factors, Scalar* b, std::size_t first, std::size_t end) {
-    for (; first < std::min(end, coupled_); first += extent_.n) {
+    for (; first < std::min(end, coupled()); first += extent().n) {
       count_solve();
       factors.solve(b + first);
     }
@@ -174,23 +169,22 @@ class AgingJacobian {
   Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b) {
     count_solve();
     factors.solve(b);
-    return extent_.k == 0 ? Status::ok : solve_below(factors, c, t, Y, f, b);
+    return extent().k == 0 ? Status::ok : solve_below(factors, c, t, Y, f, b);
   }
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
 
-  /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
-  /// until the next evaluation.
-  Outcome evaluate(double t, const double* y, double* out);
-  /// Evaluate f for the state alone, and for its sensitivities behind it, which are Y's.
-  Outcome evaluate_state(double t, const double* y, double* out);
-  Outcome evaluate_sensitivities(double t, const double* Y, double* out);
-  /// The first of them for a look at J, counted apart.
-  Outcome evaluate_apart(double t, const double* y, double* out);
-  [[nodiscard]] int undefined_component() const { return undefined_; }
-  void forget_undefined() { undefined_ = -1; }
+  Outcome evaluate(double t, const double* y, double* out) { return function_.evaluate(t, y, out); }
+  Outcome evaluate_state(double t, const double* y, double* out) { return function_.evaluate_state(t, y, out); }
+  Outcome evaluate_sensitivities(double t, const double* Y, double* out) {
+    return function_.evaluate_sensitivities(t, Y, out);
+  }
+  [[nodiscard]] int undefined_component() const { return function_.undefined_component(); }
+  void forget_undefined() { function_.forget_undefined(); }
   void note_singular() { work_.singular = true; }
+  /// Null: J is known by its products alone.
+  [[nodiscard]] JacobianAudit* audit() { return audit_ ? &*audit_ : nullptr; }
   /// Null: J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
   /// See `Step::end_attempts`.
@@ -201,62 +195,29 @@ class AgingJacobian {
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
  protected:
-  /// The right-hand sides of the sensitivities in `solve_whole`, where b starts with the solution for the state.
-  Status couple(double c, double t, const double* Y, const double* f, double* b);
+  Status couple(double c, double t, const double* Y, const double* f, double* b) {
+    return function_.couple(c, t, Y, f, b);
+  }
 
  private:
-  bool fit_due(const double* y);
-  Status make_fit(double t, const double* y, const double* slope);
-  JacobianCheck::Fit fit(Callback& f, double t, const double* y, const double* slope, double part);
-  Status take_beside(Callback& f, double t, const double* y);
-  Status mend(Callback& f, double t, const double* y, const double* slope);
+  [[nodiscard]] bool renewable() const;
   bool defined_mass();
   bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
-  void note_branch(double t, const double* y);
-  void find_increment(const double* y, const double* r, const double* w);
-  Outcome examine_branch(Callback& f, const double* w);
   void fields(Archive& archive);
-  Outcome finite_or_noted(const double* out, std::size_t count);
   Status solve_below(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
 
-  Callback& f_;        // of all that the method integrates,
-  Callback& state_f_;  // and of the state: the same without sensitivities
-  const Weights& weights_;
-  Extent extent_;
-  std::size_t coupled_;
-  std::optional<Callback> sensitivities_;
-  const Weights* sensitivity_weights_;  // null without them
   Jacobian jacobian_;
+  StateFunction function_;
   Mass* mass_;
   std::optional<MatrixFree> free_;
+  std::optional<JacobianAudit> audit_;  // unless matrix-free
+  JacobianAge age_;
+  FactorCache cache_;
   std::vector<double> scratch_;  // empty if matrix-free
-  std::optional<JacobianCheck> check_;
-  std::vector<double> reach_;             // of the check
-  std::vector<double> beyond_, changed_;  // a point beside Y, and the slopes of the sensitivities there
-  KinkSearch kinks_;
-  std::vector<double> increment_;  // of its differences, and
-  std::vector<double> changes_;    // of f along it by J
-  double branch_t_ = 0;            // as far as f is known to be smooth from where J was taken,
-  std::vector<double> branch_y_;   // and empty if matrix-free
-  bool branch_examined_ = false;   // J is known to be that of its branch
-  std::optional<double> fitting_;  // the largest size of a J that the check has passed
-  std::optional<Misfit> misfit_;   // of a J that is given
   LinearWork work_;
-  std::optional<double> factored_;  // c of the factors at hand
-  double factored_at_ = 0;          // t of the M in them
-  std::optional<double> first_c_;   // |c| of the first factors with this J
-  bool noisy_ = false;              // roundoff in a J of this run has counted
-  bool current_ = false;            // J is that of the point reached
-  bool renew_ = false;
-  bool too_large_ = false;  // residuals say so of the J at hand
-  bool beside_ = false;     // it is that of a point beside y
-  bool plainly_ = false;    // it is, or is to be, that of y, by increments that are not adapted
-  bool in_place_ = false;   // it was taken at an iterate of the step in work
-  int careful_ = 0;         // so many steps yet are to leave little
-  bool first_ = true;       // J will be the first one of a start
-  int undefined_ = -1;      // component of f, at the last evaluation
-  int age_ = 0;
+  bool noisy_ = false;  // roundoff in a J of this run has counted
+  int careful_ = 0;     // so many steps yet are to leave little
 };
 
 template <class Factor>
@@ -271,12 +232,12 @@ void AgingJacobian::state(Archive& archive, Factor&& factor) {
   fields(archive);
   if (!archive.reading() || !archive.whole()) return;
   if (!free_ && !jacobian_.provided()) {  // a member of auto that has not begun
-    archive.require(!factored_);
-    renew_ = true;
+    archive.require(!cache_.holds());
+    age_.renew();
   }
-  if (!factored_) return;
-  if (mass_ && mass_->evaluate(factored_at_) == Status::stop) return archive.stop();
-  archive.require(factor(*factored_));
+  if (!cache_.holds()) return;
+  if (mass_ && mass_->evaluate(cache_.t()) == Status::stop) return archive.stop();
+  archive.require(factor(cache_.c()));
 }
 
 /// y' and y'' at the start, of M y' = f(t, y).

@@ -1,0 +1,75 @@
+// Where the Jacobian was taken, when it is renewed, and which factors serve.
+
+#include "methods/jacobian_age.hpp"
+
+#include "check.hpp"
+#include "methods/factor_cache.hpp"
+
+namespace invariode::test::jacobian_age_laws {
+
+using Taken = JacobianAge::Taken;
+
+TEST(a_jacobian_of_an_earlier_step_is_renewed_after_a_failure_and_one_of_this_point_is_not) {
+  JacobianAge age;
+  age.take();
+  CHECK(age.taken() == Taken::here && age.current() && !age.plain());
+  CHECK(!age.fail(true, true) && !age.renewal_due());
+  for (int steps = 1; steps <= 3; ++steps) {
+    age.accept_step();
+    CHECK(!age.current() && age.steps() == steps);
+  }
+  CHECK(!age.fail(false, false) && !age.renewal_due());  // a constant one
+  CHECK(age.fail(true, false) && age.renewal_due());
+  age.take();
+  CHECK(!age.renewal_due() && age.steps() == 0);
+}
+
+TEST(one_that_is_much_too_large_is_taken_plainly_once_if_it_may_be_that_of_another_place) {
+  for (const bool beside : {false, true})
+    for (const bool adapted : {false, true}) {
+      const check::Case label("beside = ", beside, ", adapted = ", adapted);
+      JacobianAge age;
+      age.take();
+      if (beside) age.take_beside();
+      CHECK(!age.fail(true, adapted));
+      age.note_too_large();
+      CHECK(age.fail(true, adapted) == (beside || adapted));
+      CHECK(age.plain() == (beside || adapted));
+      if (!age.plain()) continue;
+      age.take();
+      CHECK(age.taken() == Taken::plainly);
+      age.note_too_large();
+      CHECK(!age.fail(true, adapted));  // it will not be better
+      age.accept_step();
+      age.take();
+      CHECK(age.taken() == Taken::here);
+    }
+}
+
+TEST(a_step_has_one_jacobian_of_an_iterate_which_is_renewed_with_shorter_steps) {
+  JacobianAge age;
+  age.begin_at_iterate();
+  age.take();
+  CHECK(age.taken() == Taken::at_iterate && age.plain());
+  age.take();
+  CHECK(age.taken() == Taken::at_iterate);
+  CHECK(!age.fail(true, false) && age.renewal_due());
+  CHECK(age.taken() == Taken::plainly);
+  age.accept_step();
+  CHECK(age.taken() == Taken::earlier && age.renewal_due());  // asked for all the same
+  age.start();
+  CHECK(!age.renewal_due());
+}
+
+TEST(factors_serve_for_a_c_within_the_tolerated_part) {
+  FactorCache cache;
+  CHECK(!cache.serves(2, 0) && cache.first_c() == 2);
+  cache.made(-2, 1);
+  CHECK(cache.serves(-2, 0) && cache.t() == 1);
+  CHECK(cache.serves(-2.5, 0.3));
+  CHECK(!cache.serves(-3, 0.3) && !cache.holds() && cache.first_c() == 2);
+  cache.forget_jacobian();
+  CHECK(!cache.first_c());
+}
+
+}  // namespace invariode::test::jacobian_age_laws
