@@ -414,7 +414,7 @@ def presented(finished: Finished) -> Solution:
     if not run.ordinary:
         _require_start(finished)
     sol = _solution(finished)
-    if finished.general.names and (run.harmed >= 0 or run.dropped):
+    if finished.general.names and (run.harmed >= 0 or run.dropped or max(run.unresolved, default=0.0) > _UNRESOLVED):
         _warn_of_projection(run, finished.plan, sol)
     if not run.ordinary:
         _warn(finished)
