@@ -141,17 +141,6 @@ class Prepared:
         self._idle.append(core)  # but not after an exception
         return run
 
-    def run_of(self, problem: Problem, options: Options, *, remember: bool = True) -> tuple[Course, _core.Run | None]:
-        """Return the run of a problem of this kind and its course; see `run`."""
-        course = course_of(self.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
-        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
-        if breaks is not None:
-            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
-            if breaks is None:
-                raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
-        run = self.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
-        return course, run
-
     def plan_of(self, problem: Problem, course: Course, run: _core.Run) -> Plan:
         """Return the plan as a run of a problem carried it out."""
         plan, described = self.plan, problem
