@@ -25,6 +25,7 @@ from invariode._functions.graph.python import Formula, as_text
 from invariode._functions.graph.rolled import rolled
 
 machine = pytest.importorskip("invariode._functions.graph.machine")
+objects = pytest.importorskip("invariode._functions.graph.objects")
 
 EPS = np.finfo(float).eps
 #: Operations that are exact or correctly rounded: all codes must have the same bits.
@@ -77,7 +78,7 @@ def in_python(outputs, t=TIME, y=Y, p=ARGS):
 
 def compiled(outputs, **form):
     """(t, y, p) → values, by machine code."""
-    code = machine.machine_code(outputs, machine.Form(**form))
+    code = machine.machine_code(outputs, objects.Form(**form))
     kinds = [ctypes.c_double, *[ctypes.c_void_p] * 3] if form.get("lanes", 1) == 1 else [ctypes.c_void_p] * 5
     call = ctypes.CFUNCTYPE(None, *kinds)(code.address)
 
@@ -292,7 +293,7 @@ def test_loops_have_the_bits_of_code_without_loops(outputs, lanes):
     for smallest in (1, 10**9):
         with pytest.MonkeyPatch.context() as changed:
             changed.setattr(machine, "_ROLLED", smallest)
-            changed.setattr(machine, "_kept", OrderedDict())
+            changed.setattr(objects, "_kept", OrderedDict())
             found.append(compiled(outputs, lanes=lanes)(t, y, p))
     np.testing.assert_array_equal(*found)
 
@@ -314,9 +315,9 @@ def test_code_of_a_large_repeating_graph_does_not_grow_with_it():
 
 
 def test_code_of_equal_graphs_is_made_once():
-    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, machine.Form()) for _ in range(2)]
+    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, objects.Form()) for _ in range(2)]
     assert codes[0] is codes[1]
-    assert machine.machine_code(orbit_outputs(), machine.Form(own=False)) is not codes[0]
+    assert machine.machine_code(orbit_outputs(), objects.Form(own=False)) is not codes[0]
 
 
 def orbit_outputs():
@@ -469,28 +470,28 @@ def test_what_is_not_defined_is_infinite_or_nan_at_many_times():
 
 def test_kept_code_is_limited_in_bytes(monkeypatch):
     """The code used last stays, and of the others as much as fits; long functions count for more."""
-    monkeypatch.setattr(machine, "_kept", OrderedDict())
-    monkeypatch.setattr(machine, "_MOST_BYTES", 100)
+    monkeypatch.setattr(objects, "_kept", OrderedDict())
+    monkeypatch.setattr(objects, "_MOST_BYTES", 100)
     made = []
 
     def once(key, size):
-        def make():
+        def make(digest):
             made.append(key)
-            return machine.MachineCode(0, None, size)
+            return objects.MachineCode(0, None, size)
 
-        return machine.once(key, make)
+        return objects.once(key, make)
 
     for key in "abcda":
         once(key, 25)
     assert made == [*"abcd"]
     once("e", 50)  # b and c, which were used before d and a, go
-    assert [machine.is_kept(key) for key in "abcde"] == [True, False, False, True, True]
+    assert [objects.is_kept(key) for key in "abcde"] == [True, False, False, True, True]
     once("larger than the limit", 200)
-    assert [*map(machine.is_kept, ["a", "d", "e", "larger than the limit"])] == [False, False, False, True]
+    assert [*map(objects.is_kept, ["a", "d", "e", "larger than the limit"])] == [False, False, False, True]
     sizes = []
     for length in (1, 200):
         node = Graph().t
         for _ in range(length):
             node = node.graph.elementary("sin", node)
-        sizes.append(machine.machine_code([node], machine.Form()).size)
+        sizes.append(machine.machine_code([node], objects.Form()).size)
     assert sizes[1] > sizes[0] + 100 * 1000

@@ -12,7 +12,7 @@ import invariode as iv
 from cases import METHODS, SERIES, dealt
 from invariode import _core
 from invariode._functions import lanes
-from invariode._functions.graph import machine
+from invariode._functions.graph import objects
 from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
@@ -327,7 +327,7 @@ def test_functions_without_a_form_for_lanes_say_why(fun, by):
 def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
     monkeypatch.setattr(lanes, "FEWEST", 1000)
     assert "fewer than 1000" in solve(iv.compile(lotka_volterra)).stats.lanes
-    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    monkeypatch.setattr(objects, "_kept", OrderedDict())
     assert "fewer trajectories than 4000" in solve(iv.compile(lotka_volterra), "taylor", rtol=1e-7).stats.lanes
 
 

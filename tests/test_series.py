@@ -14,7 +14,7 @@ import pytest
 from invariode._functions.graph.nodes import ELEMENTARY, Graph
 from invariode._functions.graph.python import as_text
 
-machine = pytest.importorskip("invariode._functions.graph.machine")
+objects = pytest.importorskip("invariode._functions.graph.objects")
 
 from invariode._functions.graph import series  # noqa: E402  # needs what was just imported
 from invariode._functions.graph.series_writer import SeriesForm  # noqa: E402  # likewise
@@ -100,7 +100,7 @@ forms = pytest.mark.parametrize("most", [math.inf, -1], ids=["straight", "loops"
 @pytest.fixture(autouse=True)
 def form(request, monkeypatch):
     """How the code is written, and nothing that was written otherwise."""
-    monkeypatch.setattr(machine, "_kept", OrderedDict())
+    monkeypatch.setattr(objects, "_kept", OrderedDict())
     if "most" in request.fixturenames:
         monkeypatch.setattr(series, "_MOST_PRODUCTS", request.getfixturevalue("most"))
 

@@ -40,6 +40,7 @@ if _typing.TYPE_CHECKING:
     from ._dae.dae import Dae, Start
     from ._dae.solution import DaeSolution
     from ._dae.solve import decic, ode15i, solve_dae
+    from ._functions.graph.stored_code import code_cache
     from ._mechanics.system import MechanicalSystem
     from ._results.citations import cite
     from ._solve.ode import complex_ode, ode
@@ -109,6 +110,7 @@ __all__ = [
     "check_invariants",
     "check_sensitivities",
     "cite",
+    "code_cache",
     "compile",
     "complex_ode",
     "decic",
@@ -138,6 +140,7 @@ _LATER = {
     "solve_dae": "._dae.solve",
     "MechanicalSystem": "._mechanics.system",
     "cite": "._results.citations",
+    "code_cache": "._functions.graph.stored_code",
     "complex_ode": "._solve.ode",
     "ode": "._solve.ode",
     "CheckReport": "._studies.check",

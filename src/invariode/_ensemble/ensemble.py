@@ -84,6 +84,7 @@ def solve_rows(
     if executor is None and wanted.store is None and not isinstance(wanted.y0, Iterator):
         if chunk is not None or seed is not None or resume:
             raise ValueError("chunk, seed and resume are for ensembles with an executor or a store: give store= too")
+        ensemble.first_here = workers is None
         workers = positive_integer("workers", _processors() if workers is None else workers)
         return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt)
     rows = _source(problem, wanted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from functools import partial
@@ -58,6 +59,9 @@ _CODES = np.array(
     dtype=np.int8,
 )
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+#: Seconds that rows in Python are solved in this process before others are started, which takes about as long
+#: (benchmarks/ensembles.py).
+_PATIENCE = 0.05
 #: Trajectories that failed, and runs that tell why they ended.
 Failures = Sequence[tuple[int, _core.Run]]
 
@@ -307,10 +311,10 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
         bound = bound.jumped(jumps)
     t, y = run.take_points()
     t_end, y_end = run.t_end, run.end
-    n, k = len(plan.y0), 0
+    n, k = len(y), 0 if plan.varied is None else len(plan.varied.names)
+    n //= 1 + k
     S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
     if plan.varied is not None:
-        k = len(plan.varied.names)
         (y, S), (y_end, S_end) = states_and_sensitivities(y, n, k), states_and_sensitivities(y_end, n, k)
     counts = np.array(run.counts)
     counts[_NG] += bound.evaluations  # before the run, as in a single run
@@ -413,7 +417,7 @@ def _in_processes(task: Task, plan: Plan, means: Locally) -> Outcomes:
         )
         workers = 1
     try:
-        with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
+        with closing(_here(task) if workers == 1 else _here_and_elsewhere(task, workers)) as chunks:
             for outcomes in chunks:
                 for one in outcomes:
                     _keep(found, one)
@@ -437,9 +441,25 @@ def _here(task: Task) -> Generator[list[_Outcome]]:
         yield [_solve_one(task, i)]
 
 
-def _elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
-    return solve_rows(partial(_solve_one, task), len(task.y0), workers, _died)
+def _here_and_elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
+    """Solve rows in worker processes; what takes no longer than to start these, in this process."""
+    first, end = 0, time.monotonic() + _PATIENCE
+    if task.first_here:
+        for outcomes in _here(task):
+            yield outcomes
+            first += 1
+            if time.monotonic() > end:
+                break
+    if first < len(task.y0):
+        rest = solve_rows(partial(_solve_later, task, first), len(task.y0) - first, workers, partial(_died, first))
+        with closing(rest) as chunks:
+            yield from chunks
 
 
-def _died(i: int) -> _Outcome:
+def _solve_later(task: Task, first: int, i: int) -> _Outcome:
+    return _solve_one(task, first + i)
+
+
+def _died(first: int, i: int) -> _Outcome:
+    i += first
     return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", {}, [])

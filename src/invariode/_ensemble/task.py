@@ -24,12 +24,14 @@ class Task:
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
+    first_here: bool = False  # functions of Python are called in this process first, and in others if that takes long
 
     def plan(self, i: int) -> Plan:
+        return make_plan(self.problem.replace(y0=self.y0[i], args=self._arguments(i)), self.method, self.options)
+
+    def _arguments(self, i: int) -> tuple[Any, ...]:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
-        if isinstance(args, np.ndarray):
-            args = tuple(args.tolist())
-        return make_plan(self.problem.replace(y0=self.y0[i], args=args), self.method, self.options)
+        return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
 
 
 @dataclasses.dataclass
@@ -48,11 +50,12 @@ class Ensemble:
     attempts: list[Attempt]  # the first, and those for rows that failed
     in_lanes: bool  # if they can be
     on_failure: OnFailure
+    first_here: bool = False  # see `Task`
 
     def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
         """Return the task of solving these rows by one of the attempts."""
         chosen = self.attempts[attempt]
-        return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes)
+        return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes, self.first_here)
 
 
 def first_plan(task: Task) -> tuple[int, Plan]:

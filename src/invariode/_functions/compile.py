@@ -46,9 +46,9 @@ def compile(
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"
         Whose sin, cos, exp, log and powers such as x^1.5 of real numbers a traced function calls. Our own are inlined,
-        also into the form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and
-        the same bits on every processor. "libm": those of the platform's mathematical library, one call for each
-        number, as numba calls them.
+        also into the form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place (powers
+        one for each of two to four operations), and the same bits on every processor. "libm": those of the platform's
+        mathematical library, one call for each number, as numba calls them.
 
     Returns
     -------

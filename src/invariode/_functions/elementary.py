@@ -80,8 +80,6 @@ MANTISSA = (1 << 52) - 1
 LAST_11 = (1 << 11) - 1
 #: What 64 bits have beyond a mantissa.
 LAST_12 = (1 << 12) - 1
-#: The half of a mantissa.
-LAST_27 = (1 << 27) - 1
 #: Of exponents.
 BIAS = 1023
 
@@ -293,42 +291,12 @@ def is_normal_and_positive(x: Value) -> Value:
     return x.compared(">=", SMALLEST_NORMAL) & x.compared("<=", LARGEST)
 
 
-class Twofold(NamedTuple):
-    """A sum whose tail is smaller than a unit in the last place of its head, or so."""
-
-    head: Value
-    tail: Value
-
-
-def product(a: Value, b: Value) -> Twofold:
-    """Return a b as a twofold number, exact except for the rounding of its tail (Dekker); a and b are split, with heads
-    of 26 bits."""
-    head = a * b
-    a_head, b_head = ((one.bits & ~LAST_27).number for one in (a, b))
-    a_tail, b_tail = a - a_head, b - b_head
-    return Twofold(head, (((a_head * b_head - head) + a_head * b_tail) + a_tail * b_head) + a_tail * b_tail)
-
-
 def half_power(x: Value, n: int) -> Value:
-    """x^(n/2) of odd n from −5 to 5, by s = √x rounded and e = x − s²."""
-    s = x.square_root()
-    square = product(s, s)
-    e = (x - square.head) - square.tail
-    if n == -1:
-        inverse = 1.0 / s
-        return inverted(Twofold(s, e * inverse * 0.5), inverse)
-    power = product(x, s)
-    power = Twofold(power.head, power.tail + (s * e) * 0.5)
-    if abs(n) == 5:
-        higher = product(x, power.head)
-        power = Twofold(higher.head, higher.tail + x * power.tail)
-    return inverted(power, 1.0 / power.head) if n < 0 else power.head + power.tail
-
-
-def inverted(x: Twofold, inverse: Value) -> Value:
-    """Return 1/x of a twofold number, from `inverse`, the reciprocal of its head."""
-    unity = product(inverse, x.head)
-    return inverse + inverse * (((1.0 - unity.head) - unity.tail) - inverse * x.tail)
+    """x^(n/2) of odd n from −5 to 5, as one would write it: √x, x √x or x² √x, or 1 divided by that. Each operation
+    adds at most one unit of roundoff."""
+    root = x.square_root()
+    power = root if abs(n) == 1 else x * root if abs(n) == 3 else x * x * root
+    return 1.0 / power if n < 0 else power
 
 
 def has_half_powers(x: Value) -> Value:

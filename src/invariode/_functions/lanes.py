@@ -22,7 +22,7 @@ from .compiled import Compiled, Shape, made_by_compile
 from .graph.function import OnGraph
 
 if TYPE_CHECKING:
-    from .graph.machine import MachineCode
+    from .graph.objects import MachineCode
 
 #: With fewer trajectories the form, which takes ten to a hundred milliseconds to compile, is not made.
 FEWEST = 1000

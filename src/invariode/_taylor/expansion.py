@@ -25,7 +25,7 @@ from .._sensitivity.landings import with_inputs
 from .._sensitivity.variations import Variations
 
 if TYPE_CHECKING:
-    from .._functions.graph.machine import MachineCode
+    from .._functions.graph.objects import MachineCode
     from .._functions.graph.series_writer import SeriesForm
 
 #: With more conditions than this at which f changes its branch, steps do not end there.

@@ -49,7 +49,8 @@ class OnGraph(CompiledFunction):
         outputs = None if shape.is_complex else self.graph(shape)
         if outputs is None:
             return super()._make(shape)
-        from .machine import Form, machine_code  # needs llvmlite
+        from .machine import machine_code  # needs llvmlite
+        from .objects import Form
 
         return machine_code(outputs, Form(returns=shape.event, own=self.elementary == "own"))
 
@@ -60,7 +61,8 @@ class OnGraph(CompiledFunction):
             return None
         if any(node.op == "entry" for node in in_order(outputs)):
             return "{f} solves a linear system"
-        from .machine import Form, machine_code
+        from .machine import machine_code
+        from .objects import Form
 
         return machine_code(outputs, Form(lanes=lanes, own=self.elementary == "own"))
 

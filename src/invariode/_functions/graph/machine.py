@@ -5,123 +5,54 @@ The operations and our elementary functions are the same in both, so that the bi
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
 
-from ... import _core
-from ..._base.forks import compiling, short_lock
+from ..._base.forks import compiling
 from .nodes import Node, as_rows, in_order
-from .operations import DOUBLE, INDEX, POINTER, SOLVE, SOLVE_SPARSE, Operations
+from .objects import NAME, Form, MachineCode, made_of, object_file, target_machine
+from .operations import DOUBLE, INDEX, POINTER, Operations
 from .rolled import Group, rolled
-
-_NAME = "graph"
 
 #: LLVM takes more than linear time for long blocks, and for long code with optimisation: measured on chains of 10 and
 #: 20 links. Instructions of a block, and of a function that is optimised.
 _BLOCK, _OPTIMISED = 100, 3000
 #: From so many nodes on repeated parts become loops.
 _ROLLED = 300
-#: Bytes that LLVM holds for a compiled function, and for each line of its code: measured as the growth of the process
-#: by functions of 4 to 3000 operations.
-_OF_EACH, _OF_LINE = 1_000_000, 1_000
-#: Bytes of the codes that are kept for equal graphs, and those, in the order of their last use.
-_MOST_BYTES = 256_000_000
-_kept: OrderedDict[bytes, MachineCode] = OrderedDict()
-_keeping = short_lock()
 #: Doubles that loops may keep on the stack.
 _MOST_WORK = 2**15
 
 
-class MachineCode(NamedTuple):
-    """An address, what keeps the code there alive, and about how many bytes that takes."""
-
-    address: int
-    owner: Any
-    size: int
-
-
-class Form(NamedTuple):
-    """Form of machine code: its arguments and its results.
-
-    Attributes
-    ----------
-    returns : bool
-        The code returns its one value, as events do; otherwise it stores its values.
-    lanes : int
-        So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    """
-
-    returns: bool = False
-    lanes: int = 1
-    own: bool = True
-
-
 def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
-    """Return the machine code of a function with these values; code of an equal graph compiled in this process is
-    reused."""
-    return once((form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs))
+    """Return the machine code of a function with these values; code of an equal graph compiled in this process, or kept
+    by another one, is reused."""
+    return made_of(
+        (form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs)
+    )
 
 
-def is_kept(key: Any) -> bool:
-    """Return whether `once` has made code with an equal key."""
-    return hashlib.sha256(repr(key).encode()).digest() in _kept
-
-
-def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
-    """Return the machine code made with an equal key in this process, or make it now."""
-    digest = hashlib.sha256(repr(key).encode()).digest()
-    with _keeping:
-        if digest in _kept:
-            _kept.move_to_end(digest)
-            return _kept[digest]
-    made = make()
-    with _keeping:
-        _kept[digest] = made
-        left = sum(code.size for code in _kept.values())
-        while left > _MOST_BYTES and len(_kept) > 1:  # those in use live on with their functions
-            _, oldest = _kept.popitem(last=False)
-            left -= oldest.size
-    return made
-
-
-def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
-    """Compile the module that a writer writes, at a level of optimisation; 0: as it was written."""
+def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> bytes:
+    """Compile the module that a writer writes to an `object_file`, at a level of optimisation; 0: as it was written."""
     with compiling:
         return _compiled(lanes, writer, outputs, level)
 
 
-def _compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int) -> MachineCode:
+def _compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int) -> bytes:
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)
-    machine, text = _machine(), str(module)
+    machine, text = target_machine(), str(module)
     if lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
         text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * lanes}"')
     made = llvm.parse_assembly(text)
     if level > 0:
         _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
-    for name, address in zip((SOLVE, SOLVE_SPARSE), _core.solve_addresses(), strict=True):
-        llvm.add_symbol(name, address)
-    engine = llvm.create_mcjit_compiler(made, machine)
-    engine.finalize_object()
-    return MachineCode(engine.get_function_address(_NAME), engine, _OF_EACH + _OF_LINE * text.count("\n"))
-
-
-def _machine() -> Any:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    target = llvm.Target.from_triple(llvm.get_process_triple())
-    features = llvm.get_host_cpu_features().flatten()
-    return target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=3, jit=True)
+    return object_file(machine.emit_object(made), lines=text.count("\n"))
 
 
 def _optimise(module: Any, target: Any, level: int, loop_vectorization: bool) -> None:
@@ -151,7 +82,7 @@ class Writer:
 
     def __init__(self, module: Any, own: bool, lanes: int, arguments: Mapping[str, Any], returned: Any) -> None:
         self._module = module
-        self._function = ir.Function(module, ir.FunctionType(returned, list(arguments.values())), _NAME)
+        self._function = ir.Function(module, ir.FunctionType(returned, list(arguments.values())), NAME)
         self._function.attributes.add("nounwind")
         self._given = dict(zip(arguments, self._function.args, strict=True))
         self._build = ir.IRBuilder(self._function.append_basic_block())

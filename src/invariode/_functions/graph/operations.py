@@ -12,11 +12,10 @@ from ..elementary import FORMULAS, POWERS
 from ..elementary_code import Definitions, Function
 from ..llvm_values import bits_of
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node
+from .objects import SOLVE, SOLVE_SPARSE
 
 DOUBLE, INDEX = ir.DoubleType(), ir.IntType(64)
 POINTER = DOUBLE.as_pointer()
-#: The core's solutions of a linear system.
-SOLVE, SOLVE_SPARSE = "invariode_solve", "invariode_solve_sparse"
 
 
 def constants(module: Any, kind: Any, numbers: Sequence[float]) -> Any:

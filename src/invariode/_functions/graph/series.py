@@ -17,8 +17,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..llvm_values import Value
-from .machine import MachineCode, compiled, is_kept, once
+from .machine import compiled
 from .nodes import Node, as_rows
+from .objects import MachineCode, is_kept, made_of
 from .operations import INDEX
 from .recurrences import UNWEIGHTED, Program, Sum, linear, minus, plus, program
 from .series_loops import Looped
@@ -58,13 +59,13 @@ def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
     """Return the machine code of the Taylor coefficients for y' = these values, or for these values along a
     polynomial."""
 
-    def make() -> MachineCode:
+    def written() -> bytes:
         found = program(outputs)
         if is_small(found, form.order):
             return compiled(form.lanes, lambda module: Unrolled(module, form, found), outputs, _LEVEL)
         return compiled(form.lanes, lambda module: Looped(module, form, found), outputs, _LEVEL)
 
-    return once((form, as_rows(outputs)), make)
+    return made_of((form, as_rows(outputs)), written)
 
 
 def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> MachineCode | str:
