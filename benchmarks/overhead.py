@@ -368,6 +368,28 @@ def _calls_of(solve: Callable[..., Any], times: Array, critical: Array | None) -
     return calls
 
 
+def few_rows() -> str:
+    """Ensembles of a Python function with few rows and with many, against a loop of single solves."""
+    random = np.random.default_rng(1)
+
+    def spring(t: float, y: Array) -> list[float]:
+        return [y[1], -y[0]]
+
+    lines = []
+    for size in (10, 2000):
+        rows = random.standard_normal((size, 2))
+        runs: dict[str, Callable[[], object]] = {
+            "a loop": lambda rows=rows: [iv.solve_ivp(spring, (0, 1), row, keep="end") for row in rows],
+            "workers=1": partial(iv.solve_ensemble, spring, (0, 1), rows, workers=1),
+        }
+        if size == 10:  # solved in this process; beyond 50 ms others take part, whose time is not in this clock
+            runs["default"] = partial(iv.solve_ensemble, spring, (0, 1), rows)
+        times = interleaved(runs, 9, process_time)
+        for name, seconds in times.items():
+            lines.append([f"{size} rows, {name}", spread(seconds, MS), f"{ratio(seconds, times['a loop']):.2f}"])
+    return table(["y'' = -y from 0 to 1 in Python", "ms", "÷ a loop"], lines)
+
+
 def times_at_equal_error(case: Case) -> dict[str, float]:
     """Seconds for an error of EQUAL_ERROR at the end: a straight line through log(error), log(time) at several rtol."""
     runs = {f"{name} {rtol}": outcome for rtol in TOLERANCES for name, outcome in solve_all(case, rtol).items()}
@@ -531,6 +553,8 @@ def report() -> str:
         set_up(plain),
         "## `odeint`",
         odeint_calls(),
+        "## Ensembles of Python functions",
+        few_rows(),
         "## Other right-hand sides",
         right_hand_sides(cases),
         "## One invariant, one event",

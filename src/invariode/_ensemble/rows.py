@@ -306,44 +306,44 @@ def _solve_one(task: Task, i: int) -> _Outcome:
 
 
 def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
-    bound = plan.bound
-    if jumps := run.jumps:
-        bound = bound.jumped(jumps)
+    """Return the row of `Outcomes` of a trajectory, without what is as it was before the run."""
     t, y = run.take_points()
-    t_end, y_end = run.t_end, run.end
-    n, k = len(y), 0 if plan.varied is None else len(plan.varied.names)
-    n //= 1 + k
-    S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
+    y_end, counts = run.end, np.array(run.counts)
+    row: dict[str, Any] = {"t_end": run.t_end, "y_end": y_end, "counts": counts}
     if plan.varied is not None:
-        (y, S), (y_end, S_end) = states_and_sensitivities(y, n, k), states_and_sensitivities(y_end, n, k)
-    counts = np.array(run.counts)
-    counts[_NG] += bound.evaluations  # before the run, as in a single run
-    counts[_NGDIFF] += bound.evaluations - len(bound.specs)
-    before, _, correction = run.drift
-    after = np.zeros(len(bound))
+        n, k = len(plan.y0), len(plan.varied.names)
+        (y, S), (row["y_end"], row["S_end"]) = (states_and_sensitivities(one, n, k) for one in (y, y_end))
+        row["S"] = _at_times(plan, S)
+    if plan.course.times is not None:
+        row["y"] = _at_times(plan, y)
+    if run.remarkable:
+        row["stiff_since"] = run.stiff_since if run.stiff else np.nan
+        sticks = np.nan if run.sticks_since is None else run.sticks_since
+        row["discontinuity"] = next(iter(run.discontinuities), sticks)
+    if run.accumulation is not None:
+        row["accumulation"] = run.accumulation[1]
+    if run.clipped:
+        row["clipped_amount"] = run.clipped
+    bound = plan.bound
     if len(bound):
+        bound = bound.jumped(run.jumps)
+        counts[_NG] += bound.evaluations  # before the run, as in a single run
+        counts[_NGDIFF] += bound.evaluations - len(bound.specs)
+        before, _, _ = run.drift
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
-        after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
+        after = np.abs(bound.residual(np.append(t, run.t_end), np.column_stack([y, row["y_end"]]), pieces)).max(axis=1)
+        row |= {"value": bound.value, "residual_before": before[: len(bound)], "residual_after": after}
+    row["correction"] = run.drift[2]
+    return row
+
+
+def _at_times(plan: Plan, values: Array) -> Array:
+    """Return the values at the output times, the last axis of an array of what the run came to; NaN at the others."""
     times = 0 if plan.course.times is None else len(plan.course.times)
-    at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan, y.dtype)
-    reached = min(len(t), times)
-    at_times[:, :reached], S_at_times[:, :, :reached] = y[:, :reached], S[:, :, :reached]
-    return {
-        "t_end": t_end,
-        "y_end": y_end,
-        "y": at_times,
-        "S": S_at_times,
-        "S_end": S_end,
-        "counts": counts,
-        "value": bound.value,
-        "residual_before": before[: len(bound)],
-        "residual_after": after,
-        "correction": correction,
-        "clipped_amount": run.clipped,
-        "stiff_since": run.stiff_since if run.stiff else np.nan,
-        "discontinuity": next(iter(run.discontinuities), np.nan if run.sticks_since is None else run.sticks_since),
-        "accumulation": np.nan if run.accumulation is None else run.accumulation[1],
-    }
+    reached = min(values.shape[-1], times)
+    found = np.full((*values.shape[:-1], times), np.nan, values.dtype)
+    found[..., :reached] = values[..., :reached]
+    return found
 
 
 def unsolved(task: Task, plan: Plan) -> Outcomes:
