@@ -13,6 +13,7 @@ from typing import Any
 import llvmlite.binding as llvm
 from llvmlite import ir
 
+from ..._base.forks import compiling
 from .nodes import Node, as_rows, in_order
 from .objects import NAME, Form, MachineCode, made_of, object_file, target_machine
 from .operations import DOUBLE, INDEX, POINTER, Operations
@@ -37,6 +38,11 @@ def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> bytes:
     """Compile the module that a writer writes to an `object_file`, at a level of optimisation; 0: as it was written."""
+    with compiling:
+        return _compiled(lanes, writer, outputs, level)
+
+
+def _compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int) -> bytes:
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)

@@ -61,12 +61,12 @@ def made_of(key: Any, write: Callable[[], bytes]) -> MachineCode:
     may be kept; otherwise `write` returns it."""
 
     def make(digest: bytes) -> MachineCode:
+        name = stored_code.name_of(digest, processor())
+        code = stored_code.read(name)
+        if code is None:
+            code = write()
+            stored_code.keep(name, code)
         with compiling:
-            name = stored_code.name_of(digest, processor())
-            code = stored_code.read(name)
-            if code is None:
-                code = write()
-                stored_code.keep(name, code)
             return _loaded(code)
 
     return once(key, make)
