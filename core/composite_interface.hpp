@@ -16,6 +16,9 @@ class CompositeInterface {
 
   /// Between two steps: continues with another member if that suits the problem better. The next |h| may change.
   virtual Outcome hand_over(const Step::Span& span) = 0;
+  /// The solution sticks where f is discontinuous, which no Jacobian can describe: the explicit member, if there is
+  /// one, goes on from the next hand-over, and stays.
+  virtual void stay_explicit() = 0;
   /// `member` returns which member made the last step, `switches` how often they have changed.
   [[nodiscard]] virtual int member() const = 0;
   [[nodiscard]] virtual std::int64_t switches() const = 0;

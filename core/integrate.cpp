@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace invariode {
@@ -43,6 +44,8 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
   looks_between_ = settings_.looks_between() || !events_.empty();
+  const double parts = step_->parts_seen();
+  gap_ = parts > 0 ? std::abs(settings_.tf - settings_.t0) / parts : std::numeric_limits<double>::infinity();
   if (!events_.empty()) event_y_.resize(n_);
 }
 
@@ -188,6 +191,7 @@ State Integration::advance() {
 bool Integration::begin_step() {
   if (bounded_slope_ != nullptr && !meet_bounds()) return false;
   const double t = step_->t();
+  if (composite_ != nullptr && discontinuities_.sticks_since()) composite_->stay_explicit();
   if (composite_ != nullptr && composite_->hand_over(aim_.span(t)) == Outcome::stop) return end(State::interrupted);
   move_start(t, step_->y());
   attempt_ = {};
@@ -212,6 +216,12 @@ Integration::Verdict Integration::attempt() {
     proposal = step_->inspect_extension(proposal);
     if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   }
+  if (std::abs(aim_.h()) > gap_) {
+    proposal = step_->inspect_inside(proposal, gap_);
+    if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
+  }
+
+  if (const Verdict verdict = pass_jump(proposal.y); verdict != Verdict::accepted) return verdict;
 
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};
   if (manifold_.any())
@@ -232,6 +242,25 @@ Integration::Verdict Integration::test(const Step::Attempt& proposal) {
   if (!proposal.converged) return reject(Cause::newton);
   if (proposal.outcome == Outcome::not_finite || !std::isfinite(proposal.error)) return reject(Cause::not_finite);
   return proposal.error <= weights_.rtol() ? Verdict::accepted : reject(Cause::error);
+}
+
+/// A step over a jump of f whose error estimate is small by chance is shortened, up to the jump or to what does no
+/// harm.
+Integration::Verdict Integration::pass_jump(const double* candidate) {
+  const Step::Trust trust = step_->trust();
+  if (trust == Step::Trust::always) return Verdict::accepted;
+  const double h = std::abs(aim_.h());
+  double longest = h;
+  if (!unless_stopped(discontinuities_.passes(t0_, y0_.data(), aim_.t1(), candidate, trust == Step::Trust::never,
+                                              counts_.steps + counts_.failed, longest)))
+    return Verdict::ended;
+  if (longest >= h || h <= aim_.hmin()) return Verdict::accepted;
+  ++counts_.failed;
+  discontinuities_.failed(Cause::error, aim_.t1(), aim_.h());
+  if (!step_->reject(Cause::projection, aim_.hmin())) return Verdict::accepted;  // not the estimate: h is halved
+  step_->set_h(std::max(longest, aim_.hmin()));
+  aim_.retry(t0_, step_->h());
+  return Verdict::rejected;
 }
 
 /// y₁ from the candidate: a candidate outside of the bounds, or a correction that is too large, fails the attempt.
@@ -401,8 +430,8 @@ bool Integration::find_discontinuities() {
   const double t1 = step_->t(), *y1 = step_->y();
   const std::int64_t attempts = counts_.steps + counts_.failed;
   if (stiffness_.note(*step_, counts_.steps, t0_, y0_.data()) &&
-      !unless_stopped(
-          discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(), StiffnessDetector::every, attempts)))
+      !unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(), StiffnessDetector::every,
+                                                  attempts, stiffness_.limited())))
     return false;
   return unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, attempts));
 }

@@ -130,6 +130,7 @@ class Integration {
   bool meet_bounds();
   Verdict attempt();
   Verdict test(const Step::Attempt& proposal);
+  Verdict pass_jump(const double* candidate);
   Verdict place(StepEnds& ends);
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
@@ -200,6 +201,7 @@ class Integration {
   bool due_ = false;                     // the run that is continued ended before the actions of events
   bool keeps_last_ = false;              // see `keep_last_step`
   bool looks_between_ = false;           // values between steps are used, and are under error control
+  double gap_;                           // between times at which f is seen, at most; infinite: no limit
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached
   bool in_step_ = false;                 // a limit was reached between two attempts

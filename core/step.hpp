@@ -73,6 +73,20 @@ class Step : public StepReport, public Archived {
   /// extension, by which the controller goes from then on. Where the extension is as accurate as the step, the attempt.
   virtual Attempt inspect_extension(const Attempt& attempt) { return attempt; }
 
+  /// The number of parts of the interval of a run in each of which the method sees f at least once; 0: as its steps
+  /// happen to be. A step that is longer than such a part is inspected inside.
+  [[nodiscard]] virtual double parts_seen() const { return 0; }
+
+  /// The attempt, which has passed the error test, with the larger one of its error and of that which f shows inside
+  /// the step, evaluated there so that no two neighbouring times at which the attempt has seen f are farther apart than
+  /// `gap`.
+  virtual Attempt inspect_inside(const Attempt& attempt, double /*gap*/) { return attempt; }
+
+  /// How far the error estimate of an attempt that has passed the test can be trusted where f may jump: always; not
+  /// where attempts have failed at the place before; not at all, since the slopes do not look like those of a smooth f.
+  enum class Trust { always, unless_suspicious, never };
+  [[nodiscard]] virtual Trust trust() const { return Trust::always; }
+
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
 

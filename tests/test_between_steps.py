@@ -337,7 +337,8 @@ def test_each_use_of_values_between_steps_has_the_same_steps(method):
         sol = problem.replace(**described).solve(method, **options)
         found.add((sol.stats.steps, sol.stats.failed))
     assert len(found) == 1
-    assert found != {plain[0][:2]}
+    if method != "radau":  # which looks inside long steps in any case
+        assert found != {plain[0][:2]}
 
 
 @pytest.mark.parametrize("method", SAME)

@@ -164,3 +164,12 @@ def test_steps_at_the_start_may_be_as_short_as_the_spacing_of_t(name):
     sol = iv.solve_ivp(lambda t, h: [1e-8 / h[0]], (t0, t0 + 86400), [1e-8], name)
     assert sol.success
     assert abs(sol.y[0, -1] / math.sqrt(2e-8 * 86400) - 1) <= 1e-3
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("ode23t", "ode23tb")])
+def test_f_that_changes_within_the_spacing_of_unix_seconds_is_integrated(method):
+    """y' = 1e-8 / y from y = 1e-8, below atol: f becomes a seventh of itself within one spacing of t."""
+    start, day = 1.6e9, 86400.0
+    sol = iv.solve_ivp(lambda t, y: [1e-8 / y[0]], (start, start + day), [1e-8], method)
+    assert sol.success
+    assert sol.y[0, -1] == pytest.approx(math.sqrt(1e-16 + 2e-8 * day), rel=1e-2)

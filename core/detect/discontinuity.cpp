@@ -17,18 +17,48 @@ constexpr double sharp = 1e-3;
 constexpr double very_many = 1e5, much_shorter = 300;
 constexpr int meetings = 3;           // one after the other, for which no jump at certain times accounts
 constexpr int pause = 8;              // looks after one that has found nothing
+constexpr double most_of_jump = 5;    // tolerances of error that a step over a jump may have
+constexpr double overshoot = 0.25;    // of a step, by which its stages may lead beyond its end
+constexpr int fewest_halvings = 6;    // that tell a jump from a smooth change
 constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller change tells nothing
 
 }  // namespace
 
 JumpSearch::Result JumpSearch::search(double t0, const double* y0, double t1, const double* y1, double resolved) {
+  if (!begin(t0, y0, t1, y1)) return stopped_ ? Result::stop : Result::none;
+  return narrow(resolved);
+}
+
+JumpSearch::Result JumpSearch::bracket(double t0, const double* y0, double t1, const double* y1, double most) {
+  if (!begin(t0, y0, t1, y1)) return stopped_ ? Result::stop : Result::none;
+  double whole = jump(), width = std::abs(t1 - t0);
+  const double narrowest = ulp(std::max(std::abs(t0), std::abs(t1)));
+  for (int k = 0; width > narrowest && (k < fewest_halvings || width * whole > most);
+       ++k, width = std::abs(b_.t - a_.t)) {
+    if (!halve()) return stopped_ ? Result::stop : Result::none;
+    const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
+    whole = std::max(whole, larger);  // two jumps may cancel
+    if (larger < kept * whole) return Result::none;
+    std::swap(before > after ? b_ : a_, middle_);
+  }
+  return Result::found;
+}
+
+/// f at the ends of the line. False: it is not finite, or asks to stop.
+bool JumpSearch::begin(double t0, const double* y0, double t1, const double* y1) {
   calls_before_ = f_.calls();
   weights_.fill(y0, y1, weight_.data());
   move_to(a_, t0, y0);
   move_to(b_, t1, y1);
   middle_ = a_;
-  if (!evaluate(a_) || !evaluate(b_)) return stopped_ ? Result::stop : Result::none;
-  return narrow(resolved);
+  return evaluate(a_) && evaluate(b_);
+}
+
+/// f in the middle. False: as `begin`.
+bool JumpSearch::halve() {
+  middle_.t = std::midpoint(a_.t, b_.t);
+  for (std::size_t i = 0; i < middle_.y.size(); ++i) middle_.y[i] = std::midpoint(a_.y[i], b_.y[i]);
+  return evaluate(middle_);
 }
 
 void JumpSearch::move_to(Point& point, double t, const double* y) const {
@@ -46,9 +76,7 @@ JumpSearch::Result JumpSearch::narrow(double resolved) {
     t1_ = b_.t;
     const double width = std::abs(b_.t - a_.t);
     if (width <= narrowest) return beside_smooth ? result_of_change() : Result::none;
-    middle_.t = std::midpoint(a_.t, b_.t);
-    for (std::size_t i = 0; i < middle_.y.size(); ++i) middle_.y[i] = std::midpoint(a_.y[i], b_.y[i]);
-    if (!evaluate(middle_)) return stopped_ ? Result::stop : Result::none;
+    if (!halve()) return stopped_ ? Result::stop : Result::none;
     const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
     beside_smooth = std::min(before, after) <= kept * larger;  // which a pole is not
     if (!(larger <= grown * whole)) return Result::none;
@@ -83,21 +111,30 @@ JumpSearch::Result JumpSearch::decided_by_y(double t0) {
 }
 
 Status DiscontinuityDetector::watch_pace(double t, const double* y, const double* slope, double target,
-                                         std::int64_t steps, std::int64_t attempts) {
+                                         std::int64_t steps, std::int64_t attempts, bool limited) {
   const double way = std::abs(t - std::exchange(pace_t_, t)), h = way / static_cast<double>(steps);
   fastest_ = std::max(fastest_, way);
   const double rest = std::abs(target - t);
-  const bool slow = much_shorter * way < fastest_ || (std::isfinite(rest) && very_many * h < rest);
+  const bool slow = limited || much_shorter * way < fastest_ || (std::isfinite(rest) && very_many * h < rest);
   if (sticks_since_ || !slow) meetings_ = 0;
   if (sticks_since_ || !slow || pause_-- > 0 || !may_search(attempts, evaluations_ahead_)) return Status::ok;
   pause_ = 0;
   const double length = std::copysign(std::min(way, rest), target - t);
-  std::vector<double> y1(weights_.size());
-  for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = y[i] + length * slope[i];
+  std::vector<double> y1(weights_.size()), f(weights_.size());
   if (!search_) search_.emplace(f_, weights_);
   const std::int64_t before = search_->calls();
-  JumpSearch::Result result = search_->search(t, y, t + length, y1.data(), std::abs(length));
-  if (result == JumpSearch::Result::found) result = search_->decided_by_y(t);
+  JumpSearch::Result result = JumpSearch::Result::none;
+  for (const double* direction : {slope, static_cast<const double*>(f.data())}) {
+    if (direction == f.data()) {  // to an implicit method the solution lies between the sides, and y' is not f
+      ++evaluations_ahead_;
+      if (f_(t, y, f.data()) == Status::stop) return Status::stop;
+    }
+    for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = y[i] + length * direction[i];
+    if (!all_finite(y1.data(), y1.size())) break;
+    result = search_->search(t, y, t + length, y1.data(), std::abs(length));
+    if (result == JumpSearch::Result::found) result = search_->decided_by_y(t);
+    if (result != JumpSearch::Result::none) break;
+  }
   evaluations_ahead_ += search_->calls() - before;
   if (result == JumpSearch::Result::stop) return Status::stop;
   if (result == JumpSearch::Result::none) {
@@ -116,6 +153,21 @@ Status DiscontinuityDetector::look(double t0, const double* y0, double t1, const
   const bool suspicious = series_.accept(t0, y0, 1, weights_.size(), t1, from_.data(), latest_.data());
   if (!suspicious || !may_search(attempts, evaluations_)) return Status::ok;
   return search(series_.from_t(), from_.data(), t1, y1, series_.latest());
+}
+
+Status DiscontinuityDetector::passes(double t0, const double* y0, double t1, const double* y1, bool bent,
+                                     std::int64_t attempts, double& longest) {
+  const double h = std::abs(t1 - t0), harmless = most_of_jump * weights_.rtol();
+  if ((!bent && !series_.suspicious(h)) || !may_pass(attempts, evaluations_passing_)) return Status::ok;
+  if (!search_) search_.emplace(f_, weights_);
+  std::vector<double> end(weights_.size());  // stages may lead beyond the jump though y1 does not
+  for (std::size_t i = 0; i < end.size(); ++i) end[i] = y1[i] + overshoot * (y1[i] - y0[i]);
+  const JumpSearch::Result result = search_->bracket(t0, y0, t1, end.data(), harmless);
+  evaluations_passing_ += search_->evaluations();
+  if (result == JumpSearch::Result::stop) return Status::stop;
+  if (result == JumpSearch::Result::found && h * search_->jump() > harmless)
+    longest = std::max(std::abs(search_->before() - t0), harmless / search_->jump());
+  return Status::ok;
 }
 
 /// In the attempt, then as far as the longest one of the series led: what a method has from there may outlive it.
@@ -145,7 +197,8 @@ void DiscontinuityDetector::state(Archive& archive) {
   SeriesState m = series_.state();
   bool sticks = sticks_since_.has_value();
   double since = sticks_since_.value_or(0);
-  archive(pace_t_, fastest_, meetings_, first_meeting_, pause_, evaluations_ahead_, sticks, since);
+  archive(pace_t_, fastest_, meetings_, first_meeting_, pause_, evaluations_ahead_, evaluations_passing_, sticks,
+          since);
   if (sticks) sticks_since_ = since;
   archive(m.count, m.failed, m.stepped, m.longest, m.latest, m.beyond, m.latest_t, m.from_t, evaluations_);
   series_.go_on(m);

@@ -23,6 +23,12 @@ class JumpSearch {
 
   /// `resolved`: |h| of a step that would resolve f if it were smooth.
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
+  /// Searches only so far that a step over the jump, or of the length of what is left, would have an error of at most
+  /// `most`: |h| times the change of f, in the weights.
+  Result bracket(double t0, const double* y0, double t1, const double* y1, double most);
+  /// By how much f changes, in the weights, over what the latest search has left, and where that begins.
+  [[nodiscard]] double jump() const { return change(a_, b_); }
+  [[nodiscard]] double before() const { return a_.t; }
   /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
   Result decided_by_y(double t0);
   /// The time of the discontinuity: the first of the times with the new f.
@@ -37,6 +43,8 @@ class JumpSearch {
     double t = 0;
     std::vector<double> y, f;
   };
+  bool begin(double t0, const double* y0, double t1, const double* y1);
+  bool halve();
   void move_to(Point& point, double t, const double* y) const;
   Result narrow(double resolved);
   [[nodiscard]] double change(const Point& a, const Point& b) const;
@@ -69,16 +77,22 @@ class DiscontinuityDetector {
   Status accepted(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts) {
     return series_.any() ? look(t0, y0, t1, y1, attempts) : Status::ok;
   }
+  /// The attempt from (t0, y0) to (t1, y1), one of `attempts`, has passed the error test of a pair. An estimate that is
+  /// small by chance says nothing of the error of a step over a jump of f, which is up to |h| times the jump. Where a
+  /// series of failures or the slopes (`bent`) suggest that there is one, `longest` becomes the |h| of an attempt up to
+  /// it, or over it with a small error, if that is shorter.
+  Status passes(double t0, const double* y0, double t1, const double* y1, bool bent, std::int64_t attempts,
+                double& longest);
   /// The attempt from (t0, y0) to t1 failed, and none can be shorter. `slope`: y' at t0; f is not evaluated past
   /// `target`.
   Status gave_up(double t0, const double* y0, const double* slope, double t1, double target);
   /// The method starts again, where the solution or f may have jumped.
   void restart() { series_.forget(); }
   /// `steps` steps have been accepted since the last call, the last one to (t, y), where y' is `slope`. Where they have
-  /// become very short, and what lies ahead is again and again a jump of f that y decides on, the solution sticks
-  /// there.
+  /// become very short, or are limited by stability (`limited`), and what lies ahead is again and again a jump of f
+  /// that y decides on, the solution sticks there.
   Status watch_pace(double t, const double* y, const double* slope, double target, std::int64_t steps,
-                    std::int64_t attempts);
+                    std::int64_t attempts, bool limited);
 
   /// Does f change by more than half of itself over one spacing of t along y' = `slope`, and move a component by more
   /// than `tolerances` tolerances with that? For starts whose first step is shorter than t can represent.
@@ -96,7 +110,7 @@ class DiscontinuityDetector {
   [[nodiscard]] const std::vector<double>& found() const { return found_; }
   /// The time from which the solution sticks where f is discontinuous.
   [[nodiscard]] const std::optional<double>& sticks_since() const { return sticks_since_; }
-  [[nodiscard]] std::int64_t evaluations() const { return evaluations_ + evaluations_ahead_; }
+  [[nodiscard]] std::int64_t evaluations() const { return evaluations_ + evaluations_ahead_ + evaluations_passing_; }
 
   void state(Archive& archive);
 
@@ -105,6 +119,11 @@ class DiscontinuityDetector {
   /// where f is discontinuous all the time, as in sliding friction, these stay few.
   static constexpr bool may_search(std::int64_t attempts, std::int64_t evaluations) {
     return evaluations <= 256 + attempts / 4;
+  }
+
+  /// The same for what keeps steps over jumps accurate, which is worth a part of the attempt itself.
+  static constexpr bool may_pass(std::int64_t attempts, std::int64_t evaluations) {
+    return evaluations <= 1024 + attempts;
   }
 
  private:
@@ -123,7 +142,7 @@ class DiscontinuityDetector {
   int pause_ = 0;                    // calls that do not look
   std::int64_t evaluations_ahead_ = 0;
   std::optional<double> sticks_since_;
-  std::int64_t evaluations_ = 0;
+  std::int64_t evaluations_ = 0, evaluations_passing_ = 0;
 };
 
 }  // namespace invariode

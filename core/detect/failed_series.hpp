@@ -35,6 +35,11 @@ class FailedSeries {
   }
   [[nodiscard]] bool any() const { return state_.count > 0; }
 
+  /// Returns whether f may jump where a step of size h would pass.
+  [[nodiscard]] bool suspicious(double h) const {
+    return several <= state_.count && much_longer * std::abs(h) <= state_.longest;
+  }
+
   /// The step from (t0, y0) to t1 was accepted. True: it ends a series so long that f may jump between `from_t`, `from`
   /// and its end. y0 (n,) has that stride; `from` and `latest`, (n,) each, keep what they hold between calls.
   ///

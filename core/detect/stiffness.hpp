@@ -28,6 +28,9 @@ class StiffnessDetector {
     return true;
   }
 
+  /// Returns whether stability limited the step that was looked at last.
+  [[nodiscard]] bool limited() const { return free_ == 0 && streak_ > 0; }
+
   /// Nothing, unless most steps since then were limited.
   [[nodiscard]] Stiffness found() const {
     const bool most = 2 * limited_ > looks_;

@@ -25,9 +25,10 @@ constexpr double starting_fraction = 0.25;  // of √rtol: what the first step m
 
 }  // namespace
 
-Adams::Adams(Callback& f, const Weights& weights, int max_order)
+Adams::Adams(Callback& f, const Weights& weights, int max_order, double parts_seen)
     : Step(f, weights),
       max_order_(max_order),
+      parts_seen_(parts_seen),
       phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
       values_(5 * weights.size()) {
   double* next = values_.data();
@@ -290,29 +291,68 @@ Interpolate Adams::interpolate() const { return power_series; }
 std::size_t Adams::extension_size() const { return (static_cast<std::size_t>(previous_order_) + 2) * n(); }
 std::size_t Adams::max_extension_size() const { return (static_cast<std::size_t>(max_order_) + 2) * n(); }
 
-/// With θ = (t − t₀)/h, y' = Σ_j φ_{j+1} c_j(θ), c₀ = 1 and c_j = c_{j−1} (h/ψ_j) (θ + ψ_{j−1}/h − 1), ψ₀ = 0. Since
-/// ψ_j grows with j, the sizes of the coefficients of each c_j sum to at most 2: sums of powers lose no digits.
-Status Adams::extension(double* data) {
-  const std::size_t terms = static_cast<std::size_t>(previous_order_) + 1;
-  const double h = previous_h_;
+/// The polynomial through (t₁, y) and with the slope Σ_j φ_{j+1} c_j(θ), j < terms, in powers of θ = (t − t₀)/h:
+/// c₀ = 1 and c_j = c_{j−1} (h/ψ_j) (θ + ψ_{j−1}/h − 1), ψ₀ = 0. Since ψ_j grows with j, the sizes of the coefficients
+/// of each c_j sum to at most 2: sums of powers lose no digits. `data`: holds y (n,), and becomes the coefficients.
+/// `difference(j)`: φ_{j+1}.
+template <class Difference>
+void Adams::integrate_differences(std::size_t terms, double h, Difference difference, double* data) const {
   double c[highest_order + 2] = {1};  // coefficients of c_j
-  std::copy(y(), y() + n(), data);
-  std::fill(data + n(), data + extension_size(), 0);
+  std::fill(data + n(), data + (terms + 1) * n(), 0);
   for (std::size_t j = 0; j < terms; ++j) {
     if (j > 0) {
       const double shift = (j > 1 ? psi_[j - 1] / h : 0) - 1, scale = h / psi_[j];
       for (std::size_t m = j + 1; m-- > 0;) c[m] = scale * ((m > 0 ? c[m - 1] : 0) + shift * c[m]);
     }
-    const double* difference = phi(static_cast<int>(j) + 1);
+    const double* phi = difference(j);
     for (std::size_t m = 0; m <= j; ++m) {
       const double weight = h * c[m] / static_cast<double>(m + 1);
       double* coefficient = data + (m + 1) * n();
-      for (std::size_t i = 0; i < n(); ++i) coefficient[i] += weight * difference[i];
+      for (std::size_t i = 0; i < n(); ++i) coefficient[i] += weight * phi[i];
     }
   }
   for (std::size_t m = 1; m <= terms; ++m)
     for (std::size_t i = 0; i < n(); ++i) data[i] -= data[m * n() + i];
+}
+
+Status Adams::extension(double* data) {
+  std::copy(y(), y() + n(), data);
+  integrate_differences(
+      static_cast<std::size_t>(previous_order_) + 1, previous_h_,
+      [this](std::size_t j) { return phi(static_cast<int>(j) + 1); }, data);
   return Status::ok;
+}
+
+/// The attempt's polynomial has f(t₁, p) and the k values of f before it as slopes. The slope that f has at a point of
+/// it, less its own, is d of a step that ends there: the same test.
+Step::Attempt Adams::inspect_inside(const Attempt& attempt, double gap) {
+  const auto k = static_cast<std::size_t>(order_), terms = k + 1;
+  inside_.resize((max_degree() + 4) * n());
+  double *difference = inside_.data(), *point = difference + n(), *slope = point + n(), *powers = slope + n();
+  std::copy(candidate_, candidate_ + n(), powers);
+  integrate_differences(
+      terms, signed_h_,
+      [&](std::size_t j) -> const double* {
+        if (j == k) return defect_;
+        for (std::size_t i = 0; i < n(); ++i) difference[i] = phi(static_cast<int>(j) + 1)[i] + defect_[i];
+        return difference;
+      },
+      powers);
+  const int pieces = static_cast<int>(std::ceil(h_ / gap));
+  double error = attempt.error;
+  for (int piece = 1; piece < pieces; ++piece) {
+    const double theta = static_cast<double>(piece) / pieces;
+    power_series(powers, (terms + 1) * n(), n(), theta, point);
+    const Outcome outcome = evaluate(t_ + theta * signed_h_, point, slope);
+    if (outcome != Outcome::ok) return {outcome, std::numeric_limits<double>::quiet_NaN(), candidate_};
+    for (std::size_t i = 0; i < n(); ++i) {
+      double own = 0;  // h P'
+      for (std::size_t m = terms; m >= 1; --m) own = own * theta + static_cast<double>(m) * powers[m * n() + i];
+      slope[i] -= own / signed_h_;
+    }
+    error = std::max(error, h_ * norm(slope) * (g_[k] - g_[k + 1]));
+  }
+  return {attempt.outcome, error, attempt.y};
 }
 
 /// From p and y₁, both at t₁: f(t₁, y₁) − f(t₁, p) is φ_{k+1} − d, and y₁ − p is h g_{k+1} d and the correction.

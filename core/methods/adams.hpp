@@ -19,10 +19,13 @@ class Adams final : public Step {
  public:
   static constexpr int highest_order = 12;
 
-  Adams(Callback& f, const Weights& weights, int max_order = highest_order);
+  /// `parts_seen`: see `Step::parts_seen`. As ode113 is published, f is seen at the ends of steps only.
+  Adams(Callback& f, const Weights& weights, int max_order = highest_order, double parts_seen = 0);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
+  [[nodiscard]] double parts_seen() const override { return parts_seen_; }
+  Attempt inspect_inside(const Attempt& attempt, double gap) override;
   bool errors(double* out) const override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(max_order_) + 1; }
@@ -64,12 +67,15 @@ class Adams final : public Step {
   void restore();
   double compare_orders();
   void choose_order_and_step();
+  template <class Difference>
+  void integrate_differences(std::size_t terms, double h, Difference difference, double* data) const;
   [[nodiscard]] double norm(const double* v) const;
   Outcome evaluate(double t, const double* y, double* out);
   template <class Work>
   void for_each_block(Work work);
 
   int max_order_;
+  double parts_seen_;
   int order_ = 1;           // k of the next attempt
   int previous_order_ = 1;  // of the accepted step
   double previous_h_ = 0;   // signed; 0: forgotten
@@ -85,6 +91,7 @@ class Adams final : public Step {
   double erk_ = 0, erkm1_ = 0;  // estimated errors of orders k and k − 1
   int lower_ = 1;               // order that these estimates ask for: k, or less
   std::vector<double> phi_;     // φ_i, one after the other
+  std::vector<double> inside_;  // of an attempt that is inspected: its powers of θ, a point, f and a difference there
   std::vector<double> values_;
   double* weight_ = nullptr;     // w, of the start of the step
   double* candidate_ = nullptr;  // p, then y*

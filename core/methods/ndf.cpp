@@ -175,7 +175,8 @@ bool Ndf::misleading_jacobian() {
 }
 
 bool Ndf::reject(Cause cause, double hmin) {
-  if (cause == Cause::newton) return solver_.forget_other_factors() || retry_newton(hmin, newton_cut);
+  if (cause == Cause::newton)
+    return solver_.forget_other_factors() || retry_newton(hmin, newton_cut) || (h_ <= hmin && solver_.iterate_fully());
   if (h_ <= hmin) return false;
   const double h = !failed_ && cause == Cause::error ? retry_order_and_h() : 0.5 * h_;
   if (cause == Cause::error && misleading_jacobian()) solver_.renew();

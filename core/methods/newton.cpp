@@ -20,6 +20,7 @@ constexpr double noise_growth = 100;       // of |c|, after which a J that may b
 // 1e-6, by iterations that remove 6 % of a residual.)
 constexpr double most_left = 60, hardly = 0.03;
 // Where an iteration had converged that solved nothing, the next steps may leave so much less, in more iterations.
+constexpr int most_full_iterations = 25;
 constexpr int careful_steps = 10, careful_iterations = 20;
 constexpr double careful_part = 1e-3;
 
@@ -370,6 +371,7 @@ void Newton::restart() {
   convergence_.forget();
   sensitivity_convergence_.forget();
   last_c_.reset();
+  fully_ = false;
 }
 
 Outcome Newton::prepare(double c, double t1) {
@@ -393,9 +395,46 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
                              double* y) {
   assert(c != 0 && std::isfinite(c));
   place_ = {c, t1, y, w};
-  const Result result = solve_state(p, psi, d, y);
+  const Result result = fully_ ? solve_fully(p, psi, d, y) : solve_state(p, psi, d, y);
   if (result != Result::converged || extent().k == 0) return result;
   return solve_sensitivities(p, psi, d, y);
+}
+
+void Newton::step_accepted() {
+  AgingJacobian::step_accepted();
+  fully_ = false;
+}
+
+bool Newton::iterate_fully() {
+  if (fully_ || matrix_free() || jacobian().values.empty() || !has_factors()) return false;
+  return fully_ = renew();
+}
+
+/// Newton's iteration as it is in the books. What it converges to from p is a solution however J changes between.
+Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d, double* y) {
+  const auto [c, t1, place_y, w] = place_;
+  const std::size_t n = extent().n;
+  const auto norm = [&](const double* v) { return max_norm(n, [v, w = w](std::size_t i) { return v[i] / w[i]; }); };
+  std::fill(d, d + n, 0);
+  std::copy(p, p + n, y);
+  const double roundoff = Convergence::roundoff_units * eps * norm(p);
+  convergence_.begin(weights_.rtol(), roundoff, careful());
+  for (int k = 0; k < most_full_iterations; ++k) {
+    Result result = newton_result(evaluate_state(t1, y, f_value_.data()));
+    if (result == Result::converged && take_in_place(t1, y, f_value_.data()) == Status::stop) result = Result::stop;
+    if (result == Result::converged) result = newton_result(prepare(c, t1));
+    if (result != Result::converged) return result;
+    residual(c, psi, d, 0, n);
+    lu_->solve(residual_.data());
+    count_solve();
+    const double size = norm(residual_.data());
+    for (std::size_t i = 0; i < n; ++i) {
+      d[i] += residual_[i];
+      y[i] = p[i] + d[i];
+    }
+    if (size <= std::max(convergence_.goal(), roundoff)) return Result::converged;
+  }
+  return Result::failed;
 }
 
 Newton::Result Newton::solve_state(const double* p, const double* psi, double* d, double* y) {

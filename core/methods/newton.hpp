@@ -291,6 +291,11 @@ class Newton : public AgingJacobian {
 
   /// Memory as it is before any step.
   void restart();
+  /// Forgets what was decided for one step.
+  void step_accepted();
+  /// The iteration has failed in the shortest step: until one is accepted each iterate has a J of its own. False: that
+  /// has failed too, or would change nothing.
+  bool iterate_fully();
   /// From now on factors of sparse matrices, of which each costs as much as many steps, serve while c changes little
   /// (CVODE's rule). Not with sensitivities, nor for `damp`.
   void keep_factors();
@@ -313,6 +318,7 @@ class Newton : public AgingJacobian {
     const double *y, *w;
   };
 
+  Result solve_fully(const double* p, const double* psi, double* d, double* y);
   Result solve_state(const double* p, const double* psi, double* d, double* y);
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
@@ -332,6 +338,7 @@ class Newton : public AgingJacobian {
   Convergence convergence_, sensitivity_convergence_;
   Place place_{};
   bool keeps_factors_ = false;
+  bool fully_ = false;            // each iterate has its J, in the step in work
   std::optional<double> last_c_;  // for which the rate of convergence is known
   std::vector<double> f_value_, residual_, sum_;
   std::vector<double> before_, earlier_;    // residuals before the last update, and the one before; empty: matrix-free

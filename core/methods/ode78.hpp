@@ -55,7 +55,8 @@ inline constexpr std::array<std::array<double, 17>, 17> verner_A = {
 /// Verner, Numer. Algorithms 53 (2010) 383: the most efficient of his pairs of orders 8 and 7, whose thirteenth stage
 /// serves the error estimate only; f(t₁, y*) is appended. The extension of order 7 takes the first three of his further
 /// stages: on them the order conditions have exactly one solution, and it joins the steps with a continuous derivative.
-/// (Solved with 60 digits from 36 digits of A.)
+/// Where f jumps between the stages at 0.465 and 0.902, E gives a thousandth of the error: of the slopes before, it has
+/// hardly any. (Solved with 60 digits from 36 digits of A.)
 inline constexpr Tableau<14, 7, 3> verner_87{
     .name = "ode78",
     .summary = "Verner's (7,8) pair, for tight tolerances",
@@ -72,6 +73,7 @@ inline constexpr Tableau<14, 7, 3> verner_87{
     .A = detail::verner_A,
     .E = {-3.2721039010281375e-05, 0, 0, 0, 0, -0.0005046250618777704, 0.0001211723589784759, -20.142336771313868,
           5.2371785994398286, -8.156744408794658, 22.938283273988784, -0.2361324633071542, 0.36016794372897754},
+    .bends = {0, 6, 5, 8, 12},
     .B = detail::on_hermite(detail::verner_A[13], 13, detail::verner_D),
 };
 

@@ -31,6 +31,9 @@ constexpr int steps_before_raise = 10;  // steps at a lower order before it may 
 constexpr double most_growth = 1.5;     // of h, with which the order rises: where h grows faster, no error limits it
 constexpr double seven_stages_from = 1e-7;  // rtol: above it 7 stages cost more than they gain
 
+// Parts of the interval in each of which f is seen: formulas of order 5 see it about as often at 1e-6 (test_pulses.py).
+constexpr double parts_seen_by_radau = 128;
+
 /// Returns the factor by which the estimate magnifies errors of the increments.
 double amplification(const RadauFormula& formula) {
   double sum = 0;
@@ -283,15 +286,6 @@ Newton::Result Radau::damp_error() {
 
 Step::Attempt Radau::inspect_extension(const Attempt&) {
   double* defect = residuals_.data() + n();
-  const Newton::Result result = filter_defect(defect);
-  if (result == Newton::Result::converged) error_ = std::max(error_, norm(defect));
-  return proposal(result);
-}
-
-/// (M − (h/μ) J)⁻¹ (h/μ) (f(P) − M P') where the polynomial P is farthest from what it interpolates. Where J is large,
-/// and in algebraic equations, that is y − P; for y' = λ (y − t^{s+1}) + (s+1) t^s with any λ < 0 it is 0.8 to 1.15
-/// times the largest error of P.
-Newton::Result Radau::filter_defect(double* defect) {
   std::copy(y_.begin(), y_.end(), scratch_.begin());
   std::fill(gap_.begin(), gap_.end(), 0);
   for (std::size_t stage = 0; stage < stages(); ++stage) {
@@ -301,7 +295,50 @@ Newton::Result Radau::filter_defect(double* defect) {
       gap_[i] += slope * Z(stage)[i];
     }
   }
-  const double t = t_ + formula_->farthest * signed_h_, c = signed_h_ / formula_->mu;
+  const Newton::Result result = filter_defect(formula_->farthest, defect);
+  if (result == Newton::Result::converged) error_ = std::max(error_, norm(defect));
+  return proposal(result);
+}
+
+double Radau::parts_seen() const { return parts_seen_by_radau; }
+
+/// Between the stages, and between the start and the first of them.
+Step::Attempt Radau::inspect_inside(const Attempt&, double gap) {
+  inside_.resize(highest_->stages * n());
+  formula_->transform(formula_->coefficients, n(), increments_.data(), inside_.data());
+  double* defect = residuals_.data() + n();
+  double before = 0;
+  for (std::size_t stage = 0; stage < stages(); ++stage) {
+    const double node = formula_->nodes[stage];
+    const int pieces = static_cast<int>(std::ceil((node - before) * h_ / gap));
+    for (int piece = 1; piece < pieces; ++piece) {
+      const double theta = before + (node - before) * piece / pieces;
+      for (std::size_t i = 0; i < n(); ++i) {  // P and h P' / μ, by nested multiplication
+        double value = 0, slope = 0;
+        for (std::size_t j = stages(); j-- > 0;) {
+          const bool even = j % 2 == 0;
+          const double factor = even ? theta : 1 - theta;
+          value += inside_[j * n() + i];
+          slope = factor * slope + (even ? value : -value);
+          value *= factor;
+        }
+        scratch_[i] = y_[i] + value;
+        gap_[i] = slope / formula_->mu;
+      }
+      const Newton::Result result = filter_defect(theta, defect);
+      if (result != Newton::Result::converged) return proposal(result);
+      error_ = std::max(error_, norm(defect));
+    }
+    before = node;
+  }
+  return proposal(Newton::Result::converged);
+}
+
+/// (M − (h/μ) J)⁻¹ (h/μ) (f(P) − M P') where the polynomial P is farthest from what it interpolates. Where J is large,
+/// and in algebraic equations, that is y − P; for y' = λ (y − t^{s+1}) + (s+1) t^s with any λ < 0 it is 0.8 to 1.15
+/// times the largest error of P.
+Newton::Result Radau::filter_defect(double theta, double* defect) {
+  const double t = t_ + theta * signed_h_, c = signed_h_ / formula_->mu;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t, scratch_.data(), residuals_.data()));
   if (evaluated != Newton::Result::converged) return evaluated;
   const double* rate = gap_.data();

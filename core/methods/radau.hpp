@@ -31,6 +31,8 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   Attempt inspect_extension(const Attempt& attempt) override;
+  [[nodiscard]] double parts_seen() const override;
+  Attempt inspect_inside(const Attempt& attempt, double gap) override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
@@ -74,7 +76,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Newton::Result estimate();
   void multiply_by_mass(const std::vector<double>& v, std::vector<double>& out);
   Newton::Result damp_error();
-  Newton::Result filter_defect(double* defect);
+  Newton::Result filter_defect(double theta, double* defect);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
   Newton::Result look_at_end();
@@ -101,6 +103,7 @@ class Radau final : public ImplicitBase<RadauSystems> {
   std::vector<double> end_f_;         // f at (t₁, candidate), where it is known
   bool end_known_ = false;
   std::vector<double> gap_, scratch_;
+  std::vector<double> inside_;              // the polynomial of an attempt that is inspected, in nested form
   std::vector<double> residual_, earlier_;  // of the last stage, before the last update and the one before
   double memory_h_ = 0;                     // signed h of the polynomial; 0 before the first step
   double last_h_ = 0, last_error_ = 0;      // |h| and error of the last accepted step; 0: there was none

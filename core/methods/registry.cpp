@@ -17,6 +17,10 @@
 namespace invariode {
 namespace {
 
+/// Parts of the interval in each of which auto sees f with its explicit member, which otherwise does at the ends of
+/// steps only: about as many as LSODA does at 1e-6, for as many evaluations.
+constexpr double parts_seen_by_member = 64;
+
 template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
                                 const LinearAlgebra&, SystemSeries*) {
@@ -32,7 +36,8 @@ std::unique_ptr<Step> make_nystrom(const Method&, Callback& f, const Weights& we
 
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
                                  const LinearAlgebra&, SystemSeries*) {
-  return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order);
+  return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order,
+                                 given.member ? parts_seen_by_member : 0);
 }
 
 std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
@@ -74,6 +79,7 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
   const auto [explicit_one, implicit_one] = members(given);
   MethodOptions own = given;
   own.max_order = 0;  // each goes up to its own
+  own.member = true;
   Switching::Members two;
   if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear, series);
   if (linear.jacobian != nullptr) {

@@ -23,6 +23,7 @@ struct MethodOptions {
   Fsal fsal = Fsal::reuse;
   int max_order = 0;                        ///< highest order of the formulas; 0: the method's own
   bool bdf = false;                         ///< backward differentiation formulas instead of NDFs
+  bool member = false;                      ///< of a method that takes turns
   bool projected = false;                   ///< the steps are projected, which Newton's iteration does not see
   std::size_t state = 0;                    ///< doubles of a state, of which sensitivities are several; 0: there is one
   const Method* prefer_explicit = nullptr;  ///< of those that take turns; null: see `members`

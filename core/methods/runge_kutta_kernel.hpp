@@ -18,6 +18,12 @@ inline constexpr double largest_growth = 5;  // of h after a success
 // (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
 inline constexpr double largest_slope = 100;
 
+// Where f jumps inside a step, a divided difference of its slopes is as large as a lower one; where f is smooth, it is
+// smaller: of five stages of ode78, for which a jump anywhere makes the quotient 0.6 to 1.2
+// (tests/native/tableaux.cpp).
+inline constexpr double bend_of_jump = 0.5;
+inline constexpr double harmless_bend = 20;  // of |h| times the difference, in units of rtol
+
 /// |h| after a success without failures before it, `root` = (error / rtol)^{1/q}.
 template <class Real>
 Real grown(const Real& h, const Real& root) {
@@ -109,6 +115,20 @@ struct Kernel {
       return combined_error(norm.value(), crude.value());
     else
       return norm.value();
+  }
+
+  /// ‖D₄ k‖ and ‖D₂ k‖, of divided differences over the stages `T.bends`, all five and the first, third and last of
+  /// them, each scaled so that it is at most 1 where the slopes jump from 0 to 1.
+  template <class Weight>
+  static std::array<Real, 2> bends(const Stages& k, std::size_t n, Weight weight) {
+    static constexpr auto b = bend_weights<T>();
+    Norm high, low;
+    for (std::size_t i = 0; i < n; ++i) {
+      const Real w = weight(i);
+      high.add(dot<T.stages>(k, [](auto j) { return b.high[j]; }, i) / w);
+      low.add(dot<T.stages>(k, [](auto j) { return b.low[j]; }, i) / w);
+    }
+    return {high.value(), low.value()};
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.

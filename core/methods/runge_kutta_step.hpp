@@ -72,6 +72,15 @@ class RungeKuttaStep final : public Step {
     return {outcome, error_, candidate_};
   }
 
+  [[nodiscard]] Trust trust() const override {
+    if constexpr (T.watches_bends()) {
+      const auto weight = [this](std::size_t i) { return weights_.at(i, y_[i], candidate_[i]); };
+      const auto [bend, low] = Kernel::bends(k_, n(), weight);
+      if (h_ * bend > harmless_bend * weights_.rtol() && bend > bend_of_jump * low) return Trust::never;
+    }
+    return Trust::unless_suspicious;
+  }
+
   bool errors(double* out) const override {
     Kernel::errors(purified_, k_, n(), out);
     return true;

@@ -99,6 +99,7 @@ void Switching::begin_turn() {
 Outcome Switching::hand_over(const Span& span) {
   const bool looks = explicit_ && matrix_free_ && active_ == implicit_.get() && turn_.steps % new_radius == 0;
   if (looks && find_radius() == Status::stop) return Outcome::stop;
+  if (explicit_ && implicit_ && stays_) wanted_ = active_ == implicit_.get();
   if (!wanted_ || !pays(std::abs(span.tf - t_))) return Outcome::ok;
   wanted_ = false;
   const bool to_implicit = active_ == explicit_.get();

@@ -36,8 +36,12 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
 
   Outcome start(double t, const double* y, const Span& span) override;
   Outcome hand_over(const Span& span) override;
+  void stay_explicit() override { stays_ = true; }
   Attempt attempt(double h, double t1) override { return active_->attempt(h, t1); }
   Attempt inspect_extension(const Attempt& attempt) override { return active_->inspect_extension(attempt); }
+  [[nodiscard]] double parts_seen() const override { return explicit_ ? explicit_->parts_seen() : 0; }
+  Attempt inspect_inside(const Attempt& attempt, double gap) override { return active_->inspect_inside(attempt, gap); }
+  [[nodiscard]] Trust trust() const override { return active_->trust(); }
   bool errors(double* out) const override { return active_->errors(out); }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
@@ -103,6 +107,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   const Callback* state_f_;
   Turn turn_;
   bool wanted_ = false;  // the other member
+  bool stays_ = false;   // with the explicit member; the loop says so in every step
   std::int64_t switches_ = 0;
   double least_trial_threshold_, trial_threshold_;  // evaluations of f before a trial of the implicit member
   double explicit_calls_ = 0, implicit_calls_ = 0;  // per step, lately; 0: there was none

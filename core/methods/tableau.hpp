@@ -40,6 +40,9 @@ struct Tableau {
   std::array<std::array<double, all_stages>, all_stages> A;
   std::array<double, Stages> E;
   std::array<double, Stages> crude{};
+  /// Five accurate stages in the order of their times, from 0 to 1, whose slopes tell a jump of f in the step, where E
+  /// may not: see `Kernel::bends`. None: E tells.
+  std::array<std::size_t, 5> bends{};
   std::array<std::array<double, Degree>, all_stages> B;
 
   [[nodiscard]] constexpr std::array<double, all_stages> b() const { return A[Stages - 1]; }
@@ -49,6 +52,7 @@ struct Tableau {
     for (std::size_t k = 0; k < Stages; ++k) w[k] -= estimate[k];
     return w;
   }
+  [[nodiscard]] constexpr bool watches_bends() const { return bends[4] != 0; }
   /// Returns whether f(t₁, y*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E[Stages - 1] != 0; }
 };

@@ -116,6 +116,17 @@ TEST(the_orders_claimed_are_the_orders_reached) {
   for_each_pair([](const auto& table) { check_order_is_sharp(table); });
 }
 
+TEST(a_jump_of_slopes_anywhere_makes_the_divided_differences_alike) {
+  static constexpr auto b = runge_kutta::bend_weights<verner_87>();
+  double high = 0, low = 0;  // of slopes 1 up to a stage and 0 after it
+  for (const std::size_t stage : {verner_87.bends[0], verner_87.bends[1], verner_87.bends[2], verner_87.bends[3]}) {
+    high += b.high[stage];
+    low += b.low[stage];
+    CHECK(std::abs(high) <= 1 + tableau_roundoff && std::abs(low) <= 1 + tableau_roundoff);
+    CHECK(0.6 < std::abs(high / low) && std::abs(high / low) < 1.2);
+  }
+}
+
 TEST(every_rooted_tree_is_visited_once_with_its_density) {
   // Numbers of rooted trees: Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.2 (OEIS A000081). The density is least for
   // the bush, r, and largest for the chain, r!.

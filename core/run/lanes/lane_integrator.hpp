@@ -231,6 +231,13 @@ class LaneIntegrator {
     accepted = accepted & ~looks;
     row(Rows::rests) = P(0);
     doubted_ = inside_ = cut_ = 0;
+    unsigned missing = 0;  // may miss a jump of f
+    if constexpr (Stepper::may_miss_jumps) {
+      missing = bits(accepted & stepper_.bends(step, candidate_, nearly)) | passes_series(bits(accepted), step);
+      const M left = to_mask<W>(missing);
+      odd = odd | left;
+      accepted = accepted & ~left;
+    }
     if (holds()) project(accepted, step);
     const M undefined = accepted & stepper_.finish(step);
     odd = odd | undefined;
@@ -240,6 +247,7 @@ class LaneIntegrator {
     decide(accepted, step, error, hmin);
     odd = odd | (~accepted & (absolute(step.h) <= hmin)) | (P(StepLook::long_streak) <= row(Rows::limited));
     reached_ = bits(accepted & aim.lands) | cut_;
+    jumping_ |= missing;
     odd_ = bits(odd) | doubted_ | inside_ | jumping_;
     if (job_.max_steps < infinity) odd_ |= bits(P(job_.max_steps) <= row(Rows::steps)) & ~reached_;
   }
@@ -343,6 +351,14 @@ class LaneIntegrator {
       in_series_ = series.any() ? in_series_ | one_lane(l) : in_series_ & ~one_lane(l);
     });
     return jumping;
+  }
+  /// Lanes in a series of failures in which a step is about to be accepted where f may jump.
+  [[nodiscard]] unsigned passes_series(unsigned accepted, const LaneStep<W>& step) const {
+    unsigned passing = 0;
+    for_each_lane(occupied_ & accepted & in_series_, [&](int l) {
+      if (series_[l].suspicious(step.t1.lanes()[l] - step.t0.lanes()[l])) passing |= one_lane(l);
+    });
+    return passing;
   }
   bool jumps(int l, double t1, const P* y1) {
     const auto attempts = static_cast<std::int64_t>(lane(l)[Rows::steps] + lane(l)[Rows::failed]);

@@ -78,6 +78,16 @@ class LanePair {
     return absolute(at.purified) * Kernel::error(k_, job_.all, weight(thresholds_, y_, candidate));
   }
 
+  /// Returns where single runs look for a jump of f that the errors may not show, and nearly where they do
+  /// (`RungeKuttaStep::trust`).
+  static constexpr bool may_miss_jumps = true;
+  M bends(const LaneStep<W>& step, const P* candidate, double nearly) {
+    if constexpr (!T.watches_bends()) return no_lane<W>();
+    const auto [bend, low] = Kernel::bends(k_, job_.all, weight(thresholds_, y_, candidate));
+    return (P(nearly * runge_kutta::harmless_bend * job_.rtol) <= absolute(step.purified) * bend) &
+           (nearly * runge_kutta::bend_of_jump * low <= bend);
+  }
+
   /// Evaluates the rest at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     if constexpr (T.last_in_error()) return no_lane<W>();

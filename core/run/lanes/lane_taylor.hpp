@@ -29,6 +29,7 @@ class LaneTaylor {
 
  public:
   static constexpr int width = W;
+  static constexpr bool may_miss_jumps = false;
   static constexpr int fewest_lanes = 1;  // series in a whole register take no longer than one alone
   static constexpr std::string_view name = "taylor";
 
