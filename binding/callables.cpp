@@ -323,9 +323,11 @@ Callback Functions::state_valued(nb::handle f, const std::string& name) {
              space_.complex);
 }
 
-Callback Functions::slope(nb::handle f, const std::string& name) {
+Callback Functions::slope(nb::handle f, const std::string& name, std::size_t delays) {
   const std::size_t first = owned_.size();
-  const Callback callback = state_valued(f, name);
+  const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(delays);
+  const Callback callback = add(f, args_, name, {.rows = n, .complex = space_.complex},
+                                Takes{.n = n, .second = rows * n, .second_rows = rows, .complex = space_.complex});
   exchangeable_ = owned_.size() == first ? nullptr : dynamic_cast<PythonFunction*>(owned_.back().get());
   postpone_overflows_from(first);
   return callback;

@@ -140,11 +140,12 @@ struct Returns {
 };
 
 /// The arguments that a Python function takes after t: a vector of n numbers, or a matrix with rows of n, or that and a
-/// second one, a vector, one behind the other.
+/// second one, a vector or a matrix with rows of n, one behind the other.
 struct Takes {
   std::ptrdiff_t n;
-  std::ptrdiff_t rows = 0;  ///< 0: a vector
-  std::ptrdiff_t second = 0;
+  std::ptrdiff_t rows = 0;         ///< 0: a vector
+  std::ptrdiff_t second = 0;       ///< numbers of the second one; 0: there is none
+  std::ptrdiff_t second_rows = 0;  ///< 0: a vector
   bool complex = false;
   bool complex_time = false;  ///< t is the first of the complex numbers
 };
@@ -161,7 +162,8 @@ class Functions {
   /// f(t, y) -> state
   Callback state_valued(nb::handle f, const std::string& name);
   /// f, which `lend` can exchange if it is Python's, and whose overflows are postponed. One for all functions.
-  Callback slope(nb::handle f, const std::string& name);
+  /// `delays`: of so many states z, it is f(t, y, z), with z (delays, n).
+  Callback slope(nb::handle f, const std::string& name, std::size_t delays = 0);
   /// Puts a Python function and its further arguments in the place of the exchangeable one, which must be Python's.
   void lend(nb::object f, nb::tuple args);
   /// An event, f(t, y) -> number, or `count` events: truth values are conditions, 1 or −1.

@@ -78,9 +78,14 @@ Step::Attempt Adams::attempt(double h, double t1) {
   signed_h_ = h;
   h_ = std::abs(h);
   t1_ = t1;
-  weights_.fill(y(), weight_);
-  update_coefficients();
-  predict();
+  if (predicted_) {  // the attempt is repeated: back to p
+    const double weight = g_[static_cast<std::size_t>(order_) + 1];
+    for (std::size_t i = 0; i < n(); ++i) candidate_[i] -= h * (weight * defect_[i]);
+  } else {
+    weights_.fill(y(), weight_);
+    update_coefficients();
+    predict();
+  }
   const Outcome outcome = evaluate(t1, candidate_, defect_);
   if (outcome != Outcome::ok) {
     lower_ = order_;
@@ -292,26 +297,38 @@ std::size_t Adams::max_extension_size() const { return (static_cast<std::size_t>
 
 /// With θ = (t − t₀)/h, y' = Σ_j φ_{j+1} c_j(θ), c₀ = 1 and c_j = c_{j−1} (h/ψ_j) (θ + ψ_{j−1}/h − 1), ψ₀ = 0. Since
 /// ψ_j grows with j, the sizes of the coefficients of each c_j sum to at most 2: sums of powers lose no digits.
-Status Adams::extension(double* data) {
-  const std::size_t terms = static_cast<std::size_t>(previous_order_) + 1;
-  const double h = previous_h_;
+void Adams::extend(int order, double h, const double* end, const double* defect, double* data) const {
+  const std::size_t terms = static_cast<std::size_t>(order) + 1;
   double c[highest_order + 2] = {1};  // coefficients of c_j
-  std::copy(y(), y() + n(), data);
-  std::fill(data + n(), data + extension_size(), 0);
+  std::copy(end, end + n(), data);
+  std::fill(data + n(), data + (terms + 1) * n(), 0);
   for (std::size_t j = 0; j < terms; ++j) {
     if (j > 0) {
       const double shift = (j > 1 ? psi_[j - 1] / h : 0) - 1, scale = h / psi_[j];
       for (std::size_t m = j + 1; m-- > 0;) c[m] = scale * ((m > 0 ? c[m - 1] : 0) + shift * c[m]);
     }
-    const double* difference = phi(static_cast<int>(j) + 1);
+    const bool known = defect == nullptr || j + 1 < terms;  // the last difference of an attempt is the defect
+    const double* difference = known ? phi(static_cast<int>(j) + 1) : nullptr;
     for (std::size_t m = 0; m <= j; ++m) {
       const double weight = h * c[m] / static_cast<double>(m + 1);
       double* coefficient = data + (m + 1) * n();
-      for (std::size_t i = 0; i < n(); ++i) coefficient[i] += weight * difference[i];
+      for (std::size_t i = 0; known && i < n(); ++i) coefficient[i] += weight * difference[i];
+      for (std::size_t i = 0; defect != nullptr && i < n(); ++i) coefficient[i] += weight * defect[i];
     }
   }
   for (std::size_t m = 1; m <= terms; ++m)
     for (std::size_t i = 0; i < n(); ++i) data[i] -= data[m * n() + i];
+}
+
+Status Adams::extension(double* data) {
+  extend(previous_order_, previous_h_, y(), nullptr, data);
+  return Status::ok;
+}
+
+/// The differences that the step would leave, if f were at y* what it is at p.
+Status Adams::extension_of_attempt(double* data, std::size_t& size) {
+  size = (static_cast<std::size_t>(order_) + 2) * n();
+  extend(order_, signed_h_, candidate_, defect_, data);
   return Status::ok;
 }
 

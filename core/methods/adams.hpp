@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/initial_step.hpp"
 #include "step.hpp"
 
@@ -15,7 +16,7 @@ namespace invariode {
 /// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
 /// of the projected solution. Its continuous extension is the polynomial of [SG] 'INTRP', the integral of the
 /// polynomial that interpolates f at t₁ and at the k points before it, in powers of θ.
-class Adams final : public Step {
+class Adams final : public Step, public DelayInterface {
  public:
   static constexpr int highest_order = 12;
 
@@ -37,6 +38,8 @@ class Adams final : public Step {
   [[nodiscard]] int degree() const override { return previous_order_ + 1; }
   [[nodiscard]] int max_degree() const override { return max_order_ + 1; }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool remembers_slopes() const override { return true; }
 
   [[nodiscard]] int order() const override { return previous_order_; }
   [[nodiscard]] double stability() const override;
@@ -59,6 +62,7 @@ class Adams final : public Step {
     return static_cast<std::size_t>(i - 1) * n();
   }
 
+  void extend(int order, double h, const double* end, const double* defect, double* data) const;
   void update_coefficients();
   void predict();
   void restore();

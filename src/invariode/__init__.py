@@ -42,6 +42,7 @@ if _typing.TYPE_CHECKING:
     from ._dae.solve import decic, ode15i, solve_dae
     from ._mechanics.system import MechanicalSystem
     from ._results.citations import cite
+    from ._solve.delays import dde23
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
     from ._studies.fit.experiment import Experiment
@@ -111,6 +112,7 @@ __all__ = [
     "cite",
     "compile",
     "complex_ode",
+    "dde23",
     "decic",
     "find_invariants",
     "fit",
@@ -133,6 +135,7 @@ _LATER = {
     "Dae": "._dae.dae",
     "Start": "._dae.dae",
     "DaeSolution": "._dae.solution",
+    "dde23": "._solve.delays",
     "decic": "._dae.solve",
     "ode15i": "._dae.solve",
     "solve_dae": "._dae.solve",

@@ -39,6 +39,7 @@ from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints
+from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
@@ -93,6 +94,7 @@ class Description:
     breakpoints: list[Breakpoint]
     name: str
     bounds: Bounds | None
+    delays: Delays | None
     sensitivities: Sensitivities | None
     records_events: bool
     second_order: bool
@@ -123,22 +125,22 @@ class Description:
         sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
         breakpoints: BreakpointsLike | None = None,
+        delays: DelaysLike | None = None,
+        history: HistoryLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        called, span, start, extra = _posed(_filled(fun, inplace), t_span, y0, _args_or(parameters, args))
+        given_args = _args_or(parameters, args)
+        y0 = start_of(y0, history, t_span, given_args)
+        called, span, start, extra = _posed(_filled(fun, inplace, delays is not None), t_span, y0, given_args)
         jac, jac_sparsity, mass = map(own_matrix, (jac, jac_sparsity, mass))
         named = None if labels is None else distinct_labels(labels, len(start))
-        given = {
-            "jac": jac,
-            "jac_sparsity": jac_sparsity,
-            "lband": lband,
-            "uband": uband,
-            "mass": mass,
-            "nonnegative": nonnegative,
-            "bounds": bounds,
-        }
-        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, *given.values())
+        given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
+        given |= {"nonnegative": nonnegative, "bounds": bounds}
+        points = [] if breakpoints is None else to_breakpoints("breakpoints", breakpoints)
+        fed_by = to_inputs(inputs, span)
+        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, delays)
+        others = (*others, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
@@ -147,8 +149,9 @@ class Description:
             invariants=to_invariants(invariants),
             events=_checked_events(events),
             matrices=to_matrices(jac, jac_sparsity, lband, uband, mass, start),
-            inputs=to_inputs(inputs, span),
-            breakpoints=[] if breakpoints is None else to_breakpoints("breakpoints", breakpoints),
+            inputs=fed_by,
+            breakpoints=points,
+            delays=to_delays(delays, history, called, span, start, extra, named, len(fed_by)),
             name=_named(name, called),
             bounds=to_bounds(nonnegative, bounds, start, named),
             sensitivities=to_sensitivities(sensitivities),
@@ -192,14 +195,16 @@ class Description:
     def inplace(self) -> bool:
         """f is given as a function that fills its third argument."""
         fun = self.fun.fun if isinstance(self.fun, SecondOrder) else self.fun
-        return isinstance(fun, Filling)
+        return isinstance(fun, (Filling, FillingOfPast))
 
     @cached_property
     def _parameters(self) -> tuple[ParameterName, ...]:
         if self.sensitivities is None:
             return ()
         named = self.sensitivities.names
-        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.inputs))
+        return named(
+            self.fun, self.args, self._labels, len(self.y0), first=(2 if self.delays is None else 3) + len(self.inputs)
+        )
 
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
@@ -226,9 +231,19 @@ class Description:
         return self
 
     @property
+    def before_args(self) -> list[Any]:
+        """The arguments of f between y and `args`: delayed values, of which nothing is known here, and inputs."""
+        return [*([] if self.delays is None else [None]), *self.inputs]
+
+    def require_no_delays(self, what: str) -> None:
+        """Raise an error if the problem has delays; `what` is not defined for them."""
+        if self.delays is not None:
+            raise ValueError(f"{what} is for problems without delays: here f depends on the past of y")
+
+    @property
     def slope(self) -> Slope:
         """f as runs call it."""
-        return Slope(self.fun, self.inputs, self.args)
+        return Slope(self.fun, self.inputs, self.args, self.delays)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A copy of this problem with some arguments changed.
@@ -267,6 +282,8 @@ class Description:
             "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "breakpoints": self.breakpoints or None,
+            "delays": None if self.delays is None else self.delays.given,
+            "history": None if self.delays is None else self.delays.history,
             "name": self._title,
             "labels": self._labels,
         }
@@ -335,10 +352,12 @@ def _as_called(fun: Any, y0: Array) -> Any:
     return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
 
 
-def _filled(fun: Any, inplace: bool) -> Any:
+def _filled(fun: Any, inplace: bool, delayed: bool = False) -> Any:
     """Return f as a function that returns its values, if it is given as one that fills an array."""
     if not flag("inplace", inplace):
         return fun
+    if delayed and callable(fun) and not is_native(fun):
+        return fun if isinstance(fun, FillingOfPast) else FillingOfPast(fun)
     if isinstance(fun, SecondOrder):
         return SecondOrder(_filled(fun.fun, inplace))
     if isinstance(fun, Filling) or (isinstance(fun, CompiledFunction) and fun.inplace):

@@ -146,6 +146,8 @@ class RunOrigin:
         """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
         equation."""
         problem, options = self.source.problem, self.source.options
+        if problem.delays is not None:
+            return None
         known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
         if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
             return None
@@ -200,7 +202,7 @@ class RunOrigin:
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
         problem = self.source.problem
-        if problem.matrices.mass is not None:
+        if problem.matrices.mass is not None or problem.delays is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 

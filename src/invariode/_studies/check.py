@@ -168,6 +168,7 @@ def checked_at(
     given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
 ) -> CheckReport:
     """Return the report on the invariants of a problem at a point."""
+    given.require_no_delays("a check of invariants at a point")
     extra, listed = given.args, given.invariants
     least, threshold, scale = tolerances(rtol, atol, point)
     bound = bind(listed, at, point, extra, threshold)
