@@ -184,7 +184,8 @@ class Functions {
   MatrixFunction matrix(nb::handle f);
   // Of a state with sensitivities to k parameters, Y of 1 + k states; without args.
   /// f(t, Y) -> (k, state)
-  Callback of_sensitivities(nb::handle f, const std::string& name, std::size_t k);
+  /// `delays`: each row of Y has so many delayed states behind its own.
+  Callback of_sensitivities(nb::handle f, const std::string& name, std::size_t k, std::size_t delays = 0);
   /// f(t, Y) -> (k, m)
   Callback tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m);
   /// f(t, Y, state) -> (k, state)

@@ -186,7 +186,8 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
   require_one_each(spec.breakpoints.size(), problem.breakpoints.size(), "breakpoints");
   Variations& variations = problem.variations.emplace();
   variations.k = spec.k;
-  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k);
+  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k,
+                                                problem.delays ? problem.delays->lags.size() : 0);
   variations.tolerance = spec.thresholds;
   variations.error_test = spec.error_test;
   variations.quadratures = spec.quadratures;
@@ -213,7 +214,7 @@ Landings make_landings(const LandingsSpec& spec) {
 
 DelayTerms make_delays(const DelaysSpec& spec, Functions& functions) {
   require(spec.parameters.size() == spec.lags.size(), "delays have not one number of a parameter each");
-  DelayTerms terms{.lags = {}, .constant = spec.constant, .history = {}, .jumps = spec.jumps};
+  DelayTerms terms{.lags = {}, .constant = spec.constant, .history = {}, .jumps = spec.jumps, .rates = spec.rates};
   for (std::size_t j = 0; j < spec.lags.size(); ++j) {
     const std::int64_t number = spec.parameters[j];
     terms.lags.push_back({spec.lags[j], number < 0 ? std::nullopt : std::optional(static_cast<std::size_t>(number))});
@@ -434,14 +435,16 @@ void define_delays(nb::module_& module) {
       .def(
           "__init__",
           [](DelaysSpec* self, std::vector<double> lags, std::vector<std::int64_t> parameters,
-             std::vector<double> constant, nb::object history, std::vector<double> jumps) {
-            new (self) DelaysSpec{std::move(lags), std::move(parameters), std::move(constant), std::move(history),
-                                  std::move(jumps)};
+             std::vector<double> constant, nb::object history, std::vector<double> jumps, std::vector<double> rates) {
+            new (self) DelaysSpec{std::move(lags),    std::move(parameters), std::move(constant),
+                                  std::move(history), std::move(jumps),      std::move(rates)};
           },
           nb::arg("lags"), nb::arg("parameters"), nb::arg("constant"), nb::arg("history").none(), nb::arg("jumps"),
+          nb::arg("rates"),
           "lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if "
           "it "
-          "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps.");
+          "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. "
+          "rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.");
 }
 
 void define_description(nb::module_& module) {

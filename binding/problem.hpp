@@ -111,6 +111,7 @@ struct DelaysSpec {
   std::vector<double> constant;
   nb::object history;
   std::vector<double> jumps;
+  std::vector<double> rates;  // ∂τ_j/∂p, (lags, k), with sensitivities
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {history}); }
 };

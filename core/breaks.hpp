@@ -39,6 +39,8 @@ class Breaks {
   [[nodiscard]] const Mark* only_mark(double t) const;
   /// The order of the derivative that jumps at t, if the solution goes on: that of the mark, or 1.
   [[nodiscard]] int level(double t) const;
+  /// ∂t/∂p of the mark at t, (k,); of anything else there, whose time is fixed, zeros.
+  [[nodiscard]] std::vector<double> rates(double t, std::size_t k) const;
   /// Is the next breakpoint or landing at t, or so close to it that no step fits between?
   [[nodiscard]] bool at(double t) const { return at_breakpoint(t) || at_landing(t); }
   [[nodiscard]] bool at_breakpoint(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }

@@ -49,7 +49,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
       jumps_({events_, breaks_, manifold_, initial_checks_, report_, emitter_.output.occurrences},
-             std::move(functions.consistent), std::move(functions.consistent_tangent), extent_),
+             std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f, extent_),
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
@@ -556,11 +556,17 @@ bool Integration::land(const Landing& at) {
   limits_.look_soon();
   State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
   bool jumps = at.acts, varies = false;
+  const int level = breaks_.level(t);
+  const std::vector<double> rates = delays_ == nullptr ? std::vector<double>() : breaks_.rates(t, extent_.k);
   if (at.breaks && state == State::running) {
     if (!at.noted && !note_values()) return take_back();
     varies = breaks_.landing_jump() && breaks_.at_landing(t);
+    const bool moves = level <= 1 && std::ranges::any_of(rates, [](double one) { return one != 0; });
+    if (moves && jumps_.note_slope(t, Y) == Status::stop) return end(State::interrupted);
     begin_piece();
     if (varies) state = jumps_.at_landing(t, Y);
+    if (moves && jumps_.at_moving_mark(t, rates, Y) == Status::stop) return end(State::interrupted);
+    varies = varies || moves;
     if (state == State::running) state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
     jumps = jumps || jumps_.acted() || jumps_.moved();
   }
@@ -573,7 +579,7 @@ bool Integration::land(const Landing& at) {
     return take_back();
   }
   if (delays_ != nullptr) {
-    if (!mark_images(t, jumps ? 0 : breaks_.level(t))) return take_back();
+    if (!mark_images(t, jumps ? 0 : level, rates)) return take_back();
     begin_piece();  // again, since it may end at one of them
   }
   if (jumps || (varies && !jumps_.others())) return go_on_from_jump();
@@ -586,17 +592,22 @@ bool Integration::land(const Landing& at) {
 bool Integration::begin_past(const double* y) {
   bool jumps = false;
   if (!unless_stopped(delays_->begin(no_steps(), y, jumps))) return false;
+  const std::vector<double> fixed(extent_.k);
   for (const double t : history_jumps_)
-    if (!mark_images(t, 0)) return false;
-  return mark_images(settings_.t0, jumps ? 0 : 1);
+    if (!mark_images(t, 0, fixed)) return false;
+  return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
 }
 
 /// A derivative of the solution jumps at t: where that comes back by a delay, the next one does.
-bool Integration::mark_images(double t, int level) {
-  if (level >= most_level_) return true;
-  for (const double tau : delays_->lags()) {
-    const double image = t + tau, spacing = std::max({ulp(t), ulp(tau), ulp(image)});
-    if (image >= settings_.t0 - spacing) breaks_.add({image, level + 1, spacing});
+bool Integration::mark_images(double t, int level, const std::vector<double>& rates) {
+  if (level >= most_level_ + (extent_.k > 0 ? 1 : 0)) return true;  // a derivative of S jumps one order earlier
+  for (std::size_t j = 0; j < delays_->lags().size(); ++j) {
+    const double tau = delays_->lags()[j];
+    Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = rates};
+    mark.spacing = std::max({ulp(t), ulp(tau), ulp(mark.t)});
+    for (std::size_t i = 0; i < mark.rates.size() && !delays_->rates(j).empty(); ++i)
+      mark.rates[i] += delays_->rates(j)[i];
+    if (mark.t >= settings_.t0 - mark.spacing) breaks_.add(mark);
   }
   if (breaks_.marks() <= most_marks) return true;
   report_.t = t;
@@ -607,13 +618,13 @@ bool Integration::mark_images(double t, int level) {
 bool Integration::goes_smoothly_on(double t) const {
   if (delays_ == nullptr) return false;
   const Mark* mark = breaks_.only_mark(t);
-  if (mark == nullptr || mark->level < 2) return false;
+  if (mark == nullptr || mark->level < (extent_.k > 0 ? 3 : 2)) return false;
   return !delayed_->remembers_slopes() || mark->level > step_->order() + 1;
 }
 
 /// Goes on through a mark: only the branch of the past changes.
 bool Integration::pass_mark() {
-  if (!mark_images(reached_.t, breaks_.level(reached_.t))) return false;
+  if (!mark_images(reached_.t, breaks_.level(reached_.t), breaks_.rates(reached_.t, extent_.k))) return false;
   begin_piece();
   return unless_stopped(emitter_.emit_times(reached_, false));
 }

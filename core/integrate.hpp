@@ -153,7 +153,7 @@ class Integration {
   bool find_events();
   bool record();
   bool begin_past(const double* y);
-  bool mark_images(double t, int level);
+  bool mark_images(double t, int level, const std::vector<double>& rates);
   [[nodiscard]] bool goes_smoothly_on(double t) const;
   bool pass_mark();
   bool emit(bool jumps_here);

@@ -276,16 +276,18 @@ WRONG = [
     ({"method": "radau", "jac": lambda t, y, z: [[0.0]]}, "formed by differences"),
     ({"method": "ode15s", "linear_solver": "gmres"}, "must be 'direct'"),
     ({"adjoint": True}, "adjoint equations look ahead"),
-    ({"sensitivities": "y0"}, "not supported yet"),
+    ({"sensitivities": "y0", "events": lambda t, y: y[0]}, "delays and events are not supported"),
+    ({"sensitivities": "y0", "y0": [1.0 + 0j]}, "delays and a complex y0 are not supported"),
+    ({"sensitivities": True, "args": (1.0,), "history": lambda t, a: a}, "a history that depends on args"),
     *(({"method": name}, f"'{name}' takes no delays") for name, about in iv.METHODS.items() if not about.delays),
 ]
 
 
 def test_what_is_wrong_or_not_supported_is_said():
     for given, words in WRONG:
-        options = {"t_span": (0, 1), "method": "ode45", "delays": 1.0, "history": 1.0, **given}
+        options = {"t_span": (0, 1), "y0": [1.0], "method": "ode45", "delays": 1.0, "history": 1.0, **given}
         with pytest.raises((ValueError, TypeError), match=words):
-            iv.solve_ivp(decay, y0=[1.0], **options)
+            iv.solve_ivp(lambda t, y, z, *args: -z[0], **options)
     problem = iv.Problem(decay, (0, 1), [1.0], delays=1, history=1)
     with pytest.raises(ValueError, match="without delays"):
         iv.steady_state(problem)
@@ -303,3 +305,79 @@ def test_replace_changes_delays_and_their_history():
     other = plain.replace(delays=1.0, history=lambda t: 1.0, args=(1.0, 7.0))
     for problem in (plain, other, plain.replace(t_span=(0, 5)), other.replace(history=1)):
         assert abs(problem.solve("dop853", rtol=1e-10).y[0, -1] - series(5)) < 1e-9
+
+
+def after(t, y, z, tau):
+    return -z[0]
+
+
+@take_delays
+def test_the_derivative_with_respect_to_a_delay_jumps_with_the_marks(method):
+    """y' = -y(t - tau), y = 1 before 0 and 2 at 0, tau = 1: dy/dtau at 3.7 is -1.6465 by the method of steps; without
+    the jump of S at the image of the jump of y it is -1.19."""
+    rtol = 1e-6 if method in LOW_ORDER else 1e-10
+    sol = iv.solve_ivp(
+        after, (0, 3.7), [2.0], method, delays="tau", args=(1.0,), history=1, sensitivities="tau", rtol=rtol,
+        atol=1e-2 * rtol,
+    )  # fmt: skip
+    assert abs(sol.sensitivities[0, 0, -1] + 1.6465) < MOST_TOLERANCES * rtol
+
+
+def coupled(t, y, z, a, tau, b):
+    return [a * z[0, 1] - y[0] ** 3 * b, -z[1, 0] + np.sin(y[1])]
+
+
+@explicit_and_implicit
+@pytest.mark.parametrize("delays", [["tau", 1.0], ["tau", 0.02]])
+def test_sensitivities_are_derivatives_of_the_solution(method, delays):
+    """Against central differences of solutions at 1e-11, whose own errors are 1e-6; with a delay that steps exceed."""
+    args, y0, step = np.array([1.1, 0.7, 0.3]), np.array([0.5, 0.2]), 1e-4
+    problem = iv.Problem(
+        coupled, (0, 5), y0, delays=delays, history=lambda t: [np.cos(t), np.sin(t)], args=tuple(args),
+        sensitivities=["a", "tau", "b", "y0"],
+    )  # fmt: skip
+    S = problem.solve(method, rtol=1e-8, atol=1e-10).sensitivities[:, :, -1]
+
+    def end(p):
+        other = problem.replace(args=tuple(p[:3].tolist()), y0=p[3:], sensitivities=None)
+        return other.solve("dop853", rtol=1e-11, atol=1e-13).y[:, -1]
+
+    p = np.concatenate([args, y0])
+    D = np.column_stack([(end(p + one) - end(p - one)) / (2 * step) for one in step * np.eye(5)])
+    np.testing.assert_allclose(S, D, atol=1e-5 * np.abs(D).max())
+
+
+def test_a_fit_finds_a_delay():
+    rng, t = np.random.default_rng(5), np.linspace(0.3, 12, 40)
+    problem = iv.Problem(by_name, (0, 12), [1.0], delays="tau", history=1, args=(0.8, 1.1))
+    clean = problem.solve("dop853", t_eval=t, rtol=1e-9).y[0]
+    data = clean + 0.01 * rng.standard_normal(len(t))
+    start = problem.replace(args=(1.0, 0.9))
+    found = iv.fit(start, t, data, {"gain": (0.1, 3), "tau": (0.2, 3)}, method="dop853")
+    assert abs(found.parameters["tau"] - 1.1) < 0.02
+    assert abs(found.parameters["gain"] - 0.8) < 0.02
+
+
+def test_the_continuous_solution_is_the_history_before_the_start(tmp_path):
+    problem = iv.Problem(decay, (0, 2), [1.0], delays=1, history=math.cos)
+    sol = problem.solve("ode45", dense_output=True)
+    sol.save(tmp_path / "sol.npz")
+    for one in (sol, sol.extend(3), iv.load(tmp_path / "sol.npz", problem)):
+        np.testing.assert_array_equal(one.sol([-0.5, -0.1])[0], [math.cos(-0.5), math.cos(-0.1)])
+        assert one.sol(0.0)[0] == 1
+
+
+@explicit_and_implicit
+@pytest.mark.parametrize("compiled", [False, True])
+def test_prepared_solvers_and_ensembles_take_other_delays(method, compiled):
+    """Bit for bit the single solves, on several threads too."""
+    if compiled:
+        pytest.importorskip("llvmlite")
+    f = iv.compile(by_name) if compiled else by_name
+    problem = iv.Problem(f, (0, 5), [1.0], delays="tau", history=1, args=(1.0, 1.0))
+    rows = [(1.0, tau) for tau in (0.5, 1.0, 1.5)]
+    single = [problem.replace(args=row).solve(method).y[0, -1] for row in rows]
+    prepared = problem.prepare(method)
+    assert [prepared(args=row).y[0, -1] for row in rows] == single
+    found = problem.solve_ensemble(np.ones((3, 1)), args=rows, method=method, workers=2, keep="end")
+    assert found.y[:, 0, -1].tolist() == single

@@ -35,10 +35,13 @@ Delays::Delays(const DelayTerms& terms, std::span<const double> parameters, Exte
       t0_(t0),
       near_(terms.lags.size() + 1),
       in_(extent.n * (1 + terms.lags.size())),
+      rows_(extent.k == 0 ? 0 : extent.size() * (1 + terms.lags.size())),
       value_(extent.size()),
       here_(extent.size()),
       before_(compared.size() * extent.size()),
-      after_(compared.size() * extent.size()) {
+      after_(compared.size() * extent.size()),
+      beside_(extent.size()),
+      rate_(extent.n) {
   require(!terms.lags.empty(), "there are no delays");
   require(terms.constant.size() == extent.n || static_cast<bool>(terms.history), "delays have no history");
   for (const Lag& lag : terms.lags) {
@@ -47,7 +50,7 @@ Delays::Delays(const DelayTerms& terms, std::span<const double> parameters, Exte
     lags_.push_back(tau);
   }
   longest_ = *std::ranges::max_element(lags_);
-  shortest_ = *std::ranges::min_element(lags_);
+  require(terms.rates.empty() || terms.rates.size() == lags_.size() * extent.k, "delays have no rates of that size");
 }
 
 Callback Delays::within(const Callback& f) { return {&Delays::entry, &functions_.emplace_back(*this, f)}; }
@@ -56,6 +59,73 @@ Status Delays::entry(void* self, double t, const double* y, double* out) {
   auto& [delays, function] = *static_cast<Delayed*>(self);
   if (delays.arguments(t, y) == Status::stop) return Status::stop;
   return function(t, delays.in_.data(), out);
+}
+
+Callback Delays::augmented_within(const Callback& slope) {
+  return {&Delays::augmented_entry, &functions_.emplace_back(*this, slope)};
+}
+
+Status Delays::augmented_entry(void* self, double t, const double* Y, double* out) {
+  auto& [delays, slope] = *static_cast<Delayed*>(self);
+  if (delays.rows(t, Y) == Status::stop) return Status::stop;
+  return slope(t, delays.rows_.data(), out);
+}
+
+/// Delays that are short beside the attempt are taken from y.
+bool Delays::shifts(std::size_t j) const { return shift_ && h_ > short_beside * lags_[j]; }
+
+/// (y, z_1, …) and (S_i, ∂z_1/∂p_i, …) at t.
+Status Delays::rows(double t, const double* Y) {
+  const std::size_t n = extent_.n, width = n * (1 + lags_.size());
+  for (std::size_t r = 0; r <= extent_.k; ++r) std::copy_n(Y + r * n, n, rows_.data() + r * width);
+  bool here_known = false;
+  for (std::size_t j = 0; j < lags_.size(); ++j) {
+    if (at(t - lags_[j], near_[j], value_.data()) == Status::stop) return Status::stop;
+    if (shifts(j)) {
+      if (!here_known && at(t, near_.back(), here_.data()) == Status::stop) return Status::stop;
+      here_known = true;
+      for (std::size_t i = 0; i < value_.size(); ++i) value_[i] = Y[i] + (value_[i] - here_[i]);
+    }
+    for (std::size_t r = 0; r <= extent_.k; ++r)
+      std::copy_n(value_.data() + r * n, n, rows_.data() + r * width + (1 + j) * n);
+    const std::span<const double> moved = rates(j);
+    if (std::ranges::all_of(moved, [](double one) { return one == 0; })) continue;
+    if (slope_at(t - lags_[j], near_[j]) == Status::stop) return Status::stop;
+    for (std::size_t r = 1; r <= extent_.k; ++r) {
+      double* dz = rows_.data() + r * width + (1 + j) * n;
+      for (std::size_t i = 0; i < n; ++i) dz[i] -= rate_[i] * moved[r - 1];
+    }
+  }
+  return Status::ok;
+}
+
+/// y' at s, from five values of the polynomial there: their truncation is O(part⁴), below their roundoff. Those of the
+/// history are at times before t0.
+Status Delays::slope_at(double s, std::size_t& near) {
+  constexpr double part = 1e-3;
+  constexpr std::array<double, 5> central = {1.0 / 12, -8.0 / 12, 0, 8.0 / 12, -1.0 / 12};
+  constexpr std::array<double, 5> backward = {3.0 / 12, -16.0 / 12, 36.0 / 12, -48.0 / 12, 25.0 / 12};
+  const bool before = s < t0_ || !steps_, beyond = !before && s > steps_->knots().back();
+  const std::optional<Segment> segment = before || beyond ? std::nullopt : steps_->segment_at(s, near);
+  std::ranges::fill(rate_, 0);
+  if (before ? !terms_.constant.empty() : !beyond && !segment) return Status::ok;
+  const double scale = before ? longest_ : beyond ? std::abs(h_) : segment->t1 - segment->t0;
+  const double d = part * (scale > 0 ? scale : lags_.front());
+  const bool ends = before && s + 2 * d > t0_;
+  const std::array<double, 5>& weights = ends ? backward : central;
+  for (std::size_t i = 0; i < weights.size(); ++i) {
+    const double there = s + (static_cast<double>(i) - (ends ? 4 : 2)) * d;
+    if (before) {
+      if (history(there, beside_.data()) == Status::stop) return Status::stop;
+    } else if (beyond) {
+      ahead(there, beside_.data());
+    } else {
+      interpolant_->corrected(*segment, there, beside_.data());
+    }
+    for (std::size_t c = 0; c < extent_.n; ++c) rate_[c] += weights[i] / d * beside_[c];
+  }
+  if (beyond) looked_ahead_ = true;
+  return Status::ok;
 }
 
 /// (y, z_1, …, z_k) at t.
@@ -68,7 +138,7 @@ Status Delays::arguments(double t, const double* y) {
     double* to = extent_.k == 0 ? z : value_.data();
     if (at(t - lags_[j], near_[j], to) == Status::stop) return Status::stop;
     if (to != z) std::copy_n(to, n, z);
-    if (!shift_ || h_ <= short_beside * lags_[j]) continue;
+    if (!shifts(j)) continue;
     if (!here_known && at(t, near_.back(), here_.data()) == Status::stop) return Status::stop;
     here_known = true;
     for (std::size_t i = 0; i < n; ++i) z[i] = y[i] + (z[i] - here_[i]);
@@ -132,7 +202,7 @@ Status Delays::begin(DenseOutput no_steps, const double* y, bool& jumps) {
   y_.assign(y, y + extent_.size());
   steps_->start(t0_, y);
   if (history(t0_, value_.data()) == Status::stop) return Status::stop;
-  jumps = false;
+  jumps = extent_.k > 0;  // of S, which the history does not have
   for (std::size_t i = 0; i < extent_.n; ++i)
     jumps = jumps || !(std::abs(value_[i] - y[i]) <= units_of_jump * eps * std::max(std::abs(y[i]), smallest_scale));
   t_ = t0_;

@@ -28,6 +28,7 @@ struct DelayTerms {
   std::vector<double> constant;  ///< the history, (n,), where it is constant;
   Callback history;              ///< or else (t, anything) -> y, (n,), for t < t0
   std::vector<double> jumps;     ///< of the history, before t0
+  std::vector<double> rates;     ///< ∂τ_j/∂p, (lags, k), of a problem with sensitivities to k parameters
 };
 
 /// The past of a run, and its delayed functions.
@@ -43,6 +44,8 @@ struct DelayTerms {
 ///
 /// which is Q(t − τ_j) where the attempt agrees with itself; but ∂z_j/∂y = I, so that Newton's matrix is made of f_y +
 /// f_zj, and the repetition converges like τ_j, not like h.
+///
+/// Sensitivities have a past too: ∂z_j/∂p = S(t − τ_j) − y'(t − τ_j) ∂τ_j/∂p.
 class Delays {
  public:
   /// `terms`, the parameters and the bounds belong to the caller and outlive this.
@@ -52,10 +55,14 @@ class Delays {
 
   /// f of (t, (y, z_1, …, z_k)) as a function of (t, y), which refers to this.
   Callback within(const Callback& f);
+  /// The slope of sensitivities, of (t, X) with the rows (y, z_1, …) and (S_i, ∂z_1/∂p_i, …), as a function of (t, Y).
+  Callback augmented_within(const Callback& slope);
 
   [[nodiscard]] const std::vector<double>& lags() const { return lags_; }
-  [[nodiscard]] double longest() const { return longest_; }
-  [[nodiscard]] double shortest() const { return shortest_; }
+  /// ∂τ_j/∂p, (k,).
+  [[nodiscard]] std::span<const double> rates(std::size_t j) const {
+    return terms_.rates.empty() ? std::span<const double>() : std::span(terms_.rates).subspan(j * extent_.k, extent_.k);
+  }
 
   // What the loop does with it.
   /// The run begins at (t0, y), with steps of this kind. `jumps`: y is not what the history is there.
@@ -89,7 +96,11 @@ class Delays {
     Callback function;
   };
   static Status entry(void* self, double t, const double* y, double* out);
+  static Status augmented_entry(void* self, double t, const double* Y, double* out);
   Status arguments(double t, const double* y);
+  Status rows(double t, const double* Y);
+  Status slope_at(double s, std::size_t& near);
+  [[nodiscard]] bool shifts(std::size_t j) const;
   Status at(double s, std::size_t& near, double* Y);
   Status history(double s, double* Y);
   void ahead(double s, double* Y);
@@ -100,7 +111,7 @@ class Delays {
   const Bounds* bounds_;
   double t0_;
   std::vector<double> lags_;
-  double longest_ = 0, shortest_ = 0;
+  double longest_ = 0;
   std::deque<Delayed> functions_;  // which stay where they are when there are more of them
 
   std::optional<DenseOutput> steps_;
@@ -115,7 +126,7 @@ class Delays {
   bool looked_ahead_ = false;
   std::vector<double> data_, next_;  // the extension of the attempt
   std::size_t data_size_ = 0;
-  std::vector<double> in_, value_, here_, before_, after_;
+  std::vector<double> in_, rows_, value_, here_, before_, after_, beside_, rate_;
 };
 
 }  // namespace invariode

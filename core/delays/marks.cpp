@@ -24,6 +24,7 @@ void Marks::add(const Mark& mark) {
   };
   for (auto near : {place, place == all_.begin() ? all_.end() : place - 1})
     if (near != all_.end() && same(*near)) {
+      if (mark.level < near->level) near->rates = mark.rates;
       near->level = std::min(near->level, mark.level);
       near->spacing = std::max(near->spacing, mark.spacing);
       return;
@@ -46,19 +47,25 @@ const Mark* Marks::at(double t, double tolerance) const {
 }
 
 void Marks::state(Archive& archive) {
-  std::vector<double> t, spacing;
-  std::vector<double> level;
-  for (const Mark& one : all_) t.push_back(one.t), spacing.push_back(one.spacing), level.push_back(one.level);
+  std::vector<double> t, spacing, level, rates;
+  for (const Mark& one : all_) {
+    t.push_back(one.t), spacing.push_back(one.spacing), level.push_back(one.level);
+    rates.insert(rates.end(), one.rates.begin(), one.rates.end());
+  }
   archive.resizable(t);
   archive.resizable(spacing);
   archive.resizable(level);
+  archive.resizable(rates);
   if (!archive.reading()) return;
   archive.require(spacing.size() == t.size() && level.size() == t.size() && std::ranges::is_sorted(t));
+  const std::size_t k = t.empty() ? 0 : rates.size() / t.size();
+  archive.require(rates.size() == k * t.size());
   all_.clear();
   constexpr double most_levels = 1000;
   for (std::size_t i = 0; i < t.size(); ++i) {
     archive.require(std::isfinite(t[i]) && spacing[i] >= 0 && level[i] >= 0 && level[i] < most_levels);
-    all_.push_back({t[i], static_cast<int>(level[i]), spacing[i]});
+    const double* first = rates.data() + i * k;
+    all_.push_back({t[i], static_cast<int>(level[i]), spacing[i], {first, first + k}});
   }
 }
 

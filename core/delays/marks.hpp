@@ -12,7 +12,8 @@ namespace invariode {
 struct Mark {
   double t;
   int level;
-  double spacing;  ///< of the doubles from which t was computed
+  double spacing;             ///< of the doubles from which t was computed
+  std::vector<double> rates;  ///< ∂t/∂p, (k,), of a run with sensitivities
 };
 
 /// The marks that a run has yet to pass, in increasing order of t, and those that it is passing. They grow while it

@@ -50,7 +50,9 @@ void Run::wrap_functions() {
   if (all.delays) {
     delays_.emplace(*all.delays, all.parameters, all.extent(), all.bounds ? &*all.bounds : nullptr,
                     solver_.settings().t0);
-    wrapped_.emplace(all).f = delays_->within(all.f);
+    Problem& delayed = wrapped_.emplace(all);
+    delayed.f = delays_->within(all.f);
+    if (delayed.variations) delayed.variations->slope = delays_->augmented_within(all.variations->slope);
   }
   if (delays_ || !all.breakpoints.empty() || !all.landings.empty()) {
     if (!wrapped_) wrapped_.emplace(all);

@@ -180,9 +180,9 @@ class Variations:
 class Delays:
     """Constant delays, for the core."""
 
-    def __init__(self, lags: Sequence[float], parameters: Sequence[int], constant: Sequence[float], history: object | None, jumps: Sequence[float]) -> None:
+    def __init__(self, lags: Sequence[float], parameters: Sequence[int], constant: Sequence[float], history: object | None, jumps: Sequence[float], rates: Sequence[float]) -> None:
         """
-        lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if it is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps.
+        lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if it is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.
         """
 
 class Problem:
@@ -745,7 +745,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 10
+MEMORY_VERSION: int = 11
 
 STATES: list = ...
 

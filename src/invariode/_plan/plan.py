@@ -39,7 +39,7 @@ from .._functions.layout import Parameters, count_of, undefined_arguments
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
-from .._problem.delays import Undelayed
+from .._problem.delays import Undelayed, depends_on_args
 from .._problem.description import Description, Posed
 from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, titled, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
@@ -456,7 +456,20 @@ def _require_delays(problem: Description, method: Method, options: Options) -> N
             "within the step. It is formed by differences: leave out jac, or give jac_sparsity or bands"
         )
     if problem.sensitivities is not None:
-        raise ValueError("sensitivities of problems with delays are not supported yet: use differences of solutions")
+        _require_variable(problem)
+
+
+def _require_variable(problem: Description) -> None:
+    """A problem with delays is one whose sensitivities are supported."""
+    obstacles = {
+        "events": problem.events,
+        "a mass matrix": problem.matrices.mass is not None,
+        "a complex y0": problem.y0.dtype.kind == "c",
+        "a history that depends on args": problem.delays and depends_on_args(problem.delays.history, problem.args),
+    }
+    for what, there in obstacles.items():
+        if there:
+            raise ValueError(f"sensitivities of a problem with delays and {what} are not supported")
 
 
 def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Breakpoint]) -> Plan:
@@ -611,7 +624,8 @@ def _delays(problem: Description, parameters: Array, given: Any) -> _core.Delays
     if problem.delays is None:
         return None
     before = {point.t for point in (*problem.breakpoints, *(given or ())) if point.t < problem.t_span[0]}
-    return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before))
+    varied = problem.parameter_names()
+    return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before), varied)
 
 
 def _with_graph(problem: Description, method: Method) -> Any:

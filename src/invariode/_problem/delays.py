@@ -15,7 +15,7 @@ from .. import _core
 from .._base.arguments import Array, call_name, extra_arguments, interval, items, number, reals, shown
 from .._base.types import Span
 from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
-from .._functions.graph.function import OnGraph, TracedFunction
+from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
 from .._functions.layout import place_of
 from .parameters import ParameterName, parameter_names, values_of
 
@@ -63,14 +63,35 @@ class Delays:
             return self.constant
         return np.atleast_1d(np.asarray(of_time(self.history, args)(t)))
 
-    def for_core(self, args: tuple[Any, ...], y0: Array, parameters: Array, jumps: list[float]) -> _core.Delays:
-        """The delays as the core takes them. `jumps`: times before the start at which the history jumps."""
+    def for_core(
+        self,
+        args: tuple[Any, ...],
+        y0: Array,
+        parameters: Array,
+        jumps: list[float],
+        varied: Sequence[ParameterName],
+    ) -> _core.Delays:
+        """The delays as the core takes them. `jumps`: times before the start at which the history jumps. `varied`: the
+        parameters of the sensitivities."""
         places = [
             -1 if name is None or not len(parameters) else place_of(args, name.index, name.item) for name in self.names
         ]
         constant: Any = [] if self.constant is None else self.constant.astype(y0.dtype).view(float)
         history = None if self.constant is not None else _History(self.history)
-        return _core.Delays(self.values(args, y0), places, constant, history, jumps)
+        rates = [float(_same(name, one)) for name in self.names for one in varied]
+        return _core.Delays(self.values(args, y0), places, constant, history, jumps, rates)
+
+    def in_one_vector(self, fun: Any, n: int) -> Any:
+        """Return f as a function of (t, x) with x = (y, z), for its derivatives."""
+        if isinstance(fun, NativeWithInputs):
+            return fun._replace(fun=self.in_one_vector(fun.fun, n))
+        if isinstance(fun, CompiledFunction):
+            return stacked(fun, n, self.count, True)
+        return _of_one_vector(fun, n, self.count, False)
+
+    def stacked_at_start(self, t: float, y: Array, args: tuple[Any, ...]) -> Array:
+        """(y, z) at the start, of shape (n (1 + k),)."""
+        return np.concatenate([y, *(self.before(t - tau, args) for tau in self.values(args, y))])
 
     def called_by_core(self, fun: Any, y0: Array, parameters: Array) -> Any:
         """Return f as the core calls it: machine code as a function of (t, x) with x = (y, z), Python as it is."""
@@ -143,6 +164,11 @@ def positive(name: str, value: Any) -> float:
     return found
 
 
+def _same(a: ParameterName | None, b: ParameterName) -> bool:
+    """Return whether a delay is this parameter."""
+    return a is not None and (a.kind, a.index, a.item or 0) == (b.kind, b.index, b.item or 0)
+
+
 def _name(
     j: int, given: str, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int
 ) -> ParameterName:
@@ -171,6 +197,11 @@ def start_of(y0: Any, history: Any, t_span: Span, args: Any) -> Any:
     return np.atleast_1d(np.asarray(at_start))
 
 
+def depends_on_args(history: Any, args: tuple[Any, ...]) -> bool:
+    """Return whether the history is called with the arguments of the problem."""
+    return callable(history) and not is_solution(history) and bool(args) and _takes_args(history)
+
+
 def of_time(history: Any, args: tuple[Any, ...]) -> Callable[[float], Any]:
     """The history as a function of t alone: with `args`, where it takes them."""
     if is_solution(history):
@@ -179,14 +210,19 @@ def of_time(history: Any, args: tuple[Any, ...]) -> Callable[[float], Any]:
         continuous = history.sol
         return lambda t: continuous(t)
     python = history.fun if isinstance(history, CompiledFunction) else history
+    return (lambda t: python(t, *args)) if args and _takes_args(history) else (lambda t: python(t))
+
+
+def _takes_args(history: Any) -> bool:
+    """Return whether a history needs more than t."""
+    python = history.fun if isinstance(history, CompiledFunction) else history
     try:
         parameters = [*inspect.signature(python).parameters.values()]
     except (TypeError, ValueError):
-        return lambda t: python(t)
+        return False
     by_position = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
     needed = [one for one in parameters if one.kind in by_position and one.default is one.empty]
-    more = any(one.kind is one.VAR_POSITIONAL for one in parameters)
-    return (lambda t: python(t, *args)) if args and (len(needed) > 1 or more) else (lambda t: python(t))
+    return len(needed) > 1 or any(one.kind is one.VAR_POSITIONAL for one in parameters)
 
 
 class _History:
@@ -226,6 +262,8 @@ def _stacked(fun: CompiledFunction, n: int, count: int, with_parameters: bool) -
         traced = TracedFunction(_of_one_vector(fun.fun, n, count, fun.inplace), fun.inplace, fun.elementary, "trace")
         traced.__name__ = traced.__qualname__ = fun.__name__
         return traced
+    if isinstance(fun, GraphOfPast):
+        return GraphFunction(fun.fun, fun.elementary, fun.how)
     if isinstance(fun, OnGraph):
         raise TypeError(f"{fun!r} has no delays: write it as a function of (t, y, z)")
     inner = numba_or_say_so().njit(getattr(fun.fun, "py_func", fun.fun), error_model="numpy", forceinline=True)
@@ -282,6 +320,16 @@ class FillingOfPast:
         out = np.full(len(y), np.nan, dtype=np.result_type(float, np.asarray(y), np.asarray(z)))
         self.fun(t, y, z, out, *args)
         return out
+
+
+class GraphOfPast(GraphFunction):
+    """A formula of (t, x) with x = (y, z) as a compiled function of (t, y, z, \\*args)."""
+
+    def made_again(self) -> tuple[Any, ...]:
+        return GraphOfPast, (self.fun, self.elementary, self.how)
+
+    def __call__(self, t: Any, y: Any, z: Any, *args: Any) -> Any:
+        return self.fun(t, np.concatenate([y, np.ravel(z)]), *args)
 
 
 class Undelayed:

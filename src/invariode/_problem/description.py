@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
@@ -139,8 +139,7 @@ class Description:
         given |= {"nonnegative": nonnegative, "bounds": bounds}
         points = [] if breakpoints is None else to_breakpoints("breakpoints", breakpoints)
         fed_by = to_inputs(inputs, span)
-        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, delays)
-        others = (*others, *given.values())
+        others = (invariants, events, second_order or None, sensitivities, inputs, breakpoints, delays, *given.values())
         self.__dict__.update(
             fun=called,
             t_span=span,
@@ -202,9 +201,7 @@ class Description:
         if self.sensitivities is None:
             return ()
         named = self.sensitivities.names
-        return named(
-            self.fun, self.args, self._labels, len(self.y0), first=(2 if self.delays is None else 3) + len(self.inputs)
-        )
+        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.before_args))
 
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
@@ -234,6 +231,11 @@ class Description:
     def before_args(self) -> list[Any]:
         """The arguments of f between y and `args`: delayed values, of which nothing is known here, and inputs."""
         return [*([] if self.delays is None else [None]), *self.inputs]
+
+    @property
+    def history(self) -> Callable[[float], Array] | None:
+        """y before the start as a function of t, of a problem with delays."""
+        return None if self.delays is None else partial(self.delays.before, args=self.args)
 
     def require_no_delays(self, what: str) -> None:
         """Raise an error if the problem has delays; `what` is not defined for them."""

@@ -102,6 +102,12 @@ class Solved:
             self._problem = self._problem()
         return self._problem
 
+    @property
+    def history(self) -> Callable[[float], Array] | None:
+        """y before the start, of a problem with delays."""
+        known = self._problem  # one that has yet to be made has none
+        return known.history if isinstance(known, Description) else None
+
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
@@ -500,7 +506,7 @@ def _solution(finished: Finished) -> Solution:
         finished.private,
         t=t,
         y=y,
-        sol=None if dense is None else DenseSolution(dense, y.dtype, finished.bound),
+        sol=None if dense is None else DenseSolution(dense, y.dtype, finished.bound).after(finished.source.history),
         t_events=None if happened is None else [times for times, _ in happened],
         y_events=None if happened is None else [points.view(y.dtype) for _, points in happened],
         nfev=run.nfev,
@@ -649,6 +655,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     sol = None
     if old.sol is not None and new.sol is not None:
         sol = DenseSolution(old.sol._dense.joined(new.sol._dense), old.y.dtype, bound, old.sol._imposed)
+        sol.after(old.sol._history)
     t_events = y_events = None
     if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
         t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]
