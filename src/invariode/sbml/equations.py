@@ -234,11 +234,11 @@ class Equations:
             return self.start(name) * self.start(self.volume(name)) / self.value(self.volume(name))
         return self.start(name)
 
-    def _delayed(self, one: Expression, value: Node, delay: Node) -> Node:
+    def _delayed(self, formula: Expression, value: Node, delay: Node) -> Node:
         """Return a value at t - delay: of states behind y, those of the first delay, of the second, and so on."""
-        if self._has_rates(one, set()):
+        if self._has_rates(formula, set()):
             raise UnsupportedError("delay", "a formula uses delay() of a rateOf, which jumps at the start")
-        if any(part.op == "time" for formula in self.contents.initial.values() for part in formula.parts()):
+        if any(part.op == "time" for initial in self.contents.initial.values() for part in initial.parts()):
             raise UnsupportedError("delay", "values before the start are an initial assignment that depends on time")
         if used([delay], "y") or any(one.op == "t" for one in in_order([delay])):
             raise UnsupportedError("delay", "a formula uses delay() with a delay that changes")
