@@ -102,10 +102,22 @@ def function(name: str, parameters: str, result: str) -> str:
     return f"def {name}(\n{textwrap.indent(lines, '    ')}\n) -> {result}: ..."
 
 
+#: The functions from whose calls editors complete options, each with its class of options. They are in the stub alone:
+#: no call takes place.
+KINDS = {
+    "solve_options": "SolveOptions",
+    "run_options": "Options",
+    "suite_options": "AllOptions",
+    "ensemble_options": "EnsembleOptions",
+    "problem_ensemble_options": "ProblemEnsembleOptions",
+    "extension_options": "ExtensionOptions",
+    "stepper_options": "StepperOptions",
+}
+
+
 def accepted(table: Table) -> str:
-    """The functions of `accepted.py`, each with the class of options that it returns."""
-    source = ast.parse(Path(options.__file__).with_name("accepted.py").read_text(encoding="utf-8"))
-    kinds = {node.name: ast.unparse(node.returns or node) for node in source.body if isinstance(node, ast.FunctionDef)}
+    """The functions from whose calls editors complete options."""
+    kinds = KINDS
     functions = "\n".join(function(name, "*, " + table.parameters(kind), kind) for name, kind in kinds.items())
     return ACCEPTED.format(
         imports=table.imports(functions),

@@ -5,6 +5,7 @@ With ``--write``, or ``make bench``, the tables go into docs/benchmarks.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from statistics import median
 from time import process_time
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 import invariode as iv
 
 Array = NDArray[np.float64]
+Function = Callable[[float, Array], Array]
 
 
 @partial(iv.compile, inplace=True)
@@ -59,6 +61,47 @@ def gain(repetitions: int) -> str:
         times = interleaved(runs, repetitions, process_time)
         rows.append([name, *(f"{1e6 * median(times[way]) / steps[way]:.1f}" for way in runs)])
     return table(["µs per step of ode45, f compiled", "plain", "native", "Python"], rows)
+
+
+#: Oscillators, in rows of so many values of g.
+SPRINGS = {"m = 10, n = 40": (10, 40), "m = 100, n = 200": (100, 200), "m = 300, n = 600": (300, 600)}
+
+
+def springs(m: int, n: int) -> tuple[Function, Function]:
+    """n / 2 oscillators, and m sums of their energies, of one or two each."""
+    half = n // 2
+    stiffness = np.linspace(1, 2, half)
+
+    def f(t: float, y: Array) -> Array:
+        return np.concatenate([y[half:], -stiffness * y[:half]])
+
+    def g(t: float, y: Array) -> Array:
+        each: Array = (y[half:] ** 2 + stiffness * y[:half] ** 2) / 2
+        return each[:m] + each[m:] if m < half else each
+
+    return f, g
+
+
+def python_gradients(repetitions: int) -> str:
+    """A step of ode45 and dop853 with g in Python and no `jac`: its Jacobian by a trace, and by complex steps."""
+    rows = []
+    for name, (m, n) in SPRINGS.items():
+        f, g = springs(m, n)
+        start = np.concatenate([np.ones(n // 2), np.zeros(n // 2)])
+        ways = {"plain": None, "traced": g}
+        if m < 300:  # then it takes most of a minute
+            ways["complex steps"] = iv.Invariants(g, jac="complex-step")
+        for method in ("ode45", "dop853"):
+            runs = {
+                way: partial(iv.solve_ivp, f, (0, 50), start, method, rtol=1e-6, atol=1e-6, invariants=held)
+                for way, held in ways.items()
+            }
+            steps = {way: go().stats.steps for way, go in runs.items()}
+            times = interleaved(runs, repetitions, process_time)
+            each = {way: 1e6 * median(times[way]) / steps[way] for way in runs}
+            row = [f"{value:.0f}" for value in each.values()]
+            rows.append([f"{name}, {method}", *row, *["–"] * (3 - len(row))])
+    return table(["µs per step, f and g in Python", "plain", "traced", "complex steps"], rows)
 
 
 #: Principal moments of inertia of a body without forces.
@@ -122,7 +165,8 @@ def values(y: Array) -> Array:
 
 
 def report(repetitions: int) -> str:
-    return "\n\n".join([machine("invariode", "numpy", "numba"), gain(repetitions), rotations()])
+    tables = [gain(repetitions), python_gradients(repetitions), rotations()]
+    return "\n\n".join([machine("invariode", "numpy", "numba"), *tables])
 
 
 if __name__ == "__main__":

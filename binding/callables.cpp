@@ -305,6 +305,7 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
   native_ = false;
   auto owner = std::make_unique<PythonFunction>(f, args, name, takes, returns);
   const Callback callback = owner->callback();
+  if (args.is(args_)) lendable_.push_back(owner.get());
   owned_.push_back(std::move(owner));
   return callback;
 }
@@ -328,7 +329,6 @@ Callback Functions::slope(nb::handle f, const std::string& name, std::size_t del
   const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(delays);
   const Callback callback = add(f, args_, name, {.rows = n, .complex = space_.complex},
                                 Takes{.n = n, .second = rows * n, .second_rows = rows, .complex = space_.complex});
-  exchangeable_ = owned_.size() == first ? nullptr : dynamic_cast<PythonFunction*>(owned_.back().get());
   postpone_overflows_from(first);
   return callback;
 }
@@ -354,9 +354,17 @@ void Functions::forget_overflows() const {
   for (PythonFunction* function : postponing_) function->forget_overflow();
 }
 
-void Functions::lend(nb::object f, nb::tuple args) {
-  require(exchangeable_ != nullptr, "f is no Python function, and cannot be exchanged");
-  exchangeable_->exchange(std::move(f), std::move(args));
+void Functions::lend(const nb::object& functions, const nb::tuple& args) {
+  const bool given = !functions.is_none();
+  require(!given || nb::len(functions) == lendable_.size(), "functions are lent one for each Python function");
+  for (std::size_t i = 0; i < lendable_.size(); ++i) {
+    nb::object function = given ? nb::object(functions[i]) : nb::object();
+    lendable_[i]->exchange(std::move(function), args);
+  }
+}
+
+void Functions::give_back() {
+  for (PythonFunction* function : lendable_) function->exchange(nb::ellipsis(), nb::tuple());
 }
 
 Callback Functions::events(nb::handle f, const std::string& name, std::size_t count) {

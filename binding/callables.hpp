@@ -161,11 +161,13 @@ class Functions {
 
   /// f(t, y) -> state
   Callback state_valued(nb::handle f, const std::string& name);
-  /// f, which `lend` can exchange if it is Python's, and whose overflows are postponed. One for all functions.
-  /// `delays`: of so many states z, it is f(t, y, z), with z (delays, n).
+  /// f, whose overflows are postponed. `delays`: of so many states z, it is f(t, y, z), with z (delays, n).
   Callback slope(nb::handle f, const std::string& name, std::size_t delays = 0);
-  /// Puts a Python function and its further arguments in the place of the exchangeable one, which must be Python's.
-  void lend(nb::object f, nb::tuple args);
+  /// Puts functions in the places of the Python functions with arguments, in the order of their making, and other
+  /// arguments. None: the functions stay.
+  void lend(const nb::object& functions, const nb::tuple& args);
+  /// Lets go of the functions that were lent, and of their arguments.
+  void give_back();
   /// An event, f(t, y) -> number, or `count` events: truth values are conditions, 1 or −1.
   Callback event(nb::handle f, const std::string& name) { return events(f, name, 1); }
   Callback events(nb::handle f, const std::string& name, std::size_t count);
@@ -230,7 +232,7 @@ class Functions {
   std::vector<std::unique_ptr<Callable>> owned_;
   std::vector<OwnedMotion*> motions_;        // among them
   std::vector<PythonFunction*> postponing_;  // likewise
-  PythonFunction* exchangeable_ = nullptr;   // likewise
+  std::vector<PythonFunction*> lendable_;    // likewise: those that get args_
   bool native_ = true;
 };
 

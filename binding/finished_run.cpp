@@ -39,10 +39,6 @@ void define_arrays_of_run(RunClass& run) {
       .def_prop_ro(
           "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
           nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
-      .def(
-          "take_start",
-          [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
-          nb::sig("def take_start(self) -> numpy.ndarray"))
       .def("take_events",
            [](FinishedRun& self) {
              std::vector<std::pair<Vector, Table>> all;
@@ -81,7 +77,17 @@ void define_arrays_of_run(RunClass& run) {
 }
 
 void define_course_of_run(RunClass& run) {
-  run.def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
+  run.def(
+         "put_into",
+         [](const FinishedRun& self, nb::dict items) {
+           const RunResult& r = self.result;
+           items["nfev"] = r.nfev;
+           items["njev"] = r.linear.jacobians;
+           items["nlu"] = r.linear.factorizations;
+           items["t_end"] = r.t_end;
+         },
+         nb::arg("items"), "Sets the counts `nfev`, `njev` and `nlu`, and `t_end`, among the items of a solution.")
+      .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
       .def(
           "take_sections",
           [](FinishedRun& self) {

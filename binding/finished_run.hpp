@@ -26,8 +26,7 @@ struct FinishedRun {
   std::optional<Dense> dense;
   RunMemory memory;
   bool complex = false;
-  // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
-  std::vector<double> start = {}, value = {};
+  std::vector<double> value = {};  ///< at which the invariants were held, of a run by `integrate_anew`
   bool points_taken = false;
   Told told = {};
 };

@@ -156,7 +156,7 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
   }
   if (!known.is_none()) read_matrix(known, linear.jacobian);
   if (!spec.rate.is_none()) linear.source.rate = functions.vector(spec.rate, "∂f/∂t", spec.structure.n);
-  if (!spec.lapack.is_none()) linear.lapack = read_lapack(spec.lapack);
+  if (!spec.lapack.is_none() && by_lapack(spec.structure)) linear.lapack = read_lapack(spec.lapack());
   if (spec.kind == Jacobian::Kind::products) {
     KrylovTerms& krylov = linear.krylov.emplace();
     if (!spec.product.is_none()) krylov.product = functions.product(spec.product, "jac_product(t, y, v)");

@@ -79,7 +79,7 @@ struct LinearSpec {
                                // the pattern of a sparse one); or for sparse differences the pattern
   nb::object mass;             // None, the values of a constant one, or M(t)
   nb::object null_basis;       // (starts, rows, values) of Z
-  nb::object lapack;           // None, or capsules by name
+  nb::object lapack;           // None, or a function that returns capsules by name
   std::int64_t found_pattern;  // evaluations of f that found the pattern; 0: it was given
   nb::object product, preconditioner;  // of the kind `products`, and of derived ones without a function; or None
   std::size_t dimension;               // of its Krylov space
@@ -170,8 +170,9 @@ class BoundProblem {
   [[nodiscard]] bool native() const { return functions_.native(); }
   /// The motions that its functions are parts of.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
-  /// Puts a Python function in the place of f, which must be one.
-  void lend(nb::object f, nb::tuple args) { functions_.lend(std::move(f), std::move(args)); }
+  /// See `Functions::lend`.
+  void lend(const nb::object& functions, const nb::tuple& args) { functions_.lend(functions, args); }
+  void give_back() { functions_.give_back(); }
   /// Returns whether a run has failed because f overflows wherever it goes on: the exception is set then.
   [[nodiscard]] bool raise_overflow(const Integration& ended) const;
   void forget_overflows() const { functions_.forget_overflows(); }

@@ -30,9 +30,9 @@ class PythonFunction final : public Callable {
   }
 
   [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
-  /// Another one that takes and returns the same.
+  /// Another one that takes and returns the same, with other arguments. Null: only the arguments are others.
   void exchange(nb::object callable, nb::tuple args) {
-    const nb::object before = take(std::move(callable));  // is given up at the end, which may run Python code
+    const nb::object before = callable ? take(std::move(callable)) : nb::object();  // its end may run Python code
     std::swap(args_, args);
   }
   /// From now on an OverflowError, with which Python's `math` says what NumPy says with inf, is no end: the values are

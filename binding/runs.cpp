@@ -58,25 +58,21 @@ void require_state(const State& y0, std::size_t n) {
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
 
-/// The interval of a run, and its largest step.
-using Cover = std::tuple<double, double, double>;
-
 /// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
 /// do not need it.
 struct BoundSolver {
   BoundSolver(const std::string& method, const ProblemSpec& problem, const Tolerances& tolerances,
               const RunSettings& settings)
       : bound(problem),
-        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings),
-        parameters(problem.parameters),
-        cover(settings.t0, settings.tf, settings.hmax) {}
-  int visit(visitproc visit, void* arg) const { return bound.visit(visit, arg); }
+        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
+  int visit(visitproc visit, void* arg) const {
+    const int stop = visit_all(visit, arg, {course});
+    return stop == 0 ? bound.visit(visit, arg) : stop;
+  }
 
   BoundProblem bound;
   Solver solver;
-  // What it was made for: runs may have changed it since.
-  std::vector<double> parameters;
-  Cover cover;
+  nb::object course;  // that the settings of the solver are on; null: the one that it was made for
 };
 
 /// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
@@ -321,78 +317,86 @@ bool read_parameters(nb::handle args, std::span<double> out) {
   return true;
 }
 
-/// A run from another initial value, with other arguments and over another interval, if they are given, than the solver
-/// was made for. Nothing: y0 is not finite or of another size, or `args` are no floats, as many as there are
-/// parameters; a single solve knows what to say. The problem has no singular mass matrix.
-std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& y0, const nb::object& args,
-                                          const std::optional<Cover>& cover) {
-  const Problem& problem = self.solver.problem();
-  const std::size_t n = problem.extent().size();
-  if (y0.size() != n || !all_finite(y0.data(), n)) return {};
-  if (args.is_none())
-    std::ranges::copy(self.parameters, problem.parameters.begin());
-  else if (!read_parameters(args, problem.parameters))
-    return {};
-  std::apply([&](auto... ends) { self.solver.cover(ends...); }, cover.value_or(self.cover));
-  Run run(self.solver);
-  const std::vector<double> start(y0.data(), y0.data() + y0.size());
-  std::vector<double> value;
-  if (const Invariants* g = run.invariants()) {
-    std::vector<double> unmoved = start;
-    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) throw nb::python_error();
-    value = g->value();
-  }
-  const nb::object nobody = nb::none();
-  FinishedRun finished = drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, nobody);
-  finished.result.ng -= run.evaluations_of_prepare();
-  finished.start = start;
-  finished.value = std::move(value);
-  return finished;
-}
-
-/// Settings of a run, with a Python function in the place of f: afterwards the solver holds nothing of the user's.
+/// Lends Python functions, breakpoints without actions and a limit of steps to a solver: afterwards it holds nothing of
+/// the user's.
 class Lent {
  public:
-  Lent(BoundSolver& solver, nb::object fun, nb::tuple args, Settings settings, std::vector<Breakpoint> breakpoints,
-       Callback callback)
-      : solver_(solver) {
-    solver_.solver.cover(std::move(settings), std::move(breakpoints), callback);
-    solver_.bound.lend(std::move(fun), std::move(args));
+  Lent(BoundSolver& solver, const nb::object& functions, const nb::object& args, nb::handle breakpoints,
+       StepLimit* limit)
+      : solver_(functions.is_none() ? nullptr : &solver) {
+    if (solver_ == nullptr) {
+      solver.bound.lend(nb::none(), nb::cast<nb::tuple>(args));
+      return;
+    }
+    std::vector<Breakpoint> breaks;
+    if (!breakpoints.is_none())
+      for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
+    solver.solver.interrupt(std::move(breaks), limit == nullptr ? Callback() : limit->callback());
+    solver.bound.lend(functions, nb::cast<nb::tuple>(args));
   }
   Lent(const Lent&) = delete;
   Lent& operator=(const Lent&) = delete;
   ~Lent() {
-    solver_.bound.lend(nb::none(), nb::tuple());
-    Settings settings = solver_.solver.settings();
+    if (solver_ == nullptr) return;
+    solver_->bound.give_back();
+    solver_->solver.interrupt({}, {});
+    if (!solver_->solver.settings().output_at_times) return;
+    Settings settings = solver_->solver.settings();
     settings.times = {};
-    solver_.solver.cover(std::move(settings), {}, {});
+    solver_->solver.cover(std::move(settings));
+    solver_->course.reset();
   }
 
  private:
-  BoundSolver& solver_;
+  BoundSolver* solver_;
 };
 
 /// The fields of `Settings` that depend on the problem, in the order of their names in Python.
 using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
 
-/// A run of y' = fun(t, y, *args) in the place of the Python function that the solver was made with.
-FinishedRun integrate_other(BoundSolver& self, nb::object fun, nb::tuple args, nb::handle y0, const Course& course,
-                            nb::handle breakpoints, StepLimit* limit, bool remember, const nb::object& remarks) {
-  const std::span<const double> start = numbers_of(y0);
-  require_state(start, self.solver.problem().extent().size());
+/// Sets the solver on a course, unless it is on this very one.
+void follow(const nb::object& course, BoundSolver& self) {
+  if (course.is(self.course)) return;
   Settings settings = self.solver.settings();
   nb::object times;
-  std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) = course;
+  std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) =
+      nb::cast<Course>(course);
   settings.output_at_times = !times.is_none();
-  if (settings.output_at_times) settings.times = Times(numbers_of(times));
-  std::vector<Breakpoint> breaks;
-  if (!breakpoints.is_none())
-    for (const double t : numbers_of(breakpoints)) breaks.push_back({.t = t, .action = {}, .jump = {}});
-  const Lent lent(self, std::move(fun), std::move(args), std::move(settings), std::move(breaks),
-                  limit == nullptr ? Callback() : limit->callback());
-  const nb::object nobody = nb::none();
+  settings.times = settings.output_at_times ? Times(numbers_of(times)) : Times();
+  self.course.reset();
+  self.solver.cover(std::move(settings));
+  self.course = course;
+}
+
+/// A run from another initial value, with other functions, arguments and values of what the solver was made for, on
+/// another course. Nothing: y0 is not finite or of another size, or `args` are no floats, as many as there are
+/// parameters; a single solve knows what to say. The problem has no singular mass matrix.
+std::optional<FinishedRun> integrate_anew(BoundSolver& self, nb::handle y0, const nb::object& functions,
+                                          const nb::object& args, const nb::object& parameters,
+                                          const nb::object& course, nb::handle breakpoints, StepLimit* limit,
+                                          bool remember, const nb::object& remarks, const nb::object& value,
+                                          const nb::object& tolerances) {
+  const Problem& problem = self.solver.problem();
+  const std::span<const double> start = numbers_of(y0);
+  if (start.size() != problem.extent().size() || !all_finite(start.data(), start.size())) return {};
+  const nb::object& numbers = parameters.is_none() ? args : parameters;
+  if (!problem.parameters.empty() && !read_parameters(numbers, problem.parameters)) return {};
+  follow(course, self);
+  if (!tolerances.is_none()) self.solver.set_tolerances(numbers_of(tolerances));
+  if (!value.is_none()) self.solver.hold(numbers_of(value));
+  const Lent lent(self, functions, args, breakpoints, limit);
   Run run(self.solver);
-  return drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remarks, remember);
+  const bool holds = run.invariants() != nullptr && value.is_none();
+  if (holds) {
+    std::vector<double> unmoved(start.begin(), start.end());
+    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) throw nb::python_error();
+  }
+  std::vector<double> held = run.invariants() != nullptr ? run.invariants()->value() : std::vector<double>();
+  const nb::object nobody = nb::none();
+  FinishedRun finished = drive(run, self, {.y0 = start.data()}, nobody, nobody, 0, remarks, remember);
+  if (holds) finished.result.ng -= run.evaluations_of_prepare();
+  finished.value = std::move(held);
+  return finished;
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -621,18 +625,16 @@ void define_ensemble(nb::module_& module) {
 }
 
 void define_other_runs(nb::class_<BoundSolver>& solver) {
-  solver
-      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
-           nb::arg("cover") = nb::none(),
-           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
-           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.")
-      .def("integrate_other", &integrate_other, nb::arg("fun"), nb::arg("args"), nb::arg("y0"), nb::arg("course"),
-           nb::arg("breakpoints") = nb::none(), nb::arg("limit") = nb::none(), nb::arg("remember") = true,
-           nb::arg("remarks") = nb::none(),
-           "Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made "
-           "with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without "
-           "actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be "
-           "resumed. `remarks`: as in `integrate`.");
+  solver.def(
+      "integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("functions").none(), nb::arg("args"),
+      nb::arg("parameters").none(), nb::arg("course"), nb::arg("breakpoints").none(), nb::arg("limit").none(),
+      nb::arg("remember"), nb::arg("remarks").none(), nb::arg("value").none(), nb::arg("tolerances").none(),
+      "Integrates from y0 on another course (t0, tf, max_step, times, max_points, max_bytes), with other arguments. "
+      "functions: those in place of the Python functions that it was made with, in the order of their making, and "
+      "with them breakpoints, without actions and in order, and another limit of steps; it keeps none of them. "
+      "None: its own. parameters: of native functions, if `args` are not floats. remember: the run can be resumed. "
+      "remarks: as in `integrate`. value: of the invariants; None: that at y0. tolerances: absolute ones of the "
+      "sensitivities. Returns None if y0 is not finite, or something is not of the right size or type.");
 }
 
 void define_solver(nb::module_& module) {

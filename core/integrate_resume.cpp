@@ -42,7 +42,8 @@ void Integration::state(Archive& archive) {
   }
   if (delays_ != nullptr) {
     bool jumps = false;  // which was seen when the run began
-    if (archive.reading() && delays_->begin(no_steps(), y0_.data(), jumps) == Status::stop) archive.stop();
+    const bool begins = archive.reading() || !delays_->begun();
+    if (begins && delays_->begin(no_steps(), y0_.data(), jumps) == Status::stop) archive.stop();
     delays_->state(archive);
   }
   step_->state(archive);

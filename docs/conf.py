@@ -28,6 +28,8 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "gallery_look",
+    "portable",
+    "stacking",
     "mathml",
     "formulas",
     "tables",

@@ -84,7 +84,7 @@ def _with_sentences(index: str, examples: Path) -> Iterator[str]:
     """Yield the lines of the gallery's index with the first sentence of each example under its title."""
     current = None
     for line in index.splitlines():
-        if found := re.search(r":ref:`sphx_glr_gallery_(\w+)\.py`", line):
+        if found := re.search(r":doc:`/gallery/(\w+)`", line):
             current = examples / f"{found[1]}.py"
         if current is not None and "sphx-glr-thumbnail-title" in line:
             yield line.replace("</div>", f"</div>\n      <p>{html.escape(sentence(current))}</p>", 1)

@@ -13,9 +13,9 @@ from invariode._base.arguments import Array
 from invariode._base.types import MethodName
 from invariode._problem.invariants import Invariants
 from invariode._problem.methods import METHODS
+from invariode._problem.problem import Problem
 from invariode._results.solution import Solution
 from invariode._solve.ode_functions import ode15s
-from invariode._solve.problem import Problem
 from invariode.problems import hires, lotka_volterra, pendulum, robertson, three_body
 
 from .matlab import matlab_rows

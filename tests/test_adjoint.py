@@ -209,7 +209,7 @@ def test_quadratures_need_no_linear_systems(method, mass):
         rtol=1e-9,
     )
     for linear_solver in ("direct",) if mass else ("direct", "gmres"):
-        about = iv.Problem(fun, (0, 2), [0.0, 1.0], mass=M if mass else None)._described()
+        about = iv.Problem(fun, (0, 2), [0.0, 1.0], mass=M if mass else None)
         plan = make_plan(about, method, {"rtol": tol, "atol": tol, "linear_solver": linear_solver})
 
         def slope(t, Y):
@@ -764,7 +764,7 @@ def test_a_component_at_rest_that_a_singular_mass_matrix_couples_is_refused():
     def fun(t, y):
         return [-2.0, -1.0, y[2]]
 
-    held = iv.Problem(fun, (0, 3), points[:, 0], mass=M, nonnegative=[0])._described()
+    held = iv.Problem(fun, (0, 3), points[:, 0], mass=M, nonnegative=[0])
     sol = types.SimpleNamespace(stats=types.SimpleNamespace(clipped=1.0), t_end=3.0)
     with pytest.raises(ValueError, match="component 0 rests at a bound from t = 1"):
         at_bounds(held, sol, Line(), 1.0, 1e-6)

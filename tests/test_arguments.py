@@ -351,7 +351,7 @@ class TestProblemsDoNotChange:
     def test_a_fourth_argument_by_position_is_refused_by_the_name_that_users_know(self):
         with pytest.raises(TypeError, match=r"^Problem takes fun, t_span and y0 by position .* got \(1,\) as a fourth"):
             iv.Problem(decay, (0, 1), [1, 2], (1,))
-        missing = r"^Problem\(\) missing {} required positional arguments: .*'t_span'(,|) and 'y0'"
+        missing = r"^Problem\.__init__\(\) missing {} required positional arguments: .*'t_span'(,|) and 'y0'"
         for given, count in (((), 3), ((decay,), 2)):
             with pytest.raises(TypeError, match=missing.format(count)):
                 iv.Problem(*given)

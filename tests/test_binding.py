@@ -14,7 +14,7 @@ from cases import FAMILIES, METHODS, dealt, families
 from invariode import Event, _core, compile, solve_ivp
 from invariode._plan.plan import make_plan
 from invariode._plan.plan import solver as planned_solver
-from invariode._problem.description import Description
+from invariode._problem.problem import Problem
 
 n, m = 2, 1
 NOTHING = np.zeros(0)
@@ -157,9 +157,9 @@ def test_settings_are_what_they_were_set_to() -> None:
 
 
 def test_a_plan_hands_over_every_setting_in_its_place() -> None:
-    from invariode._plan.plan import Settings
+    from invariode._plan.plan import Course, Settings
 
-    assert Settings._fields == _core.Settings.FIELDS
+    assert (*Course._fields, *Settings._fields) == _core.Settings.FIELDS
     with pytest.raises(ValueError, match="not one value for each"):
         _core.Settings((0.0, 1.0))
 
@@ -207,7 +207,7 @@ def test_the_registry_has_a_row_for_each_method() -> None:
 def stepped(method: str, y0: Any = y0, **options: Any) -> _core.Stepper:
     """y'' = -y from 0 to 2 in the hands of the core."""
     describing = {key: options.pop(key) for key in ("events",) if key in options}
-    plan = make_plan(Description(f, (0, 2), y0, **describing), method, {"keep": "end", **options})
+    plan = make_plan(Problem(f, (0, 2), y0, **describing), method, {"keep": "end", **options})
     return _core.Stepper(planned_solver(plan), y0)
 
 
@@ -259,7 +259,7 @@ def test_what_was_handed_over_is_not_there_twice() -> None:
         run.take_points()
     assert run.take_dense() is not None
     assert run.take_dense() is None
-    native = planned_solver(make_plan(Description(compile(lambda t, y: (y[1], -y[0])), (0, 2), y0), "ode45", {}))
+    native = planned_solver(make_plan(Problem(compile(lambda t, y: (y[1], -y[0])), (0, 2), y0), "ode45", {}))
     rows = _core.integrate_all([native], np.ones((3, n)), np.ones((3, 0)), None)
     rows.take_end()
     with pytest.raises(RuntimeError, match="handed over already"):

@@ -537,8 +537,8 @@ def test_compare_prints_what_the_runs_cost():
             projected = problem("prey.py", "closed").solve(method, rtol=rtol, atol=1e-3 * rtol)
             cells = line.removeprefix(method).split()
             assert cells[0] == power(rtol)
-            assert cells[2] == str(plain.nfev)
-            assert cells[5:8] == [
+            assert cells[3] == str(plain.nfev)
+            assert cells[7:10] == [
                 str(projected.nfev + projected.stats.nfev_check),
                 str(projected.stats.ng),
                 str(projected.stats.ngjac),
@@ -568,6 +568,24 @@ def test_compare_answers_in_a_sentence(price, verdict, monkeypatch):
     outcome = invariode("compare", "counted.py", "--decades", "3-6", "-m", "ode45")
     assert outcome.exit_code == 0, outcome.output
     assert f"Projection {verdict}" in flat(outcome.output)
+
+
+def test_compare_says_how_far_runs_end_off_the_invariants():
+    """Plain runs as far as the drift of the length says, projected ones by roundoff; in units of the sizes of y."""
+    outcome = invariode("compare", "pendulum.py", "--decades", "4-4", "-m", "ode45", width=120)
+    text = flat(outcome.output)
+    sentence = re.search(
+        r"Plain runs end off the invariants by (\S+) of the size of the solution, projected ones by (\S+) at most", text
+    )
+    assert sentence, text
+    plain = problem("pendulum.py", "problem").replace(invariants=None).solve("ode45", rtol=1e-4, atol=1e-7)
+    bob = np.hypot(*plain.y[:2, -1])
+    assert 0.2 * abs(bob - 1) < float(sentence[1]) < 5 * abs(bob - 1)
+    assert float(sentence[2]) < 1e-14
+    assert re.search(rf"ode45 1e-4 \S+ {sentence[1]} ", text)
+    free = invariode("compare", "prey.py:free", "--decades", "3-3", "-m", "ode45").output
+    assert "off the invariants" not in free
+    assert " off " not in free
 
 
 def test_compare_without_invariants_says_so_and_compares_plain():
@@ -819,3 +837,19 @@ def test_compare_answers_first_and_quiet_answers_only():
     assert quiet.output.startswith("Projection")
     assert "Reference:" not in quiet.output
     assert len(quiet.output.splitlines()) <= 5
+
+
+def test_the_tutorials_comparison_is_what_one_gets():
+    """On its own pendulum; the first sentence, about times, depends on the machine."""
+    page = (Path(__file__).parents[1] / "docs/tutorial.md").read_text(encoding="utf-8")
+    cells = re.findall(r"```\{code-cell\} python\n(?:---\n.*?\n---\n)?(.*?)```", page, re.DOTALL)
+    needed = [cell for cell in cells if "def pendulum" in cell or "def rod(" in cell or "problem = iv.Problem(" in cell]
+    text = "\n".join(re.sub(r"^(plain|kept|print).*\n", "", cell, flags=re.MULTILINE) for cell in needed)
+    Path("pendulum.py").write_text(text, encoding="utf-8")
+    command, *shown = re.search(r"```console\n\$ invariode (.*?)```", page, re.DOTALL)[1].strip().splitlines()
+    outcome = invariode(*command.split(), width=1000)
+    assert outcome.exit_code == 0, outcome.output
+    first, second = outcome.output.strip().splitlines()
+    assert first.startswith("Projection ")
+    assert shown[0].startswith("Projection ")
+    assert second == shown[1]

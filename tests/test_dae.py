@@ -466,6 +466,54 @@ def test_sensitivities_are_those_of_the_unknowns():
     np.testing.assert_allclose(sol.sensitivities[:, 0, -1], (more - less) / (2 * step), rtol=1e-6)
 
 
+def test_times_of_events_have_derivatives():
+    """∂τ/∂g of each pass at x = 0.3 is that of differences, and so are those of the unknowns before the events."""
+
+    def pass_(t, y, g, length):
+        return y[0] - 0.3
+
+    sol = swung(sensitivities=["g"], events=pass_, rtol=1e-10, atol=1e-12)
+    step = 1e-4
+    more, less = (
+        swung(args=(GRAVITY + d, 1.0), events=pass_, rtol=1e-12, atol=1e-14).t_events[0] for d in (step, -step)
+    )
+    assert len(sol.t_events[0]) >= 2
+    np.testing.assert_allclose(sol.sensitivities_t_events[0][:, 0], (more - less) / (2 * step), rtol=1e-6)
+    # along the solution y(τ): dx/dg + x' dτ/dg = 0
+    S, slopes = sol.sensitivities_events[0][:, 0, 0], sol.sensitivities_t_events[0][:, 0]
+    speeds = np.sqrt(np.maximum(2 * GRAVITY * -sol.y_events[0][:, 1], 0)) * np.abs(sol.y_events[0][:, 1])
+    np.testing.assert_allclose(np.abs(S), np.abs(speeds * slopes), rtol=1e-6)
+
+
+def test_gradients_are_those_of_functions_of_the_unknowns():
+    """One backward run gives what forward sensitivities give: at the end, and at several times, tensions included."""
+    sol = swung(sensitivities=True, rtol=1e-10, atol=1e-12, dense_output=True, t_eval=[0.3, 0.8, 1.1])
+    weights = np.arange(9.0).reshape(3, 3) - 3
+    np.testing.assert_allclose(sol.gradient(weights), np.einsum("im,ikm->k", weights, sol.sensitivities), rtol=1e-6)
+    np.testing.assert_allclose(
+        sol.gradient(weights[0], [0.5, 0.0], t=[1.1]), weights[0] @ sol.sensitivities[:, :, 2] + [0.5, 0], rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        sol.gradient([1.0, 2.0, 3.0], wrt="g"), [[1, 2, 3] @ sol._sensitivities.end[:, 0]], rtol=1e-6
+    )
+    with pytest.raises(ValueError, match="takes no integrand"):
+        sol.gradient(integrand=lambda t, y, g, length: y[0])
+
+
+def test_parameters_of_a_dae_are_fitted():
+    """`fit` of the problem of a Dae, with data of a component and times of an event."""
+    t = np.linspace(0.2, 1.4, 7)
+    dae = iv.Dae(swing, 0, [1, 0, 0], args=(9.0, 1.0), order=2, names=["x", "z", "tension"])
+    event = iv.Event(lambda t, y, g, length: y[1] + 0.5, name="half")
+    truth = swung(t_eval=t, events=lambda t, y, g, length: y[1] + 0.5, rtol=1e-10, atol=1e-12)
+    problem = dae.problem((0, 1.5)).replace(events=event)
+    fit = iv.fit(problem, t, {"x": truth.y[0]}, {"g": (5, 15)}, sigma=0.01, method="dop853")
+    assert fit.parameters["g"] == pytest.approx(GRAVITY, rel=1e-6)
+    times = iv.Experiment(problem, event_times={"half": truth.t_events[0][:1]}, event_sigma=0.01)
+    fit = iv.fit([times], {"g": (5, 15)}, method="dop853")
+    assert fit.parameters["g"] == pytest.approx(GRAVITY, rel=1e-6)
+
+
 def test_arguments_that_decide_loops_are_constants():
     """A count is a constant of the expressions, and no parameter of the problem; numbers stay parameters."""
 

@@ -11,6 +11,7 @@ import re
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import invariode
@@ -164,3 +165,115 @@ def test_howtos_say_first_what_one_has_at_the_end_and_have_at_most_900_words():
         assert first[1].startswith("At the end of this page you have "), page.name
         words = len(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split())
         assert words <= 900, (page.name, words)
+
+
+class TestGuide:
+    """The folder `guide` has the pages that are not plain Markdown, with their outputs, as `make docs` writes them."""
+
+    @pytest.fixture(autouse=True)
+    def _portable(self, monkeypatch):
+        monkeypatch.syspath_prepend(str(ROOT / "docs"))
+        self.portable = importlib.import_module("portable")
+
+    def test_its_pages_are_those_of_the_documentation_as_it_is(self):
+        """Pages with code have the digest of their source; others are made again, and compared."""
+        there = {path.relative_to(ROOT / "guide") for path in (ROOT / "guide").rglob("*.md")}
+        assert there == {*self.portable.pages()}
+        for page in self.portable.pages():
+            text = (ROOT / "guide" / page).read_text(encoding="utf-8")
+            assert text.startswith(self.portable.head(page)), f"docs/{page.as_posix()} has changed: make docs"
+            if "{code-cell}" not in (ROOT / "docs" / page).read_text(encoding="utf-8"):
+                assert text == self.portable.page_of(page, []), f"docs/{page.as_posix()}: make docs"
+
+    def test_its_pages_are_plain_have_their_outputs_and_lead_somewhere(self):
+        pictures = set()
+        for path in (ROOT / "guide").rglob("*.md"):
+            text = path.read_text(encoding="utf-8")
+            outside = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+            assert not re.search(r"\{[a-z:]+\}`|^:::|^% |\{code-cell\}|\{\{", outside, re.MULTILINE), path.name
+            assert len(outside) > 300, path.name
+            for to in re.findall(LINK, outside):
+                target = (path.parent / to.partition("#")[0]).resolve()
+                assert target.exists(), (path.name, to)
+                pictures |= {target} & {*(ROOT / "guide/images").iterdir()}
+        assert pictures == {*(ROOT / "guide/images").iterdir()}
+        assert sum(path.stat().st_size for path in (ROOT / "guide").rglob("*.*")) < 2_000_000
+
+    def test_the_readme_leads_to_pages_that_show_as_they_are(self):
+        """To those of the guide where the documentation has code, roles or directives."""
+        made = {f"docs/{page.as_posix()}" for page in self.portable.pages()}
+        links = {to.partition("#")[0] for to in re.findall(LINK, (ROOT / "README.md").read_text(encoding="utf-8"))}
+        assert len(links) > 20
+        assert links & made == set()
+
+
+def test_cells_of_wide_tables_have_the_headings_of_their_columns(monkeypatch):
+    """For telephones; tables of two columns, and of numbers, stay as they are."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    stacked = importlib.import_module("stacking").stacked
+
+    def table(columns, cell="<td>"):
+        head = "".join(f'<th class="head"><p>h<em>{k}</em></p></th>' for k in range(columns))
+        row = "".join(f"{cell}<p>c{k}</p></td>" for k in range(columns))
+        return f'<table class="table"><thead><tr>{head}</tr></thead><tbody><tr>{row}</tr><tr>{row}</tr></tbody></table>'
+
+    wide = stacked(f"<p>before</p>{table(3)}{table(2)}")
+    assert '<table class="table stacks">' in wide
+    assert wide.count('data-label="h0"') == wide.count('data-label="h2"') == 2
+    assert wide.endswith(table(2))
+    numbers = table(4, '<td class="text-right">')
+    assert stacked(numbers) == numbers
+
+
+def test_benchmarks_are_of_this_version_or_say_why_not():
+    """A page that an earlier version was measured for has the reason above its figures."""
+    version = metadata.version("invariode")
+    stamped = 0
+    for page in sorted((ROOT / "docs/benchmarks").glob("*.md")):
+        marked = False
+        for line in page.read_text(encoding="utf-8").splitlines():
+            marked = marked or line.startswith("**Measured with an earlier version**: ")
+            for found in re.findall(r"invariode (\d+\.\d+\.\d+)", line):
+                stamped += 1
+                assert found == version or marked, f"{page.name}: measured with {found}: make bench, or say why not"
+                marked = False
+    assert stamped > 15
+
+
+def test_figures_of_projection_are_those_of_today():
+    """The row of docs/benchmarks/precision.md that the README quotes; times are the machine's."""
+    from invariode.problems import kepler
+    from problems import PROBLEMS
+
+    page = (ROOT / "docs/benchmarks/precision.md").read_text(encoding="utf-8").partition("Every tolerance")[0]
+    orbit = PROBLEMS["Kepler"]
+    y0 = kepler(0.6).y0.tolist()
+    row = re.search(r"^\| ode45 +\| +1e-06 \|(.*)", page, re.MULTILINE)[1]
+    errors, counts = [], []
+    for when in (None, "always", "needed"):
+        given = when and invariode.Invariants(orbit.g, orbit.jac, orbit.value, when=when)
+        sol = invariode.solve_ivp(
+            orbit.fun, (0, 20 * np.pi), y0, "ode45", invariants=given, rtol=1e-6, atol=1e-9, keep="end"
+        )
+        errors.append(f"{np.hypot(*(sol.y[:2, -1] - y0[:2])):.1e}")
+        counts.append(str(sol.nfev))
+    assert [cell.strip() for cell in row.split("|")][:6] == [*errors, *counts]
+
+
+#: Words that 'Words' in CONTRIBUTING.md replaces, as far as a search can find them.
+REPLACED = (
+    "round-off|outside of|right to the unit|those of the user's|(is|are) (asked for|looked at|told)|fails also|"
+    r"\bgo(es)? on\b|tells? nothing|\bfor ever\b|\banew\b|\ball but\b|\bbut for\b|with the bits of|put back"
+)
+
+
+def test_pages_use_the_words_of_the_table():
+    """Except the rules of the algorithms, whose sentences are older than the table."""
+    pages = [page for page in PAGES if "algorithms" not in str(page)]
+    found = [
+        (str(page.relative_to(ROOT)), match[0])
+        for page in pages
+        for match in re.finditer(REPLACED, page.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+    assert re.search(REPLACED, "The run goes on.")

@@ -585,7 +585,7 @@ def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkey
     def splu(matrix):
         raise RuntimeError("Not enough memory to perform factorization.")
 
-    monkeypatch.setattr("invariode._linear.matrices.splu", splu)
+    monkeypatch.setattr("scipy.sparse.linalg.splu", splu)
     with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(80), mass=sparse.csc_array(np.eye(80)))
 

@@ -319,3 +319,44 @@ def test_diodes_and_valves_open_and_close_within_a_step(method):
             np.testing.assert_array_equal(part.extend(10, max_steps=None).y, whole.y)
     sol = iv.solve_ivp(bouncing, (0, 1), [0.2, 0.0], method, rtol=1e-3, atol=1e-6)
     assert np.abs(sol.y[0]).max() < 0.21
+
+
+@pytest.mark.parametrize("method", ["ode15s", "radau"])
+def test_bands_of_an_f_that_mixes_everything_cost_as_many_evaluations_as_columns(method):
+    """The search gives up after some evaluations, says which entry is missing, and columns are differenced one by one:
+    at most n evaluations for each Jacobian, 60 for a search, and no arithmetic of order n³."""
+    n, calls = 400, 0
+
+    def f(t, y):
+        nonlocal calls
+        calls += 1
+        slope = -2 * y
+        slope[1:] += y[:-1]
+        slope[:-1] += y[1:]
+        return 50 * slope + 0.5 * y.mean()
+
+    given = {"rtol": 1e-3, "atol": 1e-6}
+    with pytest.warns(UserWarning, match="mixes nearly all components, so leave the bands out") as caught:
+        sol = iv.solve_ivp(f, (0, 0.5), np.linspace(0, 1, n), method, lband=1, uband=1, **given)
+    assert sol.success
+    i, j = map(int, str(caught[0].message).split("entry (")[1].split(")")[0].split(","))
+    assert abs(i - j) > 1
+    stats = sol.stats
+    assert calls <= stats.nfev + stats.nfev_check + (n + 60) * (stats.njev + 2)
+    whole = iv.solve_ivp(f, (0, 0.5), np.linspace(0, 1, n), "ode15s", jac_sparsity=np.eye(n, k=0) != 2, **given)
+    np.testing.assert_allclose(sol.y_end, whole.y_end, atol=1e-3)
+
+
+def test_bands_with_a_far_entry_of_a_large_system():
+    """A single entry outside the bands is found among 50,000 components, whose pairs an int cannot count."""
+    n = 50_000
+
+    def f(t, y):
+        slope = -2 * y
+        slope[1:] += y[:-1]
+        slope[7] += y[-3]
+        return slope
+
+    with pytest.warns(UserWarning, match=r"miss the entry \(7, 49997\)"):
+        sol = iv.solve_ivp(f, (0, 1e-3), np.ones(n), "ode15s", lband=1, uband=1, max_steps=3)
+    assert sol.stats.steps == 3

@@ -268,9 +268,57 @@ class TestCompile:
         sol = iv.solve_ivp(iv.compile(lambda t, y: (y[1], -1.0)), (0, 50), [1, 0], events=hit, invariants=energy)
         np.testing.assert_allclose(sol.t_events[0], np.sqrt(2) * np.cumsum([1, 1.8, 1.62]), rtol=1e-6)
 
-    def test_stays_a_python_function(self):
-        assert iv.compile(kepler)(0, ORBIT) == kepler(0, ORBIT)
+    def test_called_from_python_it_runs_its_machine_code(self):
+        """The values and the Jacobian are those of the Python function, for numbers, arrays and changed closures, and
+        whatever is not a real number is left to the Python function."""
+
+        def python(t, y, k, a):
+            return [-k * y[0] + a[0] * np.sin(t), k * y[0] ** 2 - a[1] * y[1]]
+
+        fun, y, a = iv.compile(python), np.array([1.0, 2.0]), np.array([0.1, 0.2])
+        np.testing.assert_allclose(fun(0.3, y, 0.5, a), python(0.3, y, 0.5, a), rtol=1e-15)
+        fun.jacobian(0.3, y, 0.5, a)
+        assert fun(0.3, [1.0, 2.0j], 0.5, a) == python(0.3, [1.0, 2.0j], 0.5, a)
+        fun.fun = None  # from here on there is only machine code
+        for k in (0.7, 0.9):
+            np.testing.assert_allclose(fun(0.3, [1.0, 2.0], k, a), [-k + 0.1 * np.sin(0.3), k - 0.4], rtol=1e-14)
+            np.testing.assert_allclose(fun.jacobian(0.3, y, k, a), [[-k, 0], [2 * k, -0.2]], rtol=1e-14, atol=0)
         assert repr(iv.compile(kepler)) == "compile(kepler)"
+        np.testing.assert_allclose(iv.compile(kepler)(0, ORBIT), kepler(0, ORBIT), rtol=1e-15)
+        assert iv.compile(lambda t, y: y[0] * y[1])(0.0, [2.0, 3.0]) == 6.0
+        assert iv.compile(lambda t, y: y[0] > 1)(0.0, [2.0]) is True
+
+    def test_arguments_that_are_constants_of_the_code(self):
+        """Counts, tables and functions among the arguments have the values of this call; so have closures."""
+        factor = 2.0
+
+        def power(t, y, n, f):
+            found = factor * y[0]
+            for _ in range(n):
+                found = f(found)
+            return [found]
+
+        fun = iv.compile(power)
+        assert [float(fun(0.0, [1.5], n, g)[0]) for n in (1, 2) for g in (np.sqrt, np.square)] == pytest.approx(
+            [np.sqrt(3), 9, 3**0.25, 81]
+        )
+        factor = 4.0
+        assert float(fun(0.0, [1.0], 1, np.sqrt)[0]) == pytest.approx(2)
+        np.testing.assert_allclose(fun.jacobian(0.0, [1.0], 1, np.sqrt), [[1.0]])
+
+    def test_functions_that_fill_an_array_and_those_of_numba(self):
+        def filled(t, y, out, k):
+            out[:] = -k * y
+
+        fun, out = iv.compile(filled, inplace=True), np.zeros(2)
+        assert fun(0.0, np.array([1.0, 2.0]), out, 3.0) is out
+        assert out.tolist() == [-3.0, -6.0]
+        with pytest.raises(TypeError, match="does not say how many values"):
+            fun.jacobian(0.0, [1.0, 2.0], 3.0)
+        by_numba = iv.compile(lambda t, y, p: p[0] * y * y, by="numba")
+        np.testing.assert_allclose(by_numba(0.0, np.array([1.0, 2.0]), np.array([3.0])), [3, 12])
+        found = by_numba.jacobian(0.0, np.array([1.0, 2.0]), np.array([3.0]))
+        np.testing.assert_allclose(found, [[6, 0], [0, 12]], rtol=1e-12)
 
     def test_what_numba_cannot_compile_is_said(self):
         with pytest.raises(TypeError, match="numba cannot compile this function"):

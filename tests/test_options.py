@@ -59,8 +59,8 @@ def typed(entry):
     """The names that type checkers let through: those spelled out, and those of the TypedDict behind `options`."""
     function = inspect.unwrap(function_of(entry))
     names = set(inspect.getfullargspec(function).args) | set(inspect.getfullargspec(function).kwonlyargs)
-    hint = get_type_hints(function).get("options")
-    return names | set(get_args(hint)[0].__annotations__ if hint is not None else ())
+    hint = function.__annotations__.get("options")
+    return names | set(get_args(eval(hint, function.__globals__))[0].__annotations__ if hint is not None else ())
 
 
 def test_documented_is_typed_is_in_the_signature():

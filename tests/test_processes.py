@@ -287,6 +287,51 @@ def test_a_fork_waits_for_the_compilations_of_other_threads(tmp_path):
     assert (out, errors) == ("True\n", "")
 
 
+FORKING = """
+import os, threading, warnings
+import numpy as np
+import invariode as iv
+
+warnings.simplefilter("ignore")
+
+def made(i):
+    def f(t, y):
+        s = y[0]
+        for j in range(150):
+            s = s * 0.99 + np.sin(y[0] * (j + i)) * 1e-3
+        return [-s]
+    return iv.compile(f, by="trace")
+
+def solved(i):
+    return iv.solve_ivp(made(i), (0, 1e-3), [1.0])
+
+solved(0)
+children = []
+for k in range(8):
+    thread = threading.Thread(target=lambda: [solved(100 * k + i) for i in range(1, 3)])
+    thread.start()
+    threading.Event().wait(0.01 * k)
+    child = os.fork()
+    if child == 0:
+        solved(10_000 + k)
+        os._exit(0)
+    children.append(child)
+    thread.join()
+print([os.waitpid(child, 0)[1] for child in children])
+"""
+
+
+def test_a_child_compiles_wherever_other_threads_of_its_parent_were_compiling(tmp_path):
+    pytest.importorskip("llvmlite")
+    process = script(tmp_path, FORKING, start_new_session=True)
+    try:
+        out, errors = process.communicate(timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        raise
+    assert (out, errors) == (f"{[0] * 8}\n", "")
+
+
 def test_what_is_sent_is_small_enough_to_be_written_at_once():
     """A pipe takes as much as PIPE_BUF at once; a file's name, the executor's own words included, takes less."""
     select = pytest.importorskip("select")

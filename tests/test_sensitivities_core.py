@@ -278,7 +278,8 @@ def test_complex_states_have_complex_sensitivities(method):
     settings = _core.Settings()
     settings.tf, settings.max_step = 1.0, 0.1
     solver = _core.Solver(method, described, _core.Tolerances(1e-5, 1.0, None), settings)
-    run = solver.integrate_anew(np.array([1.0, 0, 0, 0]))
+    course = 0.0, 1.0, 0.1, None, 10**6, 10**9
+    run = solver.integrate_anew(np.array([1.0, 0, 0, 0]), None, (), None, course, None, None, True, None, None, None)
     np.testing.assert_allclose(run.end, [np.exp(2j), 1j * np.exp(2j)], atol=1e-3)
 
 

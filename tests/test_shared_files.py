@@ -208,6 +208,30 @@ def test_a_child_does_not_hold_the_lock_of_its_parent(tmp_path):
         os.waitpid(children[0], 0)
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_of_two_processes_that_continue_a_run_after_a_fork_the_first_writes_its_checkpoint(tmp_path):
+    path, children = tmp_path / "sim", []
+
+    def forks(t, y):
+        if t > 1 and not children:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of fork with threads
+                children.append(os.fork())
+        return False
+
+    wrong = None
+    try:
+        sol = problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), callback=forks)
+    except ValueError as error:
+        wrong = error
+    if children == [0]:
+        os._exit(42 if "this one was forked from it" in str(wrong) else 1)
+    assert wrong is None
+    assert os.waitstatus_to_exitcode(os.waitpid(children[0], 0)[1]) == 42
+    found = iv.load(path, problem(), callback=None)
+    assert not differences(sol, found)
+
+
 def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_path, monkeypatch):
     monkeypatch.setattr("invariode._base.locks._locked", lambda file: False)
     path = tmp_path / "sim"

@@ -18,7 +18,7 @@ import pytest
 
 import invariode as iv
 from cases import METHODS, dealt, families
-from invariode._run import template
+from invariode._run import prepared
 
 GENERAL = [name for name, method in METHODS.items() if method.equations == "any"]
 
@@ -76,7 +76,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 @pytest.fixture(autouse=True)
 def _no_templates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(template, "_templates", {})
+    monkeypatch.setattr(prepared, "_kept", {})
 
 
 def _timeless(value: Any) -> Any:
@@ -104,11 +104,11 @@ def outcome(**call: Any) -> Any:
 
 def alone(**call: Any) -> Any:
     """The same without templates."""
-    known, template._templates = template._templates, {}
+    known, prepared._kept = prepared._kept, {}
     try:
         return outcome(**call)
     finally:
-        template._templates = known
+        prepared._kept = known
 
 
 def case(fun: str = "function", problem: str = "as it is", **more: Any) -> dict[str, Any]:
@@ -130,7 +130,7 @@ def test_one_plan_serves_all_problems_of_a_kind(method: str) -> None:
             outcome(**case(fun, problem, method=method))
     every = {("t_eval" in problem, "breakpoints" in problem) for problem in PROBLEMS.values()}
     kinds = every if METHODS[method].equations == "any" else {}
-    assert len(template._templates) == len(kinds)
+    assert len(prepared._kept) == len(kinds)
 
 
 @dealt(
@@ -310,7 +310,7 @@ def test_a_template_keeps_nothing_of_the_users() -> None:
         if raises:
             with pytest.raises(ZeroDivisionError):
                 iv.solve_ivp(lambda t, y, fun, other: [1 / 0] * 2, (0, 1), [1.0, 2.0], args=(fun, argument))
-        assert len(template._templates) == 1
+        assert len(prepared._kept) == 1
         del sol, fun, argument
         gc.collect()
         assert [one() for one in kept] == [None, None]
@@ -342,6 +342,6 @@ def test_nested_solves_and_threads_do_not_meet() -> None:
 
 
 def test_so_many_templates_and_no_more() -> None:
-    for k in range(template._MOST + 5):
+    for k in range(prepared._MOST + 5):
         iv.solve_ivp(**case(rtol=1e-3 / (1 + k), t_span=(0, 0.01)))
-    assert len(template._templates) == template._MOST
+    assert len(prepared._kept) == prepared._MOST

@@ -67,6 +67,8 @@ class Delays {
   // What the loop does with it.
   /// The run begins at (t0, y), with steps of this kind. `jumps`: y is not what the history is there.
   Status begin(DenseOutput no_steps, const double* y, bool& jumps);
+  /// Returns whether `begin` was called: a run that ends before its first step may not get there.
+  [[nodiscard]] bool begun() const { return steps_.has_value(); }
   /// The solution goes on at (t, y), where it has jumped.
   void jump(double t, const double* y);
   /// The method starts again: the step before is not continued.

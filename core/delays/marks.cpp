@@ -49,7 +49,9 @@ const Mark* Marks::at(double t, double tolerance) const {
 void Marks::state(Archive& archive) {
   std::vector<double> t, spacing, level, rates;
   for (const Mark& one : all_) {
-    t.push_back(one.t), spacing.push_back(one.spacing), level.push_back(one.level);
+    t.push_back(one.t);
+    spacing.push_back(one.spacing);
+    level.push_back(one.level);
     rates.insert(rates.end(), one.rates.begin(), one.rates.end());
   }
   archive.resizable(t);

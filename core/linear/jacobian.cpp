@@ -25,7 +25,9 @@ constexpr double bolder = 100;      // of increments that have to change f
 constexpr double noise_units = 10;  // of ε |f_i|: a change of f_i up to this is roundoff in every digit that matters
 const double wide_factor = large;   // its truncation error is far below the roundoff that it replaces
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
-constexpr double most_entries = 0x1p27;      // of a pattern that has grown: a gigabyte and a half
+constexpr std::size_t most_entries = std::size_t{1} << 27U;  // of a pattern that has grown: half a gigabyte
+constexpr std::size_t always_sought = 256;         // up to this n a pattern is sought even if it is rather full
+constexpr std::int64_t most_calls_per_column = 4;  // of such a search: far more than columns one by one would take
 
 /// Compressed columns of an n × n matrix, each with ascending rows.
 bool well_formed(std::size_t n, const std::vector<int>& starts, const std::vector<int>& rows) {
@@ -41,6 +43,13 @@ bool well_formed(std::size_t n, const std::vector<int>& starts, const std::vecto
     }
   }
   return true;
+}
+
+/// Entries of one row in all columns.
+Pattern full_row(std::size_t n, std::size_t row) {
+  Pattern pattern{.starts = std::vector<int>(n + 1), .rows = std::vector<int>(n, static_cast<int>(row))};
+  for (std::size_t j = 0; j <= n; ++j) pattern.starts[j] = static_cast<int>(j);
+  return pattern;
 }
 
 Pattern pattern_of(const Matrix& banded) {
@@ -244,27 +253,39 @@ Status Jacobian::difference_in_found_pattern(Callback& f, double t, const double
 Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
                                  const std::vector<double>& displacement, bool& larger) {
   const std::size_t n = matrix_.n();
+  const std::vector<double> at(y, y + n), value(slope, slope + n);
   bool stopped = false;
-  const std::optional<Pattern> here =
-      find_pattern(f, t, {y, y + n}, {slope, slope + n}, displacement,
-                   {.most_calls = std::numeric_limits<std::int64_t>::max(), .sparse_only = false}, stopped);
+  std::optional<Pattern> here = find_pattern(f, t, at, value, displacement,
+                                             {.most_calls = most_calls_per_column * static_cast<std::int64_t>(n),
+                                              .sparse_only = n > always_sought,
+                                              .most_entries = most_entries},
+                                             stopped);
   larger = false;
   if (stopped) return Status::stop;
   const bool banded = matrix_.structure.kind == Structure::Kind::banded;
   const Pattern known = !banded                  ? Pattern{.starts = matrix_.starts, .rows = matrix_.rows}
                         : beyond_.starts.empty() ? pattern_of(matrix_)
                                                  : beyond_;
-  const Pattern all = united(known, *here);
-  larger = all.rows.size() > known.rows.size() && static_cast<double>(all.rows.size()) <= most_entries;
-  if (!larger) return Status::ok;
+  const bool full = !here;
+  if (full) {  // as one full row does, it leaves no two columns that can be differenced together
+    const auto entry = find_entry_outside(f, t, at, value, displacement, known, stopped);
+    if (stopped) return Status::stop;
+    if (!entry) return Status::ok;
+    here = full_row(n, entry->first);
+    note_misfit(t, *here, entry->second);
+    if (misfit_) misfit_->lower = misfit_->upper = 0;
+  }
+  Pattern all = united(known, *here);
+  if (all.rows.size() == known.rows.size()) return Status::ok;
+  if (!full) note_misfit(t, *here, 0);
+  larger = true;
   ++enlargements_;
-  note_misfit(t, *here);
   if (banded) {
-    beyond_ = all;
+    beyond_ = std::move(all);
   } else {
-    matrix_.starts = all.starts;
-    matrix_.rows = all.rows;
-    matrix_.values.assign(all.rows.size(), 0);
+    matrix_.starts = std::move(all.starts);
+    matrix_.rows = std::move(all.rows);
+    matrix_.values.assign(matrix_.rows.size(), 0);
   }
   group_columns();
   return Status::ok;
@@ -279,8 +300,8 @@ bool Jacobian::holds(std::size_t i, std::size_t j) const {
   return std::binary_search(first, last, static_cast<int>(i));
 }
 
-/// Notes which of the entries seen the given structure lacks.
-void Jacobian::note_misfit(double t, const Pattern& seen) {
+/// Notes which of the entries seen, from a column on, the given structure lacks.
+void Jacobian::note_misfit(double t, const Pattern& seen, std::size_t first) {
   if (source_.found_pattern) return;
   const auto& [kind, n, lower, upper] = matrix_.structure;
   Misfit found{.kind = kind == Structure::Kind::banded ? Misfit::Kind::bands : Misfit::Kind::pattern, .t = t};
@@ -291,7 +312,7 @@ void Jacobian::note_misfit(double t, const Pattern& seen) {
       const auto i = static_cast<std::size_t>(seen.rows[static_cast<std::size_t>(p)]);
       if (i > j) found.lower = std::max(found.lower, i - j);
       if (j > i) found.upper = std::max(found.upper, j - i);
-      if (located || holds(i, j)) continue;
+      if (located || j < first || holds(i, j)) continue;
       located = true;
       found.row = i, found.column = j;
     }

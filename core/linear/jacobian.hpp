@@ -121,7 +121,7 @@ class Jacobian {
   Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
   Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
                          const std::vector<double>& displacement, bool& larger);
-  void note_misfit(double t, const Pattern& seen);
+  void note_misfit(double t, const Pattern& seen, std::size_t first);
   [[nodiscard]] bool holds(std::size_t i, std::size_t j) const;
   JacobianCheck::Verdict examine(Callback& f, double t, const double* y, const double* slope);
   [[nodiscard]] bool examination_due() const;

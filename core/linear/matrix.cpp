@@ -8,8 +8,10 @@
 #include <complex>
 #include <new>
 #include <string>
+#include <type_traits>
 
 #include "linear/dense_lu.hpp"
+#include "linear/elimination/elimination.hpp"
 #include "linear/index.hpp"
 #include "linear/narrow_band.hpp"
 #include "weights.hpp"
@@ -17,9 +19,12 @@
 namespace invariode {
 namespace {
 
-constexpr std::size_t dense_by_lapack = 64;  // from this n on LAPACK's blocked LU is the faster one
-constexpr std::size_t narrow_band = 24;      // lower + upper, up to which LAPACK's banded LU is slower than ours
-constexpr double least_diagonal = 0.1;       // of the largest entry in its column, to be taken as a sparse pivot
+// Measured in benchmarks/jacobians.py: elimination in blocks is faster than by columns from the first n on, and no
+// slower than LAPACK on one thread up to the last. LAPACK's threads gain nothing there, and wait for each other by
+// spinning: with another process on the processor a factorisation took 20 times as long.
+constexpr std::size_t dense_in_blocks = 24, dense_by_lapack = 513;
+constexpr std::size_t narrow_band = 24;  // lower + upper, up to which LAPACK's banded LU is slower than ours
+constexpr double least_diagonal = 0.1;   // of the largest entry in its column, to be taken as a sparse pivot
 
 bool finite(const std::vector<double>& v) { return all_finite(v.data(), v.size()); }
 bool finite(const std::vector<std::complex<double>>& v) {
@@ -34,6 +39,25 @@ void assemble(const Matrix* mass, Scalar c, const Matrix& jacobian, Add add) {
   else
     for (std::size_t i = 0; i < jacobian.n(); ++i) add(i, i, 1);
   jacobian.for_each([&](std::size_t i, std::size_t j, double value) { add(i, j, -(c * value)); });
+}
+
+/// A = M − c J of a dense J by columns of a given height, a tile at a time: J is stored by rows. set(place, value)
+/// writes an entry.
+template <class Scalar, class Set>
+void assemble_columns(const Matrix* mass, Scalar c, const Matrix& jacobian, std::size_t height, Set set) {
+  constexpr std::size_t tile = 16;
+  const std::size_t n = jacobian.n();
+  const bool dense_mass = mass && mass->structure.kind == Structure::Kind::dense;
+  for (std::size_t first_j = 0; first_j < n; first_j += tile)
+    for (std::size_t first_i = 0; first_i < n; first_i += tile)
+      for (std::size_t j = first_j; j < std::min(first_j + tile, n); ++j)
+        for (std::size_t i = first_i; i < std::min(first_i + tile, n); ++i) {
+          const double m = dense_mass ? mass->values[i * n + j] : !mass && i == j ? 1 : 0;
+          set(j * height + i, m - c * jacobian.values[i * n + j]);
+        }
+  if (mass && !dense_mass)
+    mass->for_each(
+        [&](std::size_t i, std::size_t j, double m) { set(j * height + i, m - c * jacobian.values[i * n + j]); });
 }
 
 /// LU of small matrices, which cost no call.
@@ -54,6 +78,60 @@ class DenseByColumns final : public Factors<Scalar> {
   DenseLu<Scalar> lu_;
 };
 
+/// LU by our own kernels, on this thread alone.
+template <class Scalar>
+class DenseInBlocks final : public Factors<Scalar> {
+  static constexpr bool complex = !std::is_same_v<Scalar, double>;
+
+ public:
+  explicit DenseInBlocks(std::size_t n) : n_(n), height_(height_for(n)), exchanged_with_(n) {}
+
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
+    assert(jacobian.n() == n_);
+    re_.resize(height_ * (n_ + 1));
+    if constexpr (complex) im_.resize(re_.size());
+    assemble_columns(mass, c, jacobian, height_, [this](std::size_t at, Scalar value) { set(at, value); });
+    return kernel_.factor(columns(), exchanged_with_.data()) && all_finite(re_.data(), height_ * n_) &&
+           all_finite(im_.data(), complex ? height_ * n_ : 0);
+  }
+
+  void solve(Scalar* b) override {
+    const std::size_t last = height_ * n_;
+    for (std::size_t i = 0; i < n_; ++i) set(last + i, b[i]);
+    kernel_.solve(columns(), exchanged_with_.data());
+    for (std::size_t i = 0; i < n_; ++i) {
+      if constexpr (complex)
+        b[i] = {re_[last + i], im_[last + i]};
+      else
+        b[i] = re_[last + i];
+    }
+  }
+
+ private:
+  /// No multiple of 64, which would put all entries of a row into the same few places of the cache.
+  static std::size_t height_for(std::size_t n) {
+    const std::size_t height =
+        (n + elimination::row_multiple - 1) / elimination::row_multiple * elimination::row_multiple;
+    return height % 64 == 0 ? height + elimination::row_multiple : height;
+  }
+  [[nodiscard]] elimination::Columns columns() {
+    return {.n = n_, .height = height_, .re = re_.data(), .im = complex ? im_.data() : nullptr};
+  }
+  void set(std::size_t at, Scalar value) {
+    if constexpr (complex) {
+      re_[at] = value.real();
+      im_[at] = value.imag();
+    } else {
+      re_[at] = value;
+    }
+  }
+
+  const elimination::Kernel& kernel_ = *elimination::kernels().front();
+  std::size_t n_, height_;
+  std::vector<double> re_, im_;  // of a method that may never need them: made when it does
+  std::vector<std::size_t> exchanged_with_;
+};
+
 template <class Scalar>
 class DenseByLapack final : public Factors<Scalar> {
  public:
@@ -62,8 +140,8 @@ class DenseByLapack final : public Factors<Scalar> {
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto n = static_cast<std::size_t>(n_);
     assert(jacobian.n() == n);
-    lu_.assign(n * n, 0);
-    assemble(mass, c, jacobian, [&](std::size_t i, std::size_t j, Scalar value) { lu_[j * n + i] += value; });
+    lu_.resize(n * n);
+    assemble_columns(mass, c, jacobian, n, [this](std::size_t at, Scalar value) { lu_[at] = value; });
     if (!finite(lu_)) return false;
     int info = 0;
     lapack_.factor(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
@@ -258,12 +336,18 @@ void Matrix::multiply(const double* x, double* y) const {
   for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
 }
 
+bool by_lapack(const Structure& structure) {
+  return structure.kind == Structure::Kind::dense    ? structure.n >= dense_by_lapack
+         : structure.kind == Structure::Kind::banded ? structure.lower + structure.upper > narrow_band
+                                                     : false;
+}
+
 template <class Scalar>
 std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack) {
-  const LapackOf<Scalar>* routines = lapack ? &lapack->of(Scalar()) : nullptr;
+  const LapackOf<Scalar>* routines = lapack && by_lapack(structure) ? &lapack->of(Scalar()) : nullptr;
   if (structure.kind == Structure::Kind::dense) {
-    if (routines && structure.n >= dense_by_lapack)
-      return std::make_unique<DenseByLapack<Scalar>>(structure.n, *routines);
+    if (routines) return std::make_unique<DenseByLapack<Scalar>>(structure.n, *routines);
+    if (structure.n >= dense_in_blocks) return std::make_unique<DenseInBlocks<Scalar>>(structure.n);
     return std::make_unique<DenseByColumns<Scalar>>(structure.n);
   }
   const bool narrow = structure.lower + structure.upper <= narrow_band;

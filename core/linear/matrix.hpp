@@ -128,8 +128,11 @@ class Factors {
 using Factorization = Factors<double>;
 using ComplexFactorization = Factors<std::complex<double>>;
 
-/// For matrices of that structure. `lapack` may be null: dense ones are then left to Eigen, and banded ones that are
-/// not narrow are treated as sparse.
+/// Returns whether `make_factors` uses LAPACK for matrices of a structure, if it is given.
+[[nodiscard]] bool by_lapack(const Structure& structure);
+
+/// For matrices of that structure. `lapack` may be null: dense ones are then eliminated by our own code, however large,
+/// and banded ones that are not narrow are treated as sparse.
 template <class Scalar>
 std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack);
 

@@ -12,8 +12,9 @@ namespace invariode {
 struct Misfit {
   enum class Kind : unsigned char { pattern, bands, matrix } kind = Kind::matrix;
   double t = 0;
-  std::size_t row = 0, column = 0;   ///< `matrix`: no column
-  std::size_t lower = 0, upper = 0;  ///< `bands`: those that would hold all entries seen
+  std::size_t row = 0, column = 0;  ///< `matrix`: no column
+  std::size_t lower = 0,
+              upper = 0;  ///< `bands`: those that would hold all entries seen; 0: f mixes nearly all components
   double change = 0, predicted = 0;  ///< `matrix`: of f_row, by f and by J
 
   void state(Archive& archive) {

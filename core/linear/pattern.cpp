@@ -92,6 +92,7 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
   std::int64_t calls = 0;
   Blocks blocks = everything(n);
   while (!blocks.single()) {
+    if (blocks.rows.rows.size() > search.most_entries / (blocks.size() == 1 ? first_blocks : 2)) return {};
     blocks = divided(blocks, blocks.size() == 1 ? first_blocks : 2);
     const ColumnGroups groups = group_columns(n, blocks.size(), blocks.rows.starts.data(), blocks.rows.rows.data());
     calls += static_cast<std::int64_t>(groups.size());
@@ -136,6 +137,48 @@ std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vecto
     return find_pattern(f, t, point, value, size, search, stopped);
   }
   return {};
+}
+
+std::optional<std::pair<std::size_t, std::size_t>> find_entry_outside(Callback& f, double t,
+                                                                      const std::vector<double>& y,
+                                                                      const std::vector<double>& value,
+                                                                      const std::vector<double>& displacement,
+                                                                      const Pattern& known, bool& stopped) {
+  const std::size_t n = y.size();
+  std::vector<double> point = y, moved(n);
+  std::vector<char> holds(n);
+  std::size_t first = 0, last = n;  // the columns among which one changes a row in which none of them has an entry
+  std::size_t row = n;
+  const auto changes = [&](std::size_t from, std::size_t to) {
+    for (std::size_t j = from; j < to; ++j) point[j] = y[j] + displacement[j];
+    stopped = stopped || f(t, point.data(), moved.data()) == Status::stop;
+    for (std::size_t j = from; j < to; ++j) point[j] = y[j];
+    std::fill(holds.begin(), holds.end(), 0);
+    for (int p = known.starts[from]; p < known.starts[to]; ++p)
+      holds[static_cast<std::size_t>(known.rows[static_cast<std::size_t>(p)])] = 1;
+    for (std::size_t i = 0; i < n && !stopped; ++i) {
+      if (holds[i] != 0 || moved[i] == value[i]) continue;
+      row = i;
+      return true;
+    }
+    return false;
+  };
+  const std::size_t part = std::max<std::size_t>(1, n / first_blocks);
+  for (first = 0; first < n && !stopped; first += part) {
+    last = std::min(first + part, n);
+    if (changes(first, last)) break;
+  }
+  while (first < n && last - first > 1 && !stopped) {
+    const std::size_t middle = first + (last - first) / 2;
+    if (changes(first, middle))
+      last = middle;
+    else if (changes(middle, last))
+      first = middle;
+    else
+      return {};  // only both together change f_row by more than roundoff
+  }
+  if (stopped || first >= n) return {};
+  return std::pair(row, first);
 }
 
 Pattern united(const Pattern& a, const Pattern& b) {

@@ -3,7 +3,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "callback.hpp"
@@ -18,10 +20,12 @@ struct Pattern {
   [[nodiscard]] std::size_t n() const { return starts.size() - 1; }
 };
 
-/// A search for the pattern that may evaluate f so often, and gives up where it sees that the matrix is rather full.
+/// A search for the pattern that may evaluate f so often, and gives up where it sees that the matrix is rather full, or
+/// has more entries than this.
 struct PatternSearch {
   std::int64_t most_calls;
   bool sparse_only;
+  std::size_t most_entries = std::numeric_limits<int>::max();
 };
 
 /// The entries (i, j) for which f_i changes with y_j by its displacement, at (t, y), where f is `value`; and the
@@ -35,6 +39,14 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
 /// Finds the pattern around a point in the box beside (t, y), where no term vanishes by chance.
 std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y, const Box& box,
                                          const PatternSearch& search, bool& stopped);
+
+/// An entry (i, j) for which f_i changes with y_j by its displacement, and that is not among the known ones, sought by
+/// halving the components that move together; one evaluation of f tells of each half. Nothing: none was found.
+std::optional<std::pair<std::size_t, std::size_t>> find_entry_outside(Callback& f, double t,
+                                                                      const std::vector<double>& y,
+                                                                      const std::vector<double>& value,
+                                                                      const std::vector<double>& displacement,
+                                                                      const Pattern& known, bool& stopped);
 
 /// The entries of either.
 Pattern united(const Pattern& a, const Pattern& b);

@@ -14,6 +14,8 @@ constexpr double roundoff_share = 1e-13;
 // Rows of which less is left than this nearly depend on others: roundoff of their residuals makes corrections of ε / σ
 // in q, and of ε / σ² in v.
 constexpr double nearly_dependent = 0.01;
+// From this many rows on, sparse factors take less time than a dense basis (benchmarks/manifolds.py).
+constexpr std::size_t many_rows = 30;
 
 std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
   std::vector<char> mask(n, block.moves.empty() ? 1 : 0);
@@ -27,6 +29,9 @@ std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
 }  // namespace
 
 bool Levels::needed(const Invariants& invariants) {
+  if (invariants.layout().sparse() && invariants.m() >= many_rows && !invariants.along_steps() &&
+      !invariants.any_one_sided())
+    return true;
   return std::any_of(invariants.blocks().begin(), invariants.blocks().end(), [](const InvariantBlock& block) {
     return block.level != 0 || !block.moves.empty() || block.metric;
   });

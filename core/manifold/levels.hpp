@@ -24,8 +24,8 @@ class Levels {
   /// fit.
   explicit Levels(const Invariants& invariants);
 
-  /// Returns whether the invariants have levels at all; without them the correction is that of the paper, of all
-  /// together.
+  /// Returns whether the invariants have levels at all, or are so many and their gradients so sparse that one level
+  /// with sparse factors takes less time; without them the correction is that of the paper, of all together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
   /// Takes the metrics at (t, y).

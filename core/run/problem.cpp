@@ -108,18 +108,19 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   if (problem_.linear) jacobian_.emplace(make_jacobian(problem_, weights_));
 }
 
-void Solver::cover(double t0, double tf, double hmax) {
-  settings_.t0 = t0;
-  settings_.tf = tf;
-  settings_.hmax = hmax;
-  require_settings(settings_);
-}
-
-void Solver::cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback) {
+void Solver::cover(Settings settings) {
   require_settings(settings);
   settings_ = std::move(settings);
+}
+
+void Solver::interrupt(std::vector<Breakpoint> breakpoints, Callback callback) {
   problem_.breakpoints = std::move(breakpoints);
   problem_.callback = callback;
+}
+
+void Solver::hold(std::span<const double> value) {
+  require(value.size() == problem_.value.size(), "an invariant has another number of values");
+  problem_.value.assign(value.begin(), value.end());
 }
 
 void Solver::set_tolerances(std::span<const double> tolerance) {

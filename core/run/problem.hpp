@@ -64,7 +64,7 @@ void require_sizes(const Problem& problem, const Weights& weights);
 
 /// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
 /// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
-/// `cover` and `set_tolerances`, and by what is written to the parameters.
+/// `cover`, `interrupt`, `hold` and `set_tolerances`, and by what is written to the parameters.
 class Solver {
  public:
   /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
@@ -72,12 +72,13 @@ class Solver {
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
 
-  /// Its next runs cover another interval, with steps up to hmax. Output times and breakpoints stay as they are:
-  /// whoever calls this has none. Throws std::invalid_argument where hmax is not positive.
-  void cover(double t0, double tf, double hmax);
-  /// Its next runs cover another interval, with other output times and limits, those of the settings, with other
-  /// breakpoints and another callback.
-  void cover(Settings settings, std::vector<Breakpoint> breakpoints, Callback callback);
+  /// Its next runs cover another interval, with other output times and limits, those of the settings. Throws
+  /// std::invalid_argument where a setting cannot be.
+  void cover(Settings settings);
+  /// Its next runs have other breakpoints and another callback.
+  void interrupt(std::vector<Breakpoint> breakpoints, Callback callback);
+  /// Its next runs hold the invariants at these values.
+  void hold(std::span<const double> value);
   /// Its next runs have other absolute tolerances of the sensitivities, (k, n).
   void set_tolerances(std::span<const double> tolerance);
 

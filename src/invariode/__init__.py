@@ -25,6 +25,7 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
+from ._problem.problem import Problem
 from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
@@ -34,7 +35,6 @@ from ._solve.loading import load
 from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in it
 from ._solve.odepack import odeint
 from ._solve.prepared import PreparedSolver
-from ._solve.problem import Problem
 
 if _typing.TYPE_CHECKING:
     from ._dae.dae import Dae, Start

@@ -391,8 +391,6 @@ class Run:
     def end(self) -> numpy.ndarray:
         """y at the end."""
 
-    def take_start(self) -> numpy.ndarray: ...
-
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
     def record(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
@@ -406,6 +404,11 @@ class Run:
 
     @property
     def value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    def put_into(self, items: dict) -> None:
+        """
+        Sets the counts `nfev`, `njev` and `nlu`, and `t_end`, among the items of a solution.
+        """
 
     def take_dense(self) -> Dense | None: ...
 
@@ -639,14 +642,9 @@ class Solver:
 
     def __init__(self, method: str, problem: Problem, tolerances: Tolerances, settings: Settings) -> None: ...
 
-    def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
+    def integrate_anew(self, y0: object, functions: object | None, args: object, parameters: object | None, course: object, breakpoints: object | None, limit: StepLimit | None, remember: bool, remarks: object | None, value: object | None, tolerances: object | None) -> Run | None:
         """
-        Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
-        """
-
-    def integrate_other(self, fun: object, args: tuple, y0: object, course: tuple[float, float, float, object, int, int], breakpoints: object | None = None, limit: StepLimit | None = None, remember: bool = True, remarks: object | None = None) -> Run:
-        """
-        Integrates y' = fun(t, y, *args) from y0, with this fun in place of the Python function that it was made with, other settings (t0, tf, max_step, times, max_points, max_bytes), other breakpoints, without actions and in order, and another limit of steps. It keeps none of them. `remember`: the run can be resumed. `remarks`: as in `integrate`.
+        Integrates from y0 on another course (t0, tf, max_step, times, max_points, max_bytes), with other arguments. functions: those in place of the Python functions that it was made with, in the order of their making, and with them breakpoints, without actions and in order, and another limit of steps; it keeps none of them. None: its own. parameters: of native functions, if `args` are not floats. remember: the run can be resumed. remarks: as in `integrate`. value: of the invariants; None: that at y0. tolerances: absolute ones of the sensitivities. Returns None if y0 is not finite, or something is not of the right size or type.
         """
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike
 from ._base.extras import extra
 from ._base.types import MethodName
 from ._functions.contents import content
-from ._problem.accepted import run_options
 from ._problem.options import Options
+from ._problem.problem import Problem
 from ._solve.bridge import Bridge
-from ._solve.problem import Problem
+
+if TYPE_CHECKING:
+    from ._problem.accepted import run_options
 
 __all__ = ["solve"]
 
@@ -77,7 +79,9 @@ def solve(
     Invariants are imposed on the solution and, as tangents, on its derivatives. Second derivatives are not available,
     and raise an error. Under `jax.vmap`, runs are solved one after the other.
     """
-    bridge = Bridge.of(problem, t, method, run_options(**options))
+    if TYPE_CHECKING:
+        run_options(**options)  # editors complete options from this call
+    bridge = Bridge.of(problem, t, method, options)
     given = bridge.operands(y0 if y0 is None or hasattr(y0, "dtype") else jnp.asarray(y0), args)
     places = tuple(i for i, one in enumerate(given) if i == 0 or _is_operand(i, one))
     numbers = [given[i] if i and _is_whole(given[i]) else jnp.asarray(given[i], float) for i in places]

@@ -20,7 +20,7 @@ import numpy as np
 
 from ._base.arguments import Array
 from ._problem.invariants import Invariants
-from ._solve.problem import Problem
+from ._problem.problem import Problem
 
 __all__ = [
     "henon_heiles",

@@ -7,17 +7,19 @@ the adjoint, and not of the steps.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ._base.extras import extra
 from ._base.types import MethodName
-from ._problem.accepted import run_options
 from ._problem.options import Options
+from ._problem.problem import Problem
 from ._solve.bridge import Bridge, leaves
-from ._solve.problem import Problem
+
+if TYPE_CHECKING:
+    from ._problem.accepted import run_options
 
 __all__ = ["solve"]
 
@@ -71,7 +73,9 @@ def solve(
     Invariants are imposed on the solution and, as tangents, on its derivatives. Second derivatives and the transforms
     of `torch.func` are not available, and raise an error.
     """
-    bridge = Bridge.of(problem, t, method, run_options(**options))
+    if TYPE_CHECKING:
+        run_options(**options)  # editors complete options from this call
+    bridge = Bridge.of(problem, t, method, options)
     if not isinstance(y0, torch.Tensor) and any(isinstance(one, torch.Tensor) for one in leaves(y0)):
         y0 = torch.stack([torch.as_tensor(one, dtype=torch.float64) for one in y0])
     given = bridge.operands(y0, args)

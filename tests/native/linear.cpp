@@ -9,6 +9,7 @@
 
 #include "check.hpp"
 #include "linear/dense_lu.hpp"
+#include "linear/elimination/elimination.hpp"
 #include "linear/gmres.hpp"
 #include "linear/index.hpp"
 #include "problems.hpp"
@@ -140,6 +141,57 @@ TEST(small_dense_factors_are_backward_stable_at_every_scale) {
       const check::Case label(n, unit);
       factor_dense<double>(n, unit, random);
       factor_dense<std::complex<double>>(n, unit, random);
+    }
+}
+
+/// The solution with DenseLu's factors of A, and with those of each kernel, for two right-hand sides.
+template <class Scalar>
+void compare_kernels(std::size_t n, bool singular, std::mt19937& random) {
+  constexpr bool complex = !std::is_same_v<Scalar, double>;
+  std::normal_distribution<double> normal;
+  std::vector<Scalar> A(n * n);
+  for (Scalar& a : A)
+    if constexpr (complex)
+      a = {normal(random), normal(random)};
+    else
+      a = normal(random);
+  if (singular) std::fill_n(A.begin() + static_cast<std::ptrdiff_t>(n / 2 * n), n, Scalar(0));
+  DenseLu<Scalar> lu(n);
+  for (std::size_t j = 0; j < n; ++j)
+    for (std::size_t i = 0; i < n; ++i) lu.add(i, j, A[j * n + i]);
+  CHECK(lu.factor() == !singular);
+  const std::size_t height = (n / elimination::row_multiple + 1) * elimination::row_multiple;
+  for (const elimination::Kernel* kernel : elimination::kernels()) {
+    std::vector<double> re(height * (n + 1)), im(re.size());
+    std::vector<std::size_t> exchanged_with(n);
+    const auto set = [&](std::size_t i, std::size_t j, Scalar a) {
+      re[j * height + i] = std::real(a);
+      im[j * height + i] = std::imag(a);
+    };
+    for (std::size_t j = 0; j < n; ++j)
+      for (std::size_t i = 0; i < n; ++i) set(i, j, A[j * n + i]);
+    const elimination::Columns columns{.n = n, .height = height, .re = re.data(), .im = complex ? im.data() : nullptr};
+    CHECK(kernel->factor(columns, exchanged_with.data()) == !singular);
+    for (int side = 0; side < (singular ? 0 : 2); ++side) {
+      std::vector<Scalar> b(n);
+      for (std::size_t i = 0; i < n; ++i) set(i, n, b[i] = Scalar(normal(random)));
+      lu.solve(b.data());
+      kernel->solve(columns, exchanged_with.data());
+      for (std::size_t i = 0; i < n; ++i) {
+        CHECK(re[n * height + i] == std::real(b[i]));
+        CHECK(im[n * height + i] == std::imag(b[i]));
+      }
+    }
+  }
+}
+
+TEST(elimination_in_blocks_is_elimination_by_columns_bit_for_bit_in_every_instruction_set) {
+  std::mt19937 random(7);
+  for (const std::size_t n : {1, 2, 7, 8, 9, 15, 16, 17, 23, 24, 25, 31, 40, 63, 64, 65, 100, 131, 200})
+    for (const bool singular : {false, true}) {
+      const check::Case label(n, singular);
+      compare_kernels<double>(n, singular, random);
+      compare_kernels<std::complex<double>>(n, singular, random);
     }
 }
 

@@ -38,11 +38,11 @@ from .._functions.layout import Parameters
 from .._plan.call_errors import takes
 from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
 from .._problem.breakpoints import Breakpoint, to_breakpoints
-from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.parameters import ParameterName, values_of
+from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
 from .._sensitivity.actions import Rate, Weights
@@ -101,10 +101,10 @@ class Forward(NamedTuple):
         With its continuous solution.
     """
 
-    problem: Description
+    problem: Problem
     method: MethodName
     options: Options
-    solve: Callable[[Description, MethodName, Options], Result]
+    solve: Callable[[Problem, MethodName, Options], Result]
     t: float
     solution: Result
 
@@ -136,7 +136,7 @@ def gradient(
     return _Adjoint(run, problem, names).gradient(functional)
 
 
-def _of_complex(run: Forward, problem: Description, functional: CostFunctional) -> Array:
+def _of_complex(run: Forward, problem: Problem, functional: CostFunctional) -> Array:
     """The gradient of a complex problem, that of the pairs of real and imaginary parts. With respect to a complex
     initial value y0 it is ∂G/∂Re y0 − i ∂G/∂Im y0."""
     for one, value in zip(problem.parameter_names(), functional.direct, strict=True):
@@ -169,13 +169,13 @@ class _Adjoint:
     ----------
     run : Forward
         The run, perhaps of complex states.
-    problem : Description
+    problem : Problem
         The problem, of real ones: of pairs if the states of the run are complex.
     names : sequence of ParameterName
         The parameters.
     """
 
-    def __init__(self, run: Forward, problem: Description, names: Sequence[ParameterName]) -> None:
+    def __init__(self, run: Forward, problem: Problem, names: Sequence[ParameterName]) -> None:
         self._run, self._problem, self._names = run, problem, names
         self._is_complex = run.problem.y0.dtype.kind == "c"
         self._follow(run.solution)
@@ -518,7 +518,7 @@ class _Adjoint:
         if about.equations != "any":  # λ has neither a graph nor an equation of second order
             method, rtol = _OF_ANY, max(rtol, LEAST_RTOL)
         implicit = "jac" in about.options
-        adjoint = Description(
+        adjoint = Problem(
             rates.of_mu,
             (0.0, piece.end - piece.begin),
             mu,

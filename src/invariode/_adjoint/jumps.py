@@ -20,9 +20,9 @@ import numpy as np
 from .._base.arguments import EPS, Array
 from .._functions.directional import Directional
 from .._problem.breakpoints import Breakpoint
-from .._problem.description import Description
 from .._problem.events import Event, titled
 from .._problem.parameters import ParameterName
+from .._problem.problem import Problem
 from .._results.result import DenseSolution, Result
 from .._sensitivity.actions import Rate, is_at_root, of_event, restoration
 from .._sensitivity.algebraic import Algebraic, dense_mass
@@ -161,7 +161,7 @@ class Jumps:
 
     Parameters
     ----------
-    problem : Description
+    problem : Problem
         The problem.
     names : sequence of ParameterName
         The parameters.
@@ -175,7 +175,7 @@ class Jumps:
 
     def __init__(
         self,
-        problem: Description,
+        problem: Problem,
         names: Sequence[ParameterName],
         derivatives: Derivatives,
         conditions: Sequence[Switching],
@@ -188,7 +188,7 @@ class Jumps:
         self._problem, self._names = problem, names
         self._landing: LandingJump | None = None
         self._derivatives, self._conditions = derivatives, conditions
-        self._events: list[Event] = problem.events
+        self._events: Sequence[Event] = problem.events
         self._t0, self._y0, self._forward = (
             problem.t_span[0],
             problem.y0,
@@ -391,7 +391,7 @@ class Rest(NamedTuple):
 
 
 def at_bounds(
-    problem: Description,
+    problem: Problem,
     sol: Result,
     y: DenseSolution | SectionedSolution,
     threshold: float | Array,
@@ -445,7 +445,7 @@ def at_bounds(
     return found
 
 
-def _directions(problem: Description, times: Array, states: Array) -> Array:
+def _directions(problem: Problem, times: Array, states: Array) -> Array:
     """The signs of y', of shape (n, n_t): 0 where M⁻¹ f is roundoff of its terms. Of a singular M, f_i M_ii stands for
     y_i', as in the core; NaN of algebraic components."""
     slopes = problem.slope(times, states)
@@ -467,7 +467,7 @@ def _directions(problem: Description, times: Array, states: Array) -> Array:
     return found
 
 
-def _require_uncoupled(problem: Description, rest: Rest) -> None:
+def _require_uncoupled(problem: Problem, rest: Rest) -> None:
     """The equation of a component at rest is that of its own row, which a singular M must not share."""
     M, i = dense_mass(problem.matrices.mass, rest.begin, problem.args), rest.component
     if M is None or Algebraic.of(M) is None:

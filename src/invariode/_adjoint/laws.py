@@ -21,8 +21,8 @@ from .._base.arguments import Array
 from .._functions.compiled import CoreFunction, as_python, is_native, to_native
 from .._functions.directional import Directional, Given
 from .._functions.layout import Parameters
-from .._problem.description import Description
 from .._problem.invariants import Invariants
+from .._problem.problem import Problem
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Laws:
 
     Parameters
     ----------
-    problem : Description
+    problem : Problem
         The problem.
     k : int
         Number of parameters.
@@ -74,7 +74,7 @@ class Laws:
     """
 
     def __init__(
-        self, problem: Description, k: int, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
+        self, problem: Problem, k: int, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
     ) -> None:
         self._laws, self._args, self._weights = [], problem.args, weights
         self._k = k

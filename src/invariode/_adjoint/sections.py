@@ -46,18 +46,18 @@ class Sectioned(NamedTuple):
         while begins and begins[-1][0] == run.steps:  # no step follows
             begins.pop()
         functions = plan.functions._replace(callback=None)  # it has let these steps pass
+        course = plan.course._replace(times=None, max_points=LARGEST_COUNT, max_bytes=LARGEST_COUNT)
         settings = plan.settings._replace(
-            times=None,
             refine=1,
             dense=True,
             sections=False,
             save_all=False,
             record=False,
-            max_points=LARGEST_COUNT,
-            max_bytes=LARGEST_COUNT,
             time_limit=math.inf,
         )
-        return cls(plan._replace(functions=functions, settings=settings, checkpoint=None), begins, run.steps)
+        return cls(
+            plan._replace(functions=functions, course=course, settings=settings, checkpoint=None), begins, run.steps
+        )
 
 
 class _Section(NamedTuple):
@@ -104,7 +104,7 @@ class SectionedSolution:
         self._sol, self._y = sol, y
         self._imposed = {"rtol": sol._rtol, "atol": sol._atol} if imposed else None
         self._sections = [one for run in reversed(runs) for one in _sections(run)][::-1]
-        self._forward = runs[-1].plan.settings.forward
+        self._forward = runs[-1].plan.course.forward
         self._begins = [self._forward * one.t for one in self._sections]
         self._solved: dict[int, DenseSolution] = {}  # the one used last is the last
         self._starts: dict[int, Array] = {}  # the first states of those that have been solved

@@ -443,6 +443,11 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
     return tuple(listed)
 
 
+def default_labels(size: int) -> list[str]:
+    """Return labels of components, made on demand: for a large problem they take more memory than the solution."""
+    return [f"y{i}" for i in range(size)]
+
+
 def distinct_labels(labels: object, n: int) -> list[str]:
     """Names of n components."""
     names = None if isinstance(labels, str) else items(labels)

@@ -63,6 +63,11 @@ class Lock:
         if not works:
             warn(f"{what}: the file system of {path} has no locks: make sure that no other process uses the same name")
 
+    @property
+    def is_held(self) -> bool:
+        """True until the lock is released, but not in a process that was forked meanwhile."""
+        return self._holds
+
     def release(self) -> None:
         """Release the lock, so that others can take it. Calling this again has no effect."""
         if not self._holds:

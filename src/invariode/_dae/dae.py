@@ -37,11 +37,11 @@ from .._problem.events import to_events
 from .._problem.invariants import Invariants
 from .._problem.methods import find_method
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
-from .._solve.problem import Problem
 from .checks import impasse, point_of, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
 from .reduction import Given, Reduction

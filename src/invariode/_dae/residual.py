@@ -23,9 +23,9 @@ from .._linear.null_space import null_space
 from .._problem.events import to_events
 from .._problem.methods import find_method
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import concluded
-from .._solve.problem import Problem
 from .linear_systems import condition
 from .solution import in_unknowns
 from .structure import SINGULAR
@@ -256,6 +256,10 @@ class _Linear:
     def at(self, t: float, state: Array, p: Array) -> Array:
         """Return the values at one point."""
         return self._of(state)
+
+    def general(self, t: Any, state: Any, p: Any) -> Array:
+        """Return the values of other numbers than floats."""
+        return self._of(np.asarray(state))
 
 
 class _Unknowns:

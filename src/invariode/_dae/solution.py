@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from importlib.util import find_spec
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers, warn
 from .._functions.compiled import as_python
+from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.derived import Derived
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
@@ -21,8 +22,9 @@ from .._functions.graph.python import Formula
 from .._functions.layout import place_of
 from .._laws.bound import BoundInvariants
 from .._problem.options import ExtensionOptions
+from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Names
-from .._results.sensitivities import SensitivityData
+from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .expressions import leaves, substituted
 from .reduction import Given, Reduction
@@ -45,6 +47,7 @@ class Values:
     def __init__(self, name: str, make: Callable[[], Sequence[Node]]) -> None:
         self._name, self._make = name, make
         self._code: Callable[..., Array] | None = None
+        self._arrays: ArrayFunction | None = None
 
     @cached_property
     def nodes(self) -> list[Node]:
@@ -72,6 +75,12 @@ class Values:
         """Return the values, (m,), at one point."""
         return np.asarray(self.formula(t, state, *([p] if len(p) else [])), dtype=float)
 
+    def general(self, t: Any, state: Sequence[Any], p: Sequence[Any]) -> Array:
+        """Return the values for whatever numbers there are: complex ones, or those with which functions are traced."""
+        if self._arrays is None:
+            self._arrays = ArrayFunction(self.nodes)
+        return np.array(self._arrays.code(t, state, p))
+
     def _one(self, points: int) -> Callable[..., Any]:
         many = points * self._operations > _MANY_OPERATIONS
         if self._code is None and many and find_spec("llvmlite") is not None:
@@ -82,7 +91,14 @@ class Values:
         return self._code or self.at
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_name": self._name, "formula": self.formula, "nodes": None, "_code": None, "_make": None}
+        return {
+            "_name": self._name,
+            "formula": self.formula,
+            "nodes": None,
+            "_code": None,
+            "_arrays": None,
+            "_make": None,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -200,6 +216,9 @@ class _Origin:
         ``present(solution, on_failure=None)`` expresses another solution of the reduced problem in the unknowns.
     y : callable
         ``y(t, state)``, the unknowns.
+    derivatives : callable or None
+        ``derivatives(t, names)``, those of the unknowns for the state, (n, s, m), and for parameters, (n, k, m), at
+        times (m,). None: F has no expressions.
     """
 
     def __init__(
@@ -208,8 +227,10 @@ class _Origin:
         reduction: Any,
         present: Callable[..., Solution],
         y: Callable[[float, Array], Array],
+        derivatives: Callable[[Array, Sequence[Any]], tuple[Array, Array]] | None,
     ) -> None:
         self.reduced, self.reduction, self.present, self.y = reduced, reduction, present, y
+        self.derivatives = derivatives
         self.source = reduced._origin.source
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -224,12 +245,41 @@ class _Origin:
             own["callback"] = lambda t, state: callback(t, self.y(t, state))
         return self.present(self.reduced.extend(t_end, **own), on_failure)
 
-    def gradient(self, sol: Solution, *given: Any) -> NoReturn:
-        """See `Solution.gradient`."""
-        raise ValueError(
-            "gradient is for states of the reduced problem: solve dae.problem(t_span) with adjoint=True, and use the "
-            "gradient of its solution"
-        )
+    def gradient(
+        self,
+        sol: Solution,
+        dG_dy: ArrayLike | None,
+        dG_dp: ArrayLike | None,
+        wrt: SensitivitiesLike | None,
+        t: ArrayLike | None,
+        integrand: Callable[..., Any] | None,
+    ) -> Array:
+        """See `Solution.gradient`: of a function of the unknowns, which are functions of the state and of the
+        parameters. Initial values among the parameters are those of the reduced problem."""
+        if self.derivatives is None:
+            raise ValueError("gradient needs the expressions of F, which cannot be traced")
+        if integrand is not None:
+            raise ValueError("gradient of a DAE takes no integrand: make the integral an unknown with its own equation")
+        reduced, problem = self.reduced, self.source.problem
+        if wrt is not None or problem.sensitivities is None:
+            problem = problem.replace(sensitivities=wrt if wrt is not None else Sensitivities())
+        names = problem.parameter_names()
+        if dG_dy is None:
+            return np.asarray(reduced.gradient(None, dG_dp, wrt, t=t))
+        costs = real_numbers("dG_dy", dG_dy)
+        single = costs.ndim == 1
+        costs = costs[:, None] if single else costs
+        if t is None:
+            times = np.array([sol.t_end]) if costs.shape[1] == 1 else sol.t
+        else:
+            times = np.atleast_1d(real_numbers("t", t))
+        if costs.shape != (len(sol.y), len(times)):
+            raise ValueError(f"dG_dy must have shape ({len(sol.y)}, {len(times)}), got {np.shape(dG_dy)}")
+        of_state, of_p = self.derivatives(times, names)
+        direct = np.einsum("im,ikm->k", costs, of_p)
+        if dG_dp is not None:
+            direct = direct + real_numbers("dG_dp", dG_dp)
+        return np.asarray(reduced.gradient(np.einsum("im,ism->sm", costs, of_state), direct, wrt, t=times))
 
     def slopes(self, t: Array, y: Array) -> None:
         """See `RunOrigin.slopes`: pictures join the outputs."""
@@ -336,7 +386,9 @@ def in_unknowns(
         "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
         "_sensitivities": _sensitivities(sol, unknowns, p),
         "_rates": lambda: unknowns.yp(sol.t, states, p),
-        "_origin": _Origin(sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p)),
+        "_origin": _Origin(
+            sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p), _derivatives(sol, unknowns, p)
+        ),
     }
     dense = None if sol.sol is None else DenseUnknowns(sol.sol, unknowns, p)
     return DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
@@ -350,7 +402,51 @@ def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | 
     places = tuple(_place(one, problem.args) for one in problem.parameter_names())
     values = unknowns.sensitivities(sol.t, sol.y, known.values, p, places)
     end = unknowns.sensitivities(np.array([sol.t_end]), sol._origin.y[:, None], known.end[:, :, None], p, places)
-    return SensitivityData(known.names, values, end[:, :, 0], None)
+    return SensitivityData(known.names, values, end[:, :, 0], _at_events(sol, unknowns, p, places))
+
+
+def _at_events(sol: Solution, unknowns: Any, p: Array, places: tuple[int | None, ...]) -> AtEvents | None:
+    """Return the derivatives of times of events, and those of the unknowns there; behind an action, whose state is not
+    kept, these are NaN."""
+    known = sol._sensitivities.events
+    if known is None or sol.y_events is None:
+        return None
+    before, after = [], []
+    for t, states, S, behind in zip(sol.t_events, sol.y_events, known.before, known.after, strict=True):
+        if not len(t):
+            none = np.zeros((0, len(unknowns.y.nodes), len(places)))
+            before.append(none)
+            after.append(none)
+            continue
+        found = unknowns.sensitivities(t, np.asarray(states).T, np.moveaxis(S, 0, 2), p, places)
+        before.append(np.moveaxis(found, 2, 0))
+        same = np.array([np.array_equal(a, b) for a, b in zip(S, behind, strict=True)])
+        after.append(np.where(same[:, None, None], before[-1], np.nan))
+    return AtEvents(before, after, known.times)
+
+
+def _derivatives(
+    sol: Solution, unknowns: Any, p: Array
+) -> Callable[[Array, Sequence[Any]], tuple[Array, Array]] | None:
+    if not hasattr(unknowns, "sensitivities"):
+        return None
+
+    def found(times: Array, names: Sequence[Any]) -> tuple[Array, Array]:
+        args, s, m = sol._origin.source.problem.args, len(sol.y), len(times)
+        if sol.sol is not None:
+            states = sol.sol(times)
+        else:
+            ends = {float(t): sol.y[:, i] for i, t in enumerate(sol.t)} | {float(sol.t_end): sol.y_end}
+            if not {*times.tolist()} <= ends.keys():
+                raise ValueError("gradient: values at other times than those of the outputs need dense_output=True")
+            states = np.array([ends[t] for t in times.tolist()]).T
+        unit = np.repeat(np.eye(s)[:, :, None], m, axis=2)
+        of_state = unknowns.sensitivities(times, states, unit, p, (None,) * s)
+        places = tuple(_place(one, args) for one in names)
+        of_p = unknowns.sensitivities(times, states, np.zeros((s, len(places), m)), p, places)
+        return of_state, of_p
+
+    return found
 
 
 def _place(parameter: Any, args: tuple[Any, ...]) -> int | None:

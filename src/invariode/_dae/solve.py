@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, call_name, interval, numbers, shown, state
 from .._base.types import EventsLike, MethodName, Span
-from .._problem.accepted import run_options
 from .._problem.options import Options
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.solution import Solution
 from .dae import Dae, UntracedError
 from .residual import ResidualForm, solve_residual
+
+if TYPE_CHECKING:
+    from .._problem.accepted import run_options
 
 __all__ = ["decic", "ode15i", "solve_dae"]
 
@@ -108,6 +110,8 @@ def solve_dae(
     >>> bool(np.abs(sol.y[0] ** 2 + sol.y[1] ** 2 - 1).max() < 1e-14)
     True
     """
+    if TYPE_CHECKING:
+        run_options(**options)  # editors complete options from this call
     span = interval(t_span)
     try:
         dae = Dae(F, span[0], y0, yp0, args=args, names=names, equations=equations, order=order)
@@ -121,10 +125,8 @@ def solve_dae(
             form = ResidualForm(F, span[0], *start, tuple(args), labels)
         except ValueError as objection:
             raise TypeError(f"{error}. As it stands it cannot be solved either: {objection}") from None
-        return solve_residual(form, span, tuple(args), method, events, call_name(F, "dae"), run_options(**options))
-    return dae.solve(
-        span, method, fixed=fixed or (), events=events, sensitivities=sensitivities, **run_options(**options)
-    )
+        return solve_residual(form, span, tuple(args), method, events, call_name(F, "dae"), options)
+    return dae.solve(span, method, fixed=fixed or (), events=events, sensitivities=sensitivities, **options)
 
 
 def ode15i(

@@ -32,8 +32,12 @@ class Through:
     def __init__(self, unknowns: Any, consistent: Consistent, p: Array) -> None:
         self._unknowns, self._consistent, self._p = unknowns, consistent, p
 
-    def y(self, t: float, state: Array, args: Sequence[Any] = ()) -> Array:
-        """Return the unknowns at a state."""
+    def y(self, t: Any, state: Any, args: Sequence[Any] = ()) -> Array:
+        """Return the unknowns at a state; also of complex numbers, and of those with which functions are traced."""
+        if not _plain(t, state):
+            numbers = [one for given in args for one in np.ravel(np.asarray(given, dtype=object))] if args else self._p
+            general: Array = self._unknowns.y.general(t, state, numbers)
+            return general
         found: Array = self._unknowns.y.at(t, state, arguments_of(args).values() if args else self._p)
         return found
 
@@ -47,8 +51,9 @@ class Through:
         made = given if isinstance(given, Event) else _as_event(given)
         fun, action = made.fun, made.action
 
-        def of_state(t: float, state: Array, *args: Any) -> float:
-            return float(fun(t, self.y(t, state, args), *args))
+        def of_state(t: Any, state: Any, *args: Any) -> Any:
+            found = fun(t, self.y(t, state, args), *args)
+            return float(found) if _plain(t, state) else found
 
         of_state.__name__ = made.__name__
         found = made.replaced(of_state)
@@ -75,6 +80,11 @@ class Through:
         """Return breakpoints with actions on the state."""
         points: list[Breakpoint] = to_breakpoints("breakpoints", given)
         return [one.t if one.action is None else (one.t, self.action(one.action)) for one in points]
+
+
+def _plain(t: Any, state: Any) -> bool:
+    """Return whether these are real numbers."""
+    return isinstance(t, (float, int)) and isinstance(state, np.ndarray) and state.dtype.kind == "f"
 
 
 def _as_event(fun: Any) -> Event:

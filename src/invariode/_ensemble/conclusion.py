@@ -34,12 +34,12 @@ def solution(
     KeyboardInterrupt
         Ctrl-C stopped the ensemble, and `on_interrupt` is "raise". Its `solution` is the result.
     """
-    times = plan.settings.times
+    times = plan.course.times
     remarks = Remarks()
     remarks.add(found)
     remarks.say(plan)
     result = EnsembleSolution(
-        t=np.array([plan.settings.tf]) if times is None else times,
+        t=np.array([plan.course.tf]) if times is None else times,
         y=final_states(found.y_end, found.status) if times is None else found.y,
         t_end=found.t_end,
         y_end=found.y_end,

@@ -126,7 +126,7 @@ class _Parted:
         else:
             rows = Part(0, 0, y0, args)
             ((_, seconds),) = on_executor(self.means.executor, _seconds_of_one, self._arguments, [rows])
-        n, m, times = y0.shape[1], len(self.plan.bound), self.plan.settings.times
+        n, m, times = y0.shape[1], len(self.plan.bound), self.plan.course.times
         row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 136
         most: int = max(1, _LARGEST // row)
         size = most if self.rows.size is None else min(most, self.rows.size)
@@ -251,7 +251,7 @@ def _layout(run: _Parted) -> Layout:
         **({"args": args} if isinstance(args, tuple) else {}),
         **({} if problem.sensitivities is None else {"sensitivities": problem.sensitivities}),
     }
-    times = plan.settings.times
+    times = plan.course.times
     names = {
         "component": plan.called.components,
         "parameter": parameter_names(problem.fun, args, len(problem.before_args)),
@@ -259,5 +259,5 @@ def _layout(run: _Parted) -> Layout:
         "event": plan.called.events,
         "sensitivity": [] if plan.varied is None else plan.varied.names,
     }
-    t = np.array([plan.settings.tf]) if times is None else times
+    t = np.array([plan.course.tf]) if times is None else times
     return Layout(in_words(about), names, t, y0.dtype, times is not None)

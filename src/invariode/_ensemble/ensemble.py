@@ -25,7 +25,6 @@ from .._base.progress import bar
 from .._base.record import Record
 from .._base.types import MethodName, OnInterrupt, Progress
 from .._plan.call_errors import require_taken
-from .._problem.description import Description
 from .._problem.options import (
     TABLE,
     ManyOptions,
@@ -36,6 +35,7 @@ from .._problem.options import (
     refused,
     table_of,
 )
+from .._problem.problem import Problem
 from .conclusion import solution
 from .distributed import Means, Place, in_parts, stored
 from .rows import Locally, attempted
@@ -66,7 +66,7 @@ class Wanted(NamedTuple):
 
 
 def solve_rows(
-    problem: Description, wanted: Wanted, method: MethodName, options: ProblemEnsembleOptions
+    problem: Problem, wanted: Wanted, method: MethodName, options: ProblemEnsembleOptions
 ) -> EnsembleSolution | EnsembleStore:
     """See `Problem.solve_ensemble`."""
     if any(event.at_start for event in problem.events):
@@ -162,7 +162,7 @@ def _threads_of_part(executor: Any, workers: int | None) -> int:
     return positive_integer("workers", workers)
 
 
-def _source(problem: Description, wanted: Wanted) -> Rows:
+def _source(problem: Problem, wanted: Wanted) -> Rows:
     if not isinstance(wanted.y0, Iterator):
         return GivenRows(*_rows(problem, wanted.y0, wanted.args))
     if wanted.args is not None:
@@ -170,7 +170,7 @@ def _source(problem: Description, wanted: Wanted) -> Rows:
     return StreamedRows(wanted.y0, partial(_rows, problem))
 
 
-def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
+def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
     """Return the initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows;
     those of the problem for what is not given."""
     states = problem.y0 if y0 is None else numbers("y0", y0)
@@ -201,7 +201,7 @@ def _rows(problem: Description, y0: ArrayLike | None, args: Any) -> tuple[Array,
     return states, extra
 
 
-def _named(problem: Description, args: Any) -> Any:
+def _named(problem: Problem, args: Any) -> Any:
     """Return args of a problem with parameters by name: columns or rows of them become rows of records."""
     if problem.parameters is None or args is None or isinstance(args, tuple):
         return args

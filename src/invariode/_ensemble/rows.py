@@ -219,8 +219,7 @@ def _require_constants(task: Task, p: Array, rows: Array) -> None:
     if not isinstance(arguments, Arguments):
         return
     others = [] if isinstance(task.args, np.ndarray) else map(arguments_of, task.args)
-    called = [task.problem.fun, *(one.fun for one in (*task.problem.invariants, *task.problem.events))]
-    objection = arguments.objection(rows, constants(called, p))
+    objection = arguments.objection(rows, constants(task.problem.functions, p))
     if objection is None and any(one.fixed(TRUTHS) != arguments.fixed(TRUTHS) for one in others):
         objection = "arguments that are no numbers, or their shapes, differ from row to row"
     if objection is not None:
@@ -256,7 +255,7 @@ def _messages(
         except ValueError as error:
             messages[i] = _as_text(error)
     for code, verdict in _INCONSISTENT.items():
-        text = f"ValueError: {inconsistent_start(verdict, plan.settings.t0)}"
+        text = f"ValueError: {inconsistent_start(verdict, plan.course.t0)}"
         messages.update(dict.fromkeys(np.flatnonzero(states == code).tolist(), text))
     return dict(sorted(messages.items()))
 
@@ -321,7 +320,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     if len(bound):
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
         after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
-    times = 0 if plan.settings.times is None else len(plan.settings.times)
+    times = 0 if plan.course.times is None else len(plan.course.times)
     at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan, y.dtype)
     reached = min(len(t), times)
     at_times[:, :reached], S_at_times[:, :, :reached] = y[:, :reached], S[:, :, :reached]
@@ -354,7 +353,7 @@ def unsolved(task: Task, plan: Plan) -> Outcomes:
 def _unsolved(task: Task, plan: Plan) -> Outcomes:
     """Return the rows before they are solved: values that remain for rows that cannot be solved."""
     size, n = task.y0.shape
-    times, m = plan.settings.times, len(plan.bound)
+    times, m = plan.course.times, len(plan.bound)
     k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
     watched = None if plan.watch is None else "constraints that are left out as redundant are watched in Python"
     why = _own_to_each(plan, task.args) or watched or "functions are in Python"
@@ -362,7 +361,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
         y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
         S=np.full((size, n, k, count), np.nan, dtype=task.y0.dtype),
         S_end=np.full((size, n, k), np.nan, dtype=task.y0.dtype),
-        t_end=np.full(size, plan.settings.t0, dtype=float),
+        t_end=np.full(size, plan.course.t0, dtype=float),
         y_end=np.full_like(task.y0, np.nan),
         status=np.full(size, _RAISED, dtype=np.int8),
         counts=np.zeros((size, len(_core.COUNTS)), dtype=np.int64),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, overload
 
 import numpy as np
 
-from .._base.arguments import ATOL, RTOL, Array, choice, distinct_labels
+from .._base.arguments import ATOL, RTOL, Array, choice, default_labels, distinct_labels
 from .._base.files import damage_of
 from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
@@ -21,7 +21,7 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
+from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
 from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution

@@ -10,15 +10,15 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.types import MethodName, OnFailure
 from .._plan.plan import Plan, make_plan
-from .._problem.description import Description
 from .._problem.options import Options
+from .._problem.problem import Problem
 
 
 @dataclasses.dataclass
 class Task:
     """A problem with method, options and rows; picklable if the functions are."""
 
-    problem: Description
+    problem: Problem
     method: MethodName
     options: Options
     y0: Array
@@ -44,7 +44,7 @@ class Attempt:
 class Ensemble:
     """A problem with its attempts, without the rows; picklable if the functions are."""
 
-    problem: Description
+    problem: Problem
     attempts: list[Attempt]  # the first, and those for rows that failed
     in_lanes: bool  # if they can be
     on_failure: OnFailure

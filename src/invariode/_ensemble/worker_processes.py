@@ -1,7 +1,7 @@
 """Rows of work, solved in worker processes by `concurrent.futures`.
 
 What an executor leaves to its users is here: a row that kills its process fails alone, Ctrl-C ends everything at once,
-workers do not outlive their parent, and nothing forks while numba compiles.
+and workers do not outlive their parent.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
@@ -194,11 +194,9 @@ class _Workers(Generic[T]):
 
     def _start(self) -> ProcessPoolExecutor:
         """Start the processes, with their first chunks."""
-        forks = self._context.get_start_method() == "fork"
-        with _no_compilation() if forks else nullcontext() as lock, _ctrl_c_later(), warnings.catch_warnings():
+        with _ctrl_c_later(), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
-            work = replace(self._work, held=lock)
-            executor = self._executor = ProcessPoolExecutor(self._workers, self._context, _begin, (work,))
+            executor = self._executor = ProcessPoolExecutor(self._workers, self._context, _begin, (self._work,))
             self._processes = executor._processes
             self._give(executor)
         return executor
@@ -225,20 +223,6 @@ def _taken_from(file: Path) -> Any:
     outcomes = pickle.loads(file.read_bytes())
     file.unlink()
     return outcomes
-
-
-@contextmanager
-def _no_compilation() -> Iterator[Any]:
-    """Wait until numba compiles in no thread; yield the lock, which is held, and is to be released in forked processes.
-
-    A fork in the middle of another thread's compilation inherits locks that nobody there will release.
-    """
-    module = sys.modules.get("numba.core.compiler_lock")
-    if module is None:
-        yield None
-        return
-    with module.global_compiler_lock:
-        yield module.global_compiler_lock
 
 
 @contextmanager
@@ -281,14 +265,11 @@ class _Work:
         is killed as it writes; the names of files are short enough to be written at once.
     at : array
         at[i] is the process that is at row i, if any.
-    held : lock, optional
-        What the parent held when it forked.
     """
 
     solve: Callable[[int], Any]
     folder: str
     at: Any
-    held: Any = None
 
 
 _work: _Work  # of this worker
@@ -299,8 +280,6 @@ def _begin(work: _Work) -> None:
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if work.held is not None:
-        work.held.release()
     _work = work
     threading.Thread(target=_end_with_parent, args=(os.getppid(), work.folder), daemon=True).start()
 

@@ -131,6 +131,11 @@ class RunFiles:
 
     def keep(self, part: Result, running: bool) -> None:
         """Add the output of a part of the run, and the state from which the run can continue after it."""
+        if self._lock is None or not self._lock.is_held:
+            raise ValueError(
+                f"checkpoint: {self._path} is written by the process that began the run, and this one was forked from "
+                "it within the run: end it with os._exit, or let it solve a problem of its own"
+            )
         self._require_untouched()
         if self._begin is None:
             data = self._packed(_PART, part)

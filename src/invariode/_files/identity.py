@@ -12,11 +12,11 @@ from .._base.arguments import LONGEST_INT, Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction
 from .._problem.breakpoints import to_breakpoints
-from .._problem.description import Description
 from .._problem.events import RootOf
 from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
+from .._problem.problem import Problem
 from .code import digest, digest_of_code, parts_of_array
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
@@ -90,7 +90,7 @@ class Identity(NamedTuple):
     arrays: dict[str, Array]
 
 
-def identity_of_run(problem: Description, method: MethodName, options: Mapping[str, Any]) -> Identity:
+def identity_of_run(problem: Problem, method: MethodName, options: Mapping[str, Any]) -> Identity:
     """Return the identity of a run. Evaluates f at the start."""
     about: dict[str, Any] = {"method": find_method(method)[0].name, "options": {}, "arrays": [], "functions": []}
     arrays: dict[str, Array] = {"y0": problem.y0, "f0": _slope(problem)}  # first: f may fill an array that it returns
@@ -180,7 +180,7 @@ def _plain_options(about: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def require_same(stored: Identity, problem: Description, given: Mapping[str, Any], trust: str | None) -> None:
+def require_same(stored: Identity, problem: Problem, given: Mapping[str, Any], trust: str | None) -> None:
     """Raises a ValueError that names what differs, if it is another problem, or, unless the code is trusted, if
     functions have another code."""
     now = identity_of_run(problem, stored.about["method"], {})
@@ -206,7 +206,7 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
         )
 
 
-def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
+def _codes(problem: Problem, options: Mapping[str, Any]) -> dict[str, str]:
     """The code of each of the user's functions, by what messages call it."""
     breakpoints, solver = options.get("breakpoints"), options.get("linear_solver")
     functions = {"fun": problem.fun, **vars(problem.matrices), **getattr(solver, "__dict__", {})}
@@ -225,7 +225,7 @@ def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
     return {name: code for name, code in found.items() if code is not None}
 
 
-def _described(problem: Description) -> Any:
+def _described(problem: Problem) -> Any:
     """Return the compared properties of a problem, by the words for them."""
     properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None, "at_jumps": True}
     about = {
@@ -248,7 +248,7 @@ def _described(problem: Description) -> Any:
     return in_words(about, code=False)
 
 
-def _slope(problem: Description) -> Array:
+def _slope(problem: Problem) -> Array:
     """f at the start."""
     return problem.slope(np.array([problem.t_span[0]]), problem.y0[:, None])[:, 0]
 

@@ -18,7 +18,6 @@ import ctypes
 import inspect
 import math
 import sys
-import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
@@ -31,6 +30,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .._base.forks import compiling
 from .contents import Captured
 from .filling import Filling
 from .first_order import FirstOrderForm
@@ -137,7 +137,9 @@ def _with_complex_math(fun: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class CompiledFunction:
-    """A Python function that `compile` turns into machine code for the problem it is used in. Still callable.
+    """A Python function that `compile` turns into machine code for the problem it is used in.
+
+    Called from Python, ``f(t, y, *args)`` runs its machine code, and ``f.jacobian(t, y, *args)`` returns ∂f/∂y.
 
     Attributes
     ----------
@@ -163,7 +165,6 @@ class CompiledFunction:
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
         self.is_complex = False  # whether the Python function takes complex y
-        self._making = threading.Lock()
         self._forget()
 
     def _forget(self) -> None:
@@ -172,18 +173,123 @@ class CompiledFunction:
         self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self.delayed_forms: dict[tuple[int, int, bool], CompiledFunction] = {}  # with delays: of one vector
+        self.prepared: dict[Any, Any] = {}  # plans with this code, by the kinds of their problems
         self._jitted: Any = None
         self._jitted_complex: Any = None
+        self._calls: dict[Any, Any] = {}  # what Python calls, by sizes
+        self._derivatives: dict[Any, Any] = {}
 
     def renew(self) -> None:
         """Forget all code if the closure, the globals or the defaults of the function are other ones than when the code
         was made: machine code holds their values as constants."""
-        if self._made and self._captured.changed():
-            with self._making:
+        if (self._made or self._calls or self._derivatives) and self._captured.changed():
+            with compiling:
                 self._forget()
 
     def __call__(self, *args: Any) -> Any:
-        return self.fun(*args)
+        """Return the values for (t, y, *args), or (t, y, out, *args) with `inplace`: those of the machine code if
+        arguments and values are real numbers, otherwise those of the Python function."""
+        found = self._by_machine(args)
+        return self.fun(*args) if found is None else found
+
+    def _by_machine(self, args: tuple[Any, ...]) -> Any:
+        """Return the values by machine code, with which an output array is filled; None where there is none."""
+        if len(args) < 2 + self.inplace or self.is_complex or not _is_real(args[0]):
+            return None
+        t, y, *rest = args
+        state = _real_vector(y)
+        if state is None:
+            return None
+        self.renew()
+        given, shape = (rest[1:], np.shape(rest[0])) if self.inplace else (rest, ())
+        try:
+            made, p = self._known(
+                self._calls, given, (len(state), shape), lambda p: self._prepared_call(t, state, p, args)
+            )
+        except (TypeError, ValueError):  # it can be neither traced nor compiled for these arguments
+            return None
+        if made is None:
+            return None
+        size, call = made
+        values = call(float(t), state, p)
+        if self.inplace:
+            rest[0][...] = values.reshape(size)
+            return rest[0]
+        return values.reshape(size) if size else float(values[0])
+
+    def _prepared_call(self, t: float, y: Array, p: Parameters, args: tuple[Any, ...]) -> Any:
+        """Return the shape of the values for these arguments, which the Python function tells, and the machine code;
+        None: the values are no floats, or there is no code for these arguments."""
+        if self.inplace:
+            out = _real_vector(args[2])
+            shape = None if out is None else out.shape
+        else:
+            value = np.asarray(self.fun(*args))
+            shape = value.shape if value.dtype == float and value.size else None
+        if shape is None:
+            return None
+        size = math.prod(shape)
+        return shape, as_python(to_native(self.__name__, self, len(y), size, p), size)
+
+    def _known(
+        self, known: dict[Any, Any], args: Sequence[Any], sizes: Any, make: Callable[[Parameters], Any]
+    ) -> tuple[Any, Array]:
+        """Return what was made for arguments of these sizes, and their numbers: one for all floats and arrays of
+        floats, unless the values of some are constants of the code."""
+        numbers = _floats(args)
+        key = sizes, tuple(map(np.shape, args))
+        if numbers is not None and key in known:
+            return known[key], numbers
+        p = Parameters.of(args)
+        exact = sizes, p.arguments.fixed(constants([self], p))
+        if exact not in known:
+            made = make(p)  # which finds out what the constants are
+            exact = sizes, p.arguments.fixed(constants([self], p))
+            known[exact] = made
+        if numbers is not None and p.arguments.may_vary(constants([self], p)):
+            known[key] = known[exact]
+        return known[exact], np.asarray(p)
+
+    def jacobian(self, t: float, y: ArrayLike, *args: Any) -> Array:
+        """Return ∂f/∂y of shape (m, n): exactly, by machine code, where the function can be traced; else by complex
+        steps or differences.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        y : array_like of shape (n,)
+            The state.
+        *args
+            The further arguments of the function.
+
+        Raises
+        ------
+        TypeError
+            The function fills an output array, so that the number of its values is not known.
+        """
+        from .directional import Directional, Point  # which imports this module
+
+        if self.inplace:
+            raise TypeError(
+                f"{self!r} fills an array, and does not say how many values it has: compile it without inplace"
+            )
+        self.renew()
+        state = np.array(y, dtype=float)
+        if state.ndim != 1:
+            raise ValueError(f"y must have shape (n,), got {state.shape}")
+        at = Point(float(t), state)
+        found, p = self._known(
+            self._derivatives,
+            args,
+            len(state),
+            lambda _: Directional(self, args, (), len(state), at=at).jacobian_of_args(),
+        )
+        if found is not None:
+            J: Array = found(float(t), state, p)
+            if np.isfinite(J).all():
+                return J
+        return Directional(self, args, (), len(state), at=at).jacobian(float(t), state)
 
     def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
         """The Python function, with the arguments of the problem as numbers one after the other."""
@@ -251,7 +357,10 @@ class CompiledFunction:
             raise self._cannot_compile(error) from error
 
     def _machine_code(self, shape: Shape) -> _core.Native:
-        with self._making:
+        made = self._made.get(shape)
+        if made is not None:  # without waiting for other functions
+            return made
+        with compiling:
             made = self._made.get(shape)
             if made is None:
                 code = self._make(shape)
@@ -555,6 +664,28 @@ def complex_form(fun: Any) -> _core.Native | None:
     except Exception:  # whatever numba meets there: it has compiled the function for real numbers
         return None
     return made
+
+
+def _floats(args: Sequence[Any]) -> Array | None:
+    """Return floats and arrays of floats one after the other; None if there are other arguments, which may be constants
+    of the code."""
+    if not all(type(one) is float or (type(one) is np.ndarray and one.dtype == float) for one in args):
+        return None
+    return np.concatenate([np.ravel(one) for one in args]) if args else _NO_PARAMETERS
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, (float, int, np.floating, np.integer)) and not isinstance(value, bool)
+
+
+def _real_vector(value: Any) -> Array | None:
+    """Return real numbers as a vector, or None."""
+    if isinstance(value, np.ndarray):
+        real = value.ndim == 1 and value.dtype.kind in "fiu"
+        return np.ascontiguousarray(value, dtype=float) if real and value.dtype != np.longdouble else None
+    if isinstance(value, (list, tuple)) and value and all(map(_is_real, value)):
+        return np.array(value, dtype=float)
+    return None
 
 
 def as_python(fun: _core.Native, size: int, at_complex: _core.Native | None = None) -> Callable[..., Array]:

@@ -296,6 +296,10 @@ class Directional:
         n = self.n
         return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
 
+    def jacobian_of_args(self) -> Callable[[float, Array, Array], Array] | None:
+        """Return ∂F/∂y, (m, n), as a function of t, y and the numbers of the arguments; None without a graph."""
+        return None if self._graph is None else self._graph.jacobian_of_args
+
     @property
     def outputs(self) -> list[Node] | None:
         """Nodes of F's values in its graph; None without a graph."""
@@ -441,7 +445,11 @@ class _OfGraph:
 
     def jacobian(self, t: float, y: Array) -> Array:
         """See `Directional.jacobian`."""
-        return self._jacobian(t, y, self._numbers(t)).reshape(self._m, self._n)
+        return self.jacobian_of_args(t, y, self._numbers(t))
+
+    def jacobian_of_args(self, t: float, y: Array, p: Array) -> Array:
+        """See `Directional.jacobian_of_args`."""
+        return self._jacobian(t, y, p).reshape(self._m, self._n)
 
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""

@@ -13,11 +13,11 @@ What a kernel for graphics cards would take is in docs/howto/ensembles.md.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
+from .._base.forks import compiling
 from .compiled import Compiled, Shape, made_by_compile
 from .graph.function import OnGraph
 
@@ -67,9 +67,6 @@ class Lanes(NamedTuple):
         return f"{self.width} lanes, {self.instructions}{left}"
 
 
-_making = threading.Lock()
-
-
 def choose_lanes(
     solver: _core.Solver,
     functions: Mapping[str, Any],
@@ -90,7 +87,7 @@ def choose_lanes(
     width = solver.lanes(name)
     expansion: list[MachineCode] = []
     if series is not None:
-        with _making:
+        with compiling:
             found = series(width, size >= FEWEST * FEWEST_BY_SERIES)
         if isinstance(found, str):
             return Lanes(reason=found.format(f="f", most=FEWEST * FEWEST_BY_SERIES))
@@ -101,7 +98,7 @@ def choose_lanes(
         forms, key = one.function.lane_forms, (*one[1:], width)
         if size < FEWEST and key not in forms:
             return Lanes(reason=f"fewer than {FEWEST} trajectories do not pay for compiling {called} once more")
-        with _making:
+        with compiling:
             if key not in forms:
                 forms[key] = _lane_code(one, width)
             code = forms[key]

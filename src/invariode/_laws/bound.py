@@ -37,6 +37,8 @@ from .._functions.derivatives import complex_steps_fit
 from .._functions.graph.derived import derived
 from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
+from .sparse_jacobian import sparse_jacobian
+from .traced_jacobian import takes_no_more, traced_jacobian
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
 _NEGLIGIBLE = 0.01
@@ -139,6 +141,14 @@ class BoundInvariants:
             names=[name for name, stays in zip(self.names, kept, strict=True) if stays],
             jumps=tuple(jump._replace(value=jump.value[: len(kept)][kept]) for jump in self.jumps),
         )
+
+    def with_functions(self, invariants: Sequence[Invariants]) -> BoundInvariants:
+        """Return these with the functions of other invariants of their kind."""
+        specs = [
+            spec._replace(fun=one.fun, jac=one.jac if callable(one.jac) else spec.jac)
+            for spec, one in zip(self.specs, invariants, strict=True)
+        ]
+        return replace(self, specs=specs)
 
     @property
     def last_value(self) -> Array:
@@ -286,7 +296,7 @@ _NO_VALUES = np.zeros(0)
 
 
 def bind(
-    invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
+    invariants: Sequence[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
 ) -> BoundInvariants:
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
     complex y. `threshold`: thr of the reals of y, the size below which a component gives no scale."""
@@ -307,11 +317,8 @@ def bind(
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
         if one.names is not None and len(one.names) != m:
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
-        kind, size, rows = one.jac, m * n, (_FULL, _FULL)
-        if kind is None and y.dtype.kind != "c" and (exact := derived(one.fun, n, m, count_of(p))) is not None:
-            kind = exact.dense()
-            if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * size:
-                kind, size, rows = exact.by_rows(), exact.entries, exact.row_pattern
+        kind, size, rows, spent = _by_expressions(one, m, t, y, args, p)
+        evaluations += spent
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
         forms = one.fun
@@ -345,6 +352,57 @@ def bind(
     negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
     names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def values_at_start(
+    bound: BoundInvariants,
+    invariants: Sequence[Invariants],
+    t: float,
+    y: Array,
+    args: tuple[Any, ...],
+    threshold: float | Array,
+) -> Array | None:
+    """Return the values of Python invariants from another start, as `bind` finds them. None: these are not of the kind
+    of the bound ones, or their evaluations would be counted otherwise."""
+    values, evaluations = [], len(invariants)
+    for one, spec in zip(invariants, bound.specs, strict=True):
+        found = _evaluate(one, spec.name, t, y, args)
+        if len(found) != spec.m:
+            return None
+        if one.jac is None and isinstance(spec.jac, str):
+            fits, spent = complex_steps_fit(partial(_values_at, one.fun, t, args), y, threshold)
+            evaluations += spent
+            if fits != (spec.jac == "complex-step or 3-point"):
+                return None
+        values.append(found if one.value is None else np.broadcast_to(one.value, (spec.m,)))
+    return np.concatenate(values) if evaluations == bound.evaluations else None
+
+
+def _by_expressions(
+    one: Invariants, m: int, t: float, y: Array, args: tuple[Any, ...], p: Array
+) -> tuple[Any, int, tuple[Sequence[int], Sequence[int]], int]:
+    """Return the Jacobian of an invariant as it is given, or exact if the expressions of g are known or follow from a
+    trace; with the number of its values, the pattern of its rows, and the evaluations of g that this took."""
+    n, spent = reals(y), 0
+    kind, exact, traced = one.jac, None, None
+    if kind is None and y.dtype.kind != "c":
+        exact = derived(one.fun, n, m, count_of(p))
+    if kind is None and not is_native(one.fun) and one._in_core(n) is None:
+        traced = traced_jacobian(one.fun, m, t, y, args)
+    if traced is not None:
+        exact, spent = traced.derived_for(args), 2
+        if not args and takes_no_more(one.fun):
+            traced = None  # machine code is as good as a function that takes arguments
+    if callable(kind) and not is_native(kind) and n >= _MANY_COLUMNS and y.dtype.kind != "c":
+        sparse = sparse_jacobian(kind, f"jac of {call_name(one.fun, 'g')}", t, y, args, m)
+        if sparse is not None:
+            return sparse, len(sparse.pattern[1]), sparse.pattern, spent
+    if exact is None:
+        return kind, m * n, (_FULL, _FULL), spent
+    if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
+        rows = exact.row_pattern
+        return exact.by_rows() if traced is None else traced.by_rows(rows), exact.entries, rows, spent
+    return exact.dense() if traced is None else traced, m * n, (_FULL, _FULL), spent
 
 
 def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:

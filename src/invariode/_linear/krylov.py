@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator
 
 from .._base.arguments import Array, as_array, shown, warn
+from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
 from .._problem.grouped import GMRES
 from .._problem.matrices import Matrices
@@ -53,7 +53,8 @@ def krylov(
 
 def is_operator(given: object) -> bool:
     """Return whether an object is a matrix that is known by its products alone."""
-    return isinstance(given, LinearOperator)
+    linalg = sys.modules.get("scipy.sparse.linalg")  # an object of its classes has imported it
+    return linalg is not None and isinstance(given, linalg.LinearOperator)
 
 
 def _product(jac: Any, jac_product: Any, y0: Array, p: Array, exact: Callable[[], Any]) -> Any:
@@ -85,7 +86,7 @@ def _product(jac: Any, jac_product: Any, y0: Array, p: Array, exact: Callable[[]
 def _operator(name: str, given: Any, n: int) -> Any:
     """Return a checked operator that multiplies vectors of n components: an array, a sparse matrix or a
     LinearOperator."""
-    operator = given if is_operator(given) or sp.issparse(given) else as_array(name, given)
+    operator = given if is_operator(given) or is_sparse(given) else as_array(name, given)
     if operator.shape != (n, n):
         raise ValueError(f"{name} has shape {operator.shape}, expected shape {(n, n)}")
     return operator

@@ -1,4 +1,8 @@
-"""The matrices of an implicit method, ∂f/∂y and M, brought into the form that the core takes."""
+"""The matrices of an implicit method, ∂f/∂y and M, brought into the form that the core takes.
+
+Dense ones need neither SciPy's sparse matrices nor LAPACK, which take longer to import than a first run takes: they are
+imported where a matrix is sparse, wide in its bands, or large.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,16 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
 
 from .. import _core
 from .._base.arguments import Array, warn
-from .._base.matrices import as_matrix
+from .._base.matrices import as_matrix, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
+from .._functions.derivatives import compressed
 from .._functions.graph.derived import Derived, derived, native
 from .._functions.layout import count_of
 from .._problem.bounds import Bounds
@@ -26,8 +29,11 @@ from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
 from .sparsity import find_pattern, is_large, is_sparse_enough
 
+if TYPE_CHECKING:
+    import scipy.sparse as sp
+
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
-_SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
+_SMALL = 64  # n up to which the null space of M is sought by elimination of all its rows
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed
 _NEARLY_WHOLE = 1e-6  # relative distance from whole numbers, within which they are tried
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
@@ -55,7 +61,7 @@ class _Storage:
         """Check a user's matrix and return it as the core reads it: an array, or (starts, rows, values)."""
         matrix = as_matrix(name, given, self.given_shape, is_complex=self.complex, banded=self.kind == "banded")
         if self.kind == "sparse":
-            return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
+            return _columns(_real_blocks(_compressed(matrix)) if self.complex else _compressed(matrix))
         dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
         if self.complex:
             dense = _real_bands(dense, self.lower, self.upper) if self.kind == "banded" else _real_dense(dense)
@@ -66,7 +72,9 @@ class _Storage:
         matrix = as_matrix("mass", given, (self.n, self.n), is_complex=self.complex)
         if self.kind != "banded":
             return self.values("mass", matrix)
-        entries = sp.coo_array(matrix)
+        from scipy.sparse import coo_array
+
+        entries = coo_array(matrix)
         row = self.upper + entries.row - entries.col
         if ((row < 0) | (row > self.lower + self.upper)).any():
             raise ValueError(
@@ -143,8 +151,8 @@ def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) ->
         kind=kind,
         jacobian=source,
         mass=mass,
-        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, start.t)),
-        lapack=_lapack(),
+        null_basis=_NO_COLUMNS if mass is None else _null_basis(storage, mass, start.t),
+        lapack=_lapack,
         found_pattern=found,
         rate=_rate(given, start),
         **({"product": product} if matrix_free is None else vars(matrix_free)),
@@ -177,9 +185,9 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
 
     if callable(given.jac) and not is_operator(given.jac):
         first = given.jac(start.t, y0.copy(), *args)
-        held = storage(sp.issparse(first))
+        held = storage(is_sparse(first))
         return _Jacobian(held, "function", _JacobianFunction(given.jac, args, held, start.t, y0, first))
-    held = storage(sp.issparse(given.jac))
+    held = storage(is_sparse(given.jac))
     return _Jacobian(held, "constant", held.values("jac", given.jac))
 
 
@@ -305,15 +313,24 @@ def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:
     return (lambda t: storage.mass_values(mass(t, *args))) if callable(mass) else storage.mass_values(mass)
 
 
-def _null_basis(storage: _Storage, mass: Any, t0: float) -> sp.csc_array:
-    whole = _whole(storage, mass(t0) if callable(mass) else mass)
-    if not np.isfinite(whole.data).all():
-        entries = sp.coo_array(whole)
-        k = int(np.flatnonzero(~np.isfinite(entries.data))[0])
-        i, j = (int(index[k]) // (2 if storage.complex else 1) for index in (entries.row, entries.col))
+def _null_basis(storage: _Storage, mass: Any, t0: float) -> tuple[Array, Array, Array]:
+    values = mass(t0) if callable(mass) else mass
+    small = storage.kind == "dense" and len(values) <= _SMALL
+    matrix: Any = values if small else _whole(storage, values)
+    if not np.isfinite(matrix if small else matrix.data).all():
+        i, j, entry = _not_finite(matrix if small else matrix.toarray())
+        reals = 2 if storage.complex else 1
         at = f"({t0})" if callable(mass) else ""
-        raise ValueError(f"mass{at} must be finite, got mass{at}[{i}, {j}] = {entries.data[k]}")
-    return null_basis(whole)
+        raise ValueError(f"mass{at} must be finite, got mass{at}[{i // reals}, {j // reals}] = {entry}")
+    if small:
+        return compressed(null_vectors(np.where(np.abs(matrix) < np.finfo(float).tiny, 0.0, matrix)))
+    return _columns(null_basis(matrix))
+
+
+def _not_finite(matrix: Array) -> tuple[int, int, float]:
+    """The place of the first entry that is not finite, column by column, and the entry."""
+    j, i = (int(index[0]) for index in np.nonzero(~np.isfinite(matrix.T)))
+    return i, j, float(matrix[i, j])
 
 
 class _JacobianFunction:
@@ -339,8 +356,10 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
     Each column of Z has a row of its own. Of a small M it has the same bits on every processor. In a large one rows of
     zeros are evident; if what remains is singular too, elimination finds the null space.
     """
+    from scipy.sparse import csc_array, csr_array
+
     n = mass.shape[0]
-    rows = sp.csr_array(mass)
+    rows = csr_array(mass)
     rows.data[np.abs(rows.data) < np.finfo(float).tiny] = 0
     rows.eliminate_zeros()
     if n > _SMALL:
@@ -352,10 +371,15 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
             f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
             "transform the system so that each algebraic equation has a row of zeros in mass"
         )
-    transposed = rows.toarray().T
+    return csc_array(null_vectors(rows.toarray()))
+
+
+def null_vectors(mass: Array) -> Array:
+    """The basis of a dense M, (n, r)."""
+    transposed = mass.T
     tolerance = roundoff(transposed)
     basis = [_exact(vector, transposed, tolerance) for vector in null_space(transposed, tolerance).vectors]
-    return sp.csc_array(np.reshape(basis, (len(basis), n)).T)
+    return np.reshape(basis, (len(basis), len(mass))).T
 
 
 def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
@@ -370,26 +394,31 @@ def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
 
 def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
     """Return unit vectors for the rows of zeros, if these make up the left null space, else None."""
+    from scipy.sparse import csc_array
+
     n = rows.shape[0]
     empty_rows, empty_columns = (np.flatnonzero(abs(rows).max(axis=axis).toarray().ravel() == 0) for axis in (1, 0))
     if len(empty_rows) != len(empty_columns):
         return None
     kept_rows, kept_columns = np.delete(np.arange(n), empty_rows), np.delete(np.arange(n), empty_columns)
-    if not _regular(sp.csc_array(rows[kept_rows][:, kept_columns])):
+    if not _regular(csc_array(rows[kept_rows][:, kept_columns])):
         return None
-    return sp.csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
+    return csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
 
 
 def _regular(A: sp.csc_array) -> bool:
     """Return whether a square matrix is regular, once its rows and columns are scaled."""
+    from scipy.sparse import csc_array, diags_array
+    from scipy.sparse.linalg import splu
+
     if A.shape[0] == 0:
         return True
     for axis in (1, 0):
         size = abs(A).max(axis=axis).toarray().ravel()
         if (size == 0).any():
             return False
-        factors = sp.diags_array(1 / size)
-        A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
+        factors = diags_array(1 / size)
+        A = csc_array(factors @ A if axis == 1 else A @ factors)
     try:
         probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
     except RuntimeError as failed:
@@ -403,15 +432,23 @@ def _regular(A: sp.csc_array) -> bool:
 
 
 def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
-    pattern = sp.csc_array(as_matrix("jac_sparsity", given, is_complex=is_complex) != 0).astype(float)
+    pattern = _compressed(as_matrix("jac_sparsity", given, is_complex=is_complex) != 0).astype(float)
     # A complex f need not be analytic: real and imaginary parts may depend on both.
-    return sp.csc_array(pattern * (1 + 1j)) if is_complex else pattern
+    return _compressed(pattern * (1 + 1j)) if is_complex else pattern
+
+
+def _compressed(matrix: Any) -> sp.csc_array:
+    from scipy.sparse import csc_array
+
+    return csc_array(matrix)
 
 
 def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
     """(starts, rows, values) of compressed columns with ascending rows."""
     # A new object: one that was changed may still claim that its rows ascend.
-    A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
+    from scipy.sparse import csc_array
+
+    A = csc_array((A.data, A.indices, A.indptr), A.shape)
     if not A.has_canonical_format:
         A = A.copy()  # the user's arrays stay as they are
         A.sum_duplicates()
@@ -420,9 +457,11 @@ def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
 
 def _real_blocks(A: sp.csc_array) -> sp.csc_array:
     """z -> A z of complex z as a map of pairs of reals."""
-    turn = sp.csc_array([[0.0, -1.0], [1.0, 0.0]])
-    real, imaginary = sp.kron(A.real, sp.eye_array(2)), sp.kron(A.imag, turn)
-    return sp.csc_array(real + imaginary)
+    from scipy.sparse import csc_array, eye_array, kron
+
+    turn = csc_array([[0.0, -1.0], [1.0, 0.0]])
+    real, imaginary = kron(A.real, eye_array(2)), kron(A.imag, turn)
+    return csc_array(real + imaginary)
 
 
 def _real_dense(A: Array) -> Array:
@@ -445,20 +484,22 @@ def _real_bands(A: Array, lower: int, upper: int) -> Array:
 
 def _whole(storage: _Storage, values: Any) -> sp.csc_array:
     """The matrix behind the core's values."""
+    from scipy.sparse import csc_array, dia_array
+
     n = storage.n * (2 if storage.complex else 1)
     if storage.kind == "sparse":
         starts, rows, data = values
-        return sp.csc_array((data, rows, starts), (n, n))
+        return csc_array((data, rows, starts), (n, n))
     if storage.kind == "dense":
-        return sp.csc_array(values)
+        return csc_array(values)
     width = len(values)
     upper = 2 * storage.upper + 1 if storage.complex else storage.upper
-    return sp.csc_array(sp.dia_array((values, upper - np.arange(width)), (n, n)))
+    return csc_array(dia_array((values, upper - np.arange(width)), (n, n)))
 
 
 @functools.cache
 def _lapack() -> dict[str, Any]:
-    """LAPACK as SciPy ships it."""
+    """LAPACK as SciPy ships it. The core asks for it where it does not eliminate by itself."""
     from scipy.linalg import cython_lapack
 
     routines = ("getrf", "getrs", "gbtrf", "gbtrs")

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from .. import _core
 from .._base.arguments import Array
+from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
@@ -53,7 +53,7 @@ def is_large(given: Matrices, n: int) -> bool:
     """Return whether sparse linear algebra may pay for n components: not with a dense M, which makes the iteration
     matrix dense."""
     mass = given.mass
-    if n < _LARGE or mass is None or sp.issparse(mass):
+    if n < _LARGE or mass is None or is_sparse(mass):
         return n >= _LARGE
     return not callable(mass) and bool(np.count_nonzero(mass) <= _FULL * np.size(mass))
 

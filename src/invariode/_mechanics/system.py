@@ -16,8 +16,8 @@ from .._base.public import public
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
+from .._problem.problem import Problem
 from .._results.points import HasPoints
-from .._solve.problem import Problem
 from .consistent import consistent_state, nearby_state, redundant_rows
 from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point, vanishing
 

@@ -11,14 +11,14 @@ import numpy as np
 from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._functions.second_order import SecondOrder
-from .._problem.description import Description
 from .._problem.events import titled
+from .._problem.problem import Problem
 
 #: The functions of a problem that are called with its inputs too.
 _FED = ("fun", "jac")
 
 
-def explain(error: TypeError | ValueError, problem: Description) -> None:
+def explain(error: TypeError | ValueError, problem: Problem) -> None:
     """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
     if isinstance(error, TypeError):
         if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
@@ -43,7 +43,7 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
 
 
-def require_taken(problem: Description, args: Any) -> None:
+def require_taken(problem: Problem, args: Any) -> None:
     """Require that fun takes the arguments of an ensemble, a tuple of all trajectories or the rows of each."""
     if is_native(problem.fun):
         return
@@ -57,16 +57,14 @@ def require_taken(problem: Description, args: Any) -> None:
     )
 
 
-def _one_array(problem: Description) -> str:
+def _one_array(problem: Problem) -> str:
     """Return a note on a list of numbers that was meant as one argument; empty if f does not take one argument."""
     if len(problem.args) < 2 or not takes(problem.fun, [*problem.before_args, None]):
         return ""
     return f"args are the arguments one by one, here {len(problem.args)}: pass one array or list as args=(p,)"
 
 
-def error_at_start(
-    state: str, problem: Description, y0: Array, args: tuple[Any, ...]
-) -> ValueError | IndexError | None:
+def error_at_start(state: str, problem: Problem, y0: Array, args: tuple[Any, ...]) -> ValueError | IndexError | None:
     """Return the error to raise in place of a failure caused by NaN from a compiled function, whose code raises
     nothing. The Python functions it was made of are called at the start of the run. `state`: how that ended."""
     t0, wanted = problem.t_span[0], "the action" if state == "action_undefined" else ""
@@ -81,7 +79,7 @@ def error_at_start(
     return _wrong_length(problem, y0, args) if state == "start_undefined" else None
 
 
-def _wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
+def _wrong_length(problem: Problem, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
     """Return the error of a compiled f that returns, at this start, more or fewer values than there are components,
     which in the run are NaN; else None."""
     fun, n = problem.fun, reals(y0)
@@ -105,7 +103,7 @@ def _is_of_the_call(error: TypeError) -> bool:
     return not file or file.startswith(PACKAGE)
 
 
-def _not_taking(problem: Description) -> list[str]:
+def _not_taking(problem: Problem) -> list[str]:
     """Return the names of the functions that do not accept the arguments they are called with."""
     return [
         name
@@ -114,7 +112,7 @@ def _not_taking(problem: Description) -> list[str]:
     ]
 
 
-def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
+def _functions(problem: Problem) -> Iterator[tuple[str, Any]]:
     """Iterate over all functions that are called with t, y and the arguments, with their names for messages."""
     yield "fun", problem.fun
     yield "jac", problem.matrices.jac

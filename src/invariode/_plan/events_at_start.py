@@ -8,12 +8,12 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._functions.compiled import condition_value, event_value, is_native
-from .._problem.description import Description
+from .._problem.problem import Problem
 from .._results.solution import Solution
 from .plan import Plan, solver
 
 
-def found_at_start(problem: Description, plan: Plan) -> list[int]:
+def found_at_start(problem: Problem, plan: Plan) -> list[int]:
     """Return the indices of the events that occur at the start. For those with a direction one step is taken, which
     shows it."""
     zero = [e for e, event in enumerate(problem.events) if event.at_start and _value(problem, plan, e) == 0]
@@ -23,7 +23,7 @@ def found_at_start(problem: Description, plan: Plan) -> list[int]:
     return zero
 
 
-def _value(problem: Description, plan: Plan, e: int, t: float | None = None, y: Array | None = None) -> float:
+def _value(problem: Problem, plan: Plan, e: int, t: float | None = None, y: Array | None = None) -> float:
     """The value of an event, by default at the start."""
     t, y = problem.t_span[0] if t is None else t, (plan.y0 if y is None else y).copy()
     fun = problem.events[e].fun
@@ -34,9 +34,10 @@ def _value(problem: Description, plan: Plan, e: int, t: float | None = None, y: 
 
 def _after_one_step(plan: Plan) -> tuple[float, Array]:
     """t and y at the end of the first step."""
-    settings = plan.settings._replace(times=None, dense=False, save_all=False, record=False, refine=1)
+    settings = plan.settings._replace(dense=False, save_all=False, record=False, refine=1)
     functions = plan.functions._replace(events=[], callback=lambda t, y: True)
-    run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.start)
+    course = plan.course._replace(times=None)
+    run = solver(plan._replace(course=course, settings=settings, functions=functions)).integrate(plan.start)
     return run.t_end, run.end[: len(plan.y0)]
 
 
@@ -48,9 +49,10 @@ def ended_at_start(plan: Plan, found: list[int]) -> bool:
 def without_start(plan: Plan, found: list[int]) -> Plan:
     """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence fewer to come."""
     if ended_at_start(plan, found):
-        t0, times = plan.settings.t0, plan.settings.times
+        t0, times = plan.course.t0, plan.course.times
         times = None if times is None else times[times == t0]
-        return plan._replace(settings=plan.settings._replace(tf=t0, first_step=0.0, times=times))
+        settings = plan.settings._replace(first_step=0.0)
+        return plan._replace(course=plan.course._replace(tf=t0, times=times), settings=settings)
     events = list(plan.functions.events)
     for e in found:
         events[e] = events[e]._replace(terminal=max(events[e].terminal - 1, 0))
@@ -63,12 +65,12 @@ def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
         return sol
     t_events, y_events = list(sol.t_events), list(sol.y_events)
     for e in found:
-        t_events[e] = np.concatenate([[plan.settings.t0], t_events[e]])
+        t_events[e] = np.concatenate([[plan.course.t0], t_events[e]])
         y_events[e] = np.concatenate([plan.y0[None, :], y_events[e]])
     sensitivities = sol._sensitivities
     if plan.varied is not None and sensitivities is not None and sensitivities.events is not None:
         none = np.zeros(0), plan.start[None, :][:0]
-        start = np.array([plan.settings.t0]), plan.start[None, :]
+        start = np.array([plan.course.t0]), plan.start[None, :]
         first = plan.varied.at_events([start if e in found else none for e in range(len(t_events))], len(plan.y0))
         sensitivities = dataclasses.replace(sensitivities, events=first.joined(sensitivities.events))
     return sol.changed(t_events=t_events, y_events=y_events, _sensitivities=sensitivities)

@@ -40,13 +40,13 @@ from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.delays import Undelayed, depends_on_args
-from .._problem.description import Description, Posed
 from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, titled, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.matrices import Matrices
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import Options, checked
+from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
     Laws,
@@ -88,7 +88,7 @@ class Tolerances(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Settings that depend on the problem."""
+    """The settings of the core that depend on the problem: the path from t0 to tf, and what may be stored of it."""
 
     t0: float
     tf: float
@@ -96,17 +96,16 @@ class Course(NamedTuple):
     times: Array | None
     max_points: int
     max_bytes: int
+
+    @property
+    def forward(self) -> float:
+        """The direction of integration."""
+        return 1.0 if self.tf >= self.t0 else -1.0
 
 
 class Settings(NamedTuple):
-    """Settings of the core's path from t0 to tf and of its stored output. The first fields are those of `Course`."""
+    """The settings of the core that the method and its options determine."""
 
-    t0: float
-    tf: float
-    max_step: float
-    times: Array | None
-    max_points: int
-    max_bytes: int
     first_step: float  # 0: the method chooses
     refine: int
     interpolation: str
@@ -124,16 +123,6 @@ class Settings(NamedTuple):
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
     max_steps: int = LARGEST_COUNT
     time_limit: float = math.inf
-
-    @property
-    def forward(self) -> float:
-        """The direction of integration."""
-        return 1.0 if self.tf >= self.t0 else -1.0
-
-    def limit(self, kind: str) -> float:
-        """The limit that has this name in the core."""
-        limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
-        return limits[kind]
 
 
 class Functions(NamedTuple):
@@ -160,12 +149,13 @@ class Choice(NamedTuple):
 
     method: Method
     options: Options  # all of them
-    settings: Settings  # on no interval yet
+    settings: Settings
 
 
 class Plan(NamedTuple):
-    """Plan of a run, and the names in its messages. The first fields are those that `on` exchanges."""
+    """Plan of a run, and the names in its messages."""
 
+    course: Course
     settings: Settings
     bound: BoundInvariants
     called: Names  # the names in tables and pictures
@@ -237,8 +227,7 @@ class Plan(NamedTuple):
 
     def on(self, course: Course, bound: BoundInvariants, called: Names) -> Plan:
         """Return the plan on another interval."""
-        settings = Settings._make((*course, *self.settings[_OF_COURSE:]))
-        return Plan._make((settings, bound, called, *self[3:]))
+        return self._replace(course=course, bound=bound, called=called)
 
     def holding(self, value: Array) -> Plan:
         """Return the plan with the invariants fixed at these values."""
@@ -269,8 +258,10 @@ class Plan(NamedTuple):
         if ended is not None and not run.remarkable:
             return ended
         if run.state == "limit_reached":
-            limit = self.settings.limit(run.limit)
-            message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
+            course, settings = self.course, self.settings
+            limits = {"steps": settings.max_steps, "time": settings.time_limit}
+            limits |= {"points": course.max_points, "memory": course.max_bytes}
+            message = limit_reached(run, limits[run.limit], course.t0, course.tf)
             return LIMIT_REACHED, remarked(message, run, self.event_names)
         status, message = status_and_message(run, self.laws, self._stated)
         if run.state == "start_undefined" and (undefined := undefined_arguments(self.bound.args)):
@@ -342,11 +333,11 @@ def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Sol
         delays=functions.delays,
         **({} if plan.expansion is None else plan.expansion.for_core()),
     )
-    settings = _core.Settings(plan.settings)
+    settings = _core.Settings((*plan.course, *plan.settings))
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
 
 
-def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
+def make_plan(problem: Problem, method: MethodName, given: Options) -> Plan:
     """The plan, with everything that the core needs but y0."""
     return planned(problem, choose(method, given))
 
@@ -363,7 +354,7 @@ def choose(method: MethodName, given: Options) -> Choice:
     return Choice(chosen, options, _settings(chosen, options))
 
 
-def planned(problem: Description, choice: Choice) -> Plan:
+def planned(problem: Problem, choice: Choice) -> Plan:
     """The plan of a problem for the method and the options."""
     chosen, options, settings = choice
     renew(_called(problem, [], options["linear_solver"]))
@@ -373,7 +364,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL))
-    settings = Settings._make((*course_of(choice, problem, options["t_eval"]), *settings[_OF_COURSE:]))
+    course = course_of(choice, problem.t_span, reals(problem.y0), options["t_eval"])
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
@@ -385,8 +376,8 @@ def planned(problem: Description, choice: Choice) -> Plan:
     schedule = schedule_of(problem, parameters)
     system = _system(problem, parameters, schedule) if by_series else None
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
-    bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
-    bound.forward = settings.forward
+    bound = bind(problem.invariants, course.t0, y0, problem.args, weights.threshold)
+    bound.forward = course.forward
     if bound.specs:
         _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
@@ -394,11 +385,11 @@ def planned(problem: Description, choice: Choice) -> Plan:
     event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
     watch = None
     if isinstance(problem.fun, CoreFunction):
-        watch = problem.fun.watch(settings.t0, y0, problem.args, rtol, atol, options["callback"])
-    callback = options["callback"] if watch is None else watch
+        watch = problem.fun.watch(course.t0, y0, problem.args, rtol, atol, options["callback"])
     plan = Plan(
+        course=course,
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, callback, breakpoints, options),
+        functions=_functions(problem, fun, parameters, linear, bound, watch, breakpoints, options),
         y0=y0,
         bound=bound,
         called=names_of(problem, event_names),
@@ -424,7 +415,7 @@ def planned(problem: Description, choice: Choice) -> Plan:
     return plan
 
 
-def _require_fitting(problem: Description, method: Method) -> None:
+def _require_fitting(problem: Problem, method: Method) -> None:
     """The problem is one for this method, and a warning for what the method ignores."""
     if problem.matrices.mass is not None and "mass" not in method.options:
         raise ValueError(
@@ -437,7 +428,7 @@ def _require_fitting(problem: Description, method: Method) -> None:
         warn(f"touching=True has no effect with {method.name}: only the steps of taylor are polynomials that can tell")
 
 
-def _require_delays(problem: Description, method: Method, options: Options) -> None:
+def _require_delays(problem: Problem, method: Method, options: Options) -> None:
     """If there are delays, the method takes them, and so does what else there is to the problem."""
     if problem.delays is None:
         return
@@ -459,7 +450,7 @@ def _require_delays(problem: Description, method: Method, options: Options) -> N
         _require_variable(problem)
 
 
-def _require_variable(problem: Description) -> None:
+def _require_variable(problem: Problem) -> None:
     """A problem with delays is one whose sensitivities are supported."""
     obstacles = {
         "events": problem.events,
@@ -472,7 +463,7 @@ def _require_variable(problem: Description) -> None:
             raise ValueError(f"sensitivities of a problem with delays and {what} are not supported")
 
 
-def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Breakpoint]) -> Plan:
+def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoint]) -> Plan:
     """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
     from .._sensitivity.actions import Weights
     from .._sensitivity.variations import make_variations
@@ -488,7 +479,7 @@ def _with_sensitivities(plan: Plan, problem: Description, breakpoints: list[Brea
     )
 
 
-def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
+def _with_expansion(plan: Plan, problem: Problem, system: System) -> Plan:
     """The plan with the series of the solution, and of the events along it."""
     from .._taylor.expansion import make_expansion, order_of
 
@@ -501,13 +492,13 @@ def _with_expansion(plan: Plan, problem: Description, system: System) -> Plan:
 # Options
 
 
-def names_of(problem: Posed | Description, event_names: list[str]) -> Names:
+def names_of(problem: Problem, event_names: list[str]) -> Names:
     """The names in tables and pictures."""
     return Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
 
 
 def _settings(method: Method, options: Options) -> Settings:
-    """Return the settings of the method and its options, on no interval yet."""
+    """Return the settings of the method and its options."""
     at_times = options["t_eval"] is not None
     keep = options["keep"] or ("outputs" if at_times else "all")  # with t_eval no record, unless it is requested
     sections = options["adjoint"] == "checkpoints"
@@ -528,12 +519,6 @@ def _settings(method: Method, options: Options) -> Settings:
         raise ValueError(f"max_steps={steps} is short for limits=Limits(steps={steps}): give one of them")
     explicit_one, implicit_one = options["prefer"] or ("", "")
     return Settings(
-        t0=0.0,
-        tf=0.0,
-        max_step=math.inf,
-        times=None,
-        max_points=LARGEST_COUNT,
-        max_bytes=LARGEST_COUNT,
         first_step=options["first_step"] or 0.0,
         refine=options["refine"],
         interpolation=options["interpolation"],
@@ -553,9 +538,9 @@ def _settings(method: Method, options: Options) -> Settings:
     )
 
 
-def course_of(choice: Choice, problem: Posed | Description, t_eval: Any) -> Course:
-    """The interval of a problem, with its output times, which fill what may be kept."""
-    t0, tf = problem.t_span
+def course_of(choice: Choice, t_span: tuple[float, float], n: int, t_eval: Any) -> Course:
+    """Return the course over an interval, with its output times, which fill what may be kept, of states of n reals."""
+    t0, tf = t_span
     span, options = abs(tf - t0), choice.options
     times = None if t_eval is None else output_times(t_eval, t0, tf)
     first = choice.settings.first_step
@@ -565,11 +550,8 @@ def course_of(choice: Choice, problem: Posed | Description, t_eval: Any) -> Cour
     if limits is None and times is None:  # the common case
         most = _MOST_POINTS, _MOST_BYTES
     else:
-        most = _most_kept(limits or _UNLIMITED, 0 if times is None else len(times), reals(problem.y0))
+        most = _most_kept(limits or _UNLIMITED, 0 if times is None else len(times), n)
     return Course(t0, tf, longest_step(options["max_step"], span), times, *most)
-
-
-_OF_COURSE = len(Course._fields)
 
 
 def longest_step(given: LargestStep, span: float) -> float:
@@ -611,7 +593,7 @@ def _highest_order(method: Method, order: int | None) -> int:
 # Functions
 
 
-def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
+def ordered_breakpoints(problem: Problem, given: Any) -> list[Breakpoint]:
     """Return the points where a run of the problem restarts, in their order: the breakpoints of the problem and of the
     run, and where its inputs jump."""
     if not given and not problem.inputs and not problem.breakpoints:
@@ -619,7 +601,7 @@ def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
     return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
-def _delays(problem: Description, parameters: Array, given: Any) -> _core.Delays | None:
+def _delays(problem: Problem, parameters: Array, given: Any) -> _core.Delays | None:
     """The delays for the core, with the breakpoints of the problem and of the run that lie before the start."""
     if problem.delays is None:
         return None
@@ -628,7 +610,7 @@ def _delays(problem: Description, parameters: Array, given: Any) -> _core.Delays
     return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before), varied)
 
 
-def _with_graph(problem: Description, method: Method) -> Any:
+def _with_graph(problem: Problem, method: Method) -> Any:
     """Return f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities
     have to satisfy algebraic equations, whose derivatives by finite differences would be off by up to 1e-6."""
     fun, jac = problem.fun, problem.matrices.jac
@@ -655,14 +637,14 @@ def _with_graph(problem: Description, method: Method) -> Any:
 
 
 def _native_functions(
-    problem: Description, traced: Any, breakpoints: list[Breakpoint], chosen: LinearSolver
+    problem: Problem, traced: Any, breakpoints: list[Breakpoint], chosen: LinearSolver
 ) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
     p = native_parameters(problem.args, [traced, *_called(problem, breakpoints, chosen)])
     return p, problem.slope.for_core(problem.y0, p)
 
 
-def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
+def _called(problem: Problem, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
     yield from (problem.fun, problem.matrices.jac)
     if isinstance(chosen, GMRES):
         yield chosen.jac_product
@@ -673,12 +655,12 @@ def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearS
 
 
 def _functions(
-    problem: Description,
+    problem: Problem,
     fun: Any,
     parameters: Array,
     linear: _core.Linear | None,
     bound: BoundInvariants,
-    callback: Any,
+    watch: Watch | None,
     breakpoints: list[Breakpoint],
     options: Options,
 ) -> Functions:
@@ -698,7 +680,7 @@ def _functions(
             else point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
             for point in breakpoints
         ],
-        callback=callback,
+        callback=watch or options["callback"],
         invariants=bound.specs,
         value=bound.value,
         bounds=problem.bounds,
@@ -706,14 +688,14 @@ def _functions(
     )
 
 
-def _on_graph(problem: Description, method: Method) -> Description:
+def _on_graph(problem: Problem, method: Method) -> Problem:
     """Return the problem with f as its graph; the module for series is imported only when it is used."""
     from .._taylor.expansion import on_graph
 
     return on_graph(problem, method)
 
 
-def _system(problem: Description, parameters: Array, schedule: Schedule | None) -> System:
+def _system(problem: Problem, parameters: Array, schedule: Schedule | None) -> System:
     """Return the graph of f as a system for Taylor series; its module is imported only when it is used."""
     from .._taylor.expansion import system_of
 
@@ -725,7 +707,7 @@ def _system(problem: Description, parameters: Array, schedule: Schedule | None) 
 
 
 def _linear_algebra(
-    problem: Description,
+    problem: Problem,
     method: Method,
     options: Options,
     fun: Any,
@@ -781,7 +763,7 @@ def _linear_algebra(
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
 
 
-def _of_state(problem: Description, traced: Any, parameters: Array) -> tuple[Any, Any]:
+def _of_state(problem: Problem, traced: Any, parameters: Array) -> tuple[Any, Any]:
     """Return f of (t, y) as it is evaluated for its Jacobian, and as it is differentiated."""
     if problem.delays is not None:
         undelayed = Undelayed(problem.slope.fun, problem.delays.count)
@@ -807,7 +789,7 @@ def _require_linear_solver(method: Method, chosen: object) -> None:
         )
 
 
-def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver, start: Start) -> Krylov | None:
+def _matrix_free(problem: Problem, matrices: Matrices, chosen: LinearSolver, start: Start) -> Krylov | None:
     from .._linear.krylov import krylov
 
     if not isinstance(chosen, GMRES):
@@ -824,7 +806,7 @@ def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver,
 # Invariants
 
 
-def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
+def _require_free_directions(bound: BoundInvariants, problem: Problem) -> None:
     if not bound.along_steps or (problem.bounds is None and problem.matrices.mass is None):
         return
     what = "bounds" if problem.bounds is not None else "a mass matrix"

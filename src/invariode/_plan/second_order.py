@@ -11,16 +11,16 @@ from .._functions.graph.derived import derived
 from .._functions.graph.nodes import in_order
 from .._functions.layout import Parameters, count_of
 from .._functions.second_order import states_second_order
-from .._problem.description import Description
 from .._problem.methods import Method, find_method
 from .._problem.parameters import Y0, values_of, with_values
+from .._problem.problem import Problem
 from .._results.solution import Solution
 
 #: By what a parameter differs with which accelerations may begin to depend on velocities.
 _CHANGE = 1e-3
 
 
-def require_second_order(problem: Description, method: Method) -> None:
+def require_second_order(problem: Problem, method: Method) -> None:
     """Raise an error unless the problem states second-order equations.
 
     Raises
@@ -46,7 +46,7 @@ def require_second_order(problem: Description, method: Method) -> None:
         )
 
 
-def require_no_velocities(problem: Description, sol: Solution) -> None:
+def require_no_velocities(problem: Problem, sol: Solution) -> None:
     """Raise an error if accelerations depend on velocities in the middle or at the end of a solution: a drag may have
     begun after the start.
 
@@ -60,7 +60,7 @@ def require_no_velocities(problem: Description, sol: Solution) -> None:
         _require_no_velocities(problem, sol.t[some], np.asarray(sol.y)[:, some], ": the solution is wrong")
 
 
-def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) -> None:
+def _require_no_velocities(problem: Problem, t: Array, y: Array, more: str) -> None:
     """Raise an error if accelerations depend on velocities at points y (n, n_t), at each of which f is evaluated with
     two velocities."""
     half, k = len(y) // 2, len(t)
@@ -85,7 +85,7 @@ def _require_no_velocities(problem: Description, t: Array, y: Array, more: str) 
         )
 
 
-def fits_any_args(problem: Description, method: MethodName) -> bool:
+def fits_any_args(problem: Problem, method: MethodName) -> bool:
     """Return whether a problem that fits the method does so with other args: accelerations are known not to depend on
     velocities, since that is stated or seen in their graph; and not only tested."""
     if find_method(method)[0].equations != "second-order" or states_second_order(problem.fun):
@@ -97,7 +97,7 @@ def fits_any_args(problem: Description, method: MethodName) -> bool:
     return not any(node.op == "y" and node.value >= n // 2 for node in in_order(found.outputs[n // 2 :]))
 
 
-def _with_other_parameters(problem: Description) -> Description:
+def _with_other_parameters(problem: Problem) -> Problem:
     own = [one for one in problem.parameter_names() if one.kind != Y0]
     values = values_of(problem.args, problem.y0, own)
     others = np.where(values != 0, values * (1 + _CHANGE), _CHANGE)

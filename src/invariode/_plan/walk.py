@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from .. import _core
-from .._base.arguments import Array, warn
+from .._base.arguments import Array, default_labels, warn
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import about_jumps_of_fun, harmful_projection, limited_by_stability
-from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning, default_labels
+from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning
 from .plan import Plan, solver
 
 #: Before this many steps nothing can be said about harm: one step in eight is examined.
@@ -45,7 +45,7 @@ class Walk:
     @property
     def forward(self) -> float:
         """The direction of integration, 1 or -1."""
-        return self.plan.settings.forward
+        return self.plan.course.forward
 
     @property
     def t(self) -> float:

@@ -37,10 +37,11 @@ def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | 
         given = "bounds" if bounds is not None else "nonnegative"
         raise ValueError(f"{given}: bounds require a real problem. Split y into real and imaginary parts")
     lower, upper = (np.full(n, -np.inf), np.full(n, np.inf)) if bounds is None else _pair(bounds, n)
-    lower[chosen] = np.maximum(lower[chosen], 0.0)
-    crossed = np.flatnonzero(~(lower <= upper))
-    if crossed.size:
-        i = int(crossed[0])
+    if chosen:
+        lower[chosen] = np.maximum(lower[chosen], 0.0)
+    ordered = lower <= upper
+    if not ordered.all():
+        i = int(np.argmin(ordered))
         name = f"component {i}" if labels is None else labels[i]
         raise ValueError(f"bounds of {name} are contradictory: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
     return Bounds(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
@@ -98,6 +99,8 @@ def _pair(bounds: Any, n: int) -> tuple[Array, Array]:
 def _side(name: str, given: Any, absent: float, n: int) -> Array:
     if given is None:
         return np.full(n, absent)
+    if type(given) in (float, int) and given == given:  # the common case
+        return np.full(n, float(given))
     values = real_numbers(f"{name} bounds", given)
     if values.shape not in ((), (1,), (n,)):
         raise ValueError(f"{name} bounds must be a number or of shape ({n},), got shape {values.shape}")

@@ -108,17 +108,11 @@ class Delays:
         return call(t, np.concatenate([y, *z]).view(float)).view(y.dtype)
 
 
-def to_delays(
-    delays: Any,
-    history: Any,
-    fun: Any,
-    t_span: tuple[float, float],
-    y0: Array,
-    args: tuple[Any, ...],
-    labels: Sequence[str] | None,
-    inputs: int,
-) -> Delays | None:
-    """The delays and the history, checked; None if there are no delays."""
+def to_delays(delays: Any, history: Any, problem: Any) -> Delays | None:
+    """The delays and the history of a problem, of which everything else is known, checked; None if there are no
+    delays."""
+    fun, t_span, y0, args, labels = problem.fun, problem.t_span, problem.y0, problem.args, problem._labels
+    inputs = len(problem.inputs)
     if delays is None:
         if history is not None:
             raise ValueError("history is y before the start, for delays: give delays too")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import FunctionType
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -283,6 +284,8 @@ _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples
 
 
 def _from_function(fun: EventFunction) -> Event:
+    if type(fun) is FunctionType and not fun.__dict__:  # the common case
+        return Event(fun)
     attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
     return Event(fun, **attributes)
 
@@ -290,7 +293,7 @@ def _from_function(fun: EventFunction) -> Event:
 def terminal_count(event: Event) -> int:
     """The occurrence that ends the integration, 0 for none (SciPy's rule)."""
     terminal = event.terminal
-    if terminal is None:
+    if type(terminal) in (bool, int, type(None)) and not terminal:  # the common case
         return 0
     try:
         count = number("terminal", terminal)
@@ -306,7 +309,9 @@ def terminal_count(event: Event) -> int:
 
 def direction_sign(event: Event) -> int:
     """The direction as -1, 0 or 1."""
-    direction = number(f"direction of {event.__name__}", event.direction)
+    direction = event.direction
+    if type(direction) is not int:
+        direction = number(f"direction of {event.__name__}", direction)
     return int(direction > 0) - int(direction < 0)
 
 

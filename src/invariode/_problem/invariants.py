@@ -39,11 +39,13 @@ class Invariants:
     fun : callable
         ``g(t, y, *args)``, a number or an array of shape (m,); y has shape (n,). For complex y the values are real.
     jac : callable or {'complex-step', '3-point', '2-point'}, optional
-        ``jac(t, y, *args)``, the Jacobian ∂g/∂y of shape (m, n), or (n,) for m = 1. For complex y row i holds
+        ``jac(t, y, *args)``, the Jacobian ∂g/∂y of shape (m, n), or (n,) for m = 1. From n = 100 on it may return a
+        sparse matrix, which stores all entries that can differ from zero. For complex y row i holds
         ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how to compute it: by complex steps, Im g(y + i h e_j) / h, exact to
         roundoff, n evaluations of g at complex y; by central differences, 2n evaluations; by forward differences,
-        n + 1. Default: complex steps where g takes complex y and they agree with a difference at the start, else
-        central differences.
+        n + 1. Default: for a compiled g, and for one in Python with 16 components of y or more whose code only
+        calculates, exact derivatives of its expressions; otherwise complex steps where g takes complex y and they
+        agree with a difference at the start, else central differences. `stats.derivatives` says which.
     value : float or array_like of shape (m,), optional
         The value to hold; 0 for constraints. Default: the value of g at the initial point.
     names : str or sequence of m str, optional

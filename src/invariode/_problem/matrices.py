@@ -27,7 +27,7 @@ class Matrices:
     mass: Any = None
 
 
-_NOTHING_KNOWN = Matrices()
+NO_MATRICES = Matrices()
 
 
 def own_matrix(given: Any) -> Any:
@@ -36,6 +36,12 @@ def own_matrix(given: Any) -> Any:
         return given.copy()
     # What is wrong with a sparse matrix is said later: its own copy would raise, or read beyond its arrays.
     return deepcopy(given) if isinstance(given, (list, tuple)) or hasattr(given, "tocsc") else given
+
+
+def own_list(given: Any) -> Any:
+    """Return a copy of numbers in lists, arrays or objects that the caller could change."""
+    fixed = type(given) is tuple and all(type(one) in (float, int, type(None)) for one in given)
+    return given if fixed or type(given) in (bool, str, type(None)) else deepcopy(given)
 
 
 def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, y0: Array) -> Matrices:
@@ -48,7 +54,7 @@ def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, 
         The one that is wrong.
     """
     if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
-        return _NOTHING_KNOWN
+        return NO_MATRICES
     n, is_complex = len(y0), y0.dtype.kind == "c"
     whole, names, bands = (n, n), ("lband", "uband"), None
     if isinstance(jac, Banded):

@@ -511,10 +511,11 @@ def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bo
     entry = f"at t = {t:.6g} component {i} of fun changes with y[{j}]"
     if kind == "pattern":
         return f"jac_sparsity misses the entry ({i}, {j}): {entry}. It is used with what was found; add the entry"
+    bands = f"give jac=Banded({-(-lower // reals)}, {-(-upper // reals)}), or these as lband and uband"
+    cure = bands if lower or upper else "fun mixes nearly all components, so leave the bands out"
     return (
         f"the bands of the Jacobian miss the entry ({i}, {j}): {entry}. The entries in the bands are right, but take "
-        "more evaluations of fun, and steps may be short; give "
-        f"jac=Banded({-(-lower // reals)}, {-(-upper // reals)}), or these as lband and uband"
+        f"more evaluations of fun, and steps may be short; {cure}"
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, flag, real_numbers
+from .._base.arguments import Array, default_labels, flag, real_numbers
 from .._core import Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
@@ -436,11 +436,7 @@ class Names:
         return default_labels(self.size) if self.labels is None else self.labels
 
 
-def default_labels(size: int) -> list[str]:
-    """Return labels of components, made on demand: for a large problem they take more memory than the solution."""
-    return [f"y{i}" for i in range(size)]
-
-
+_NO_ITEMS: Mapping[str, Any] = {}
 #: Marks a field that was not given, since None is a value.
 _ABSENT: Any = object()
 
@@ -477,9 +473,15 @@ class Result(dict[str, Any]):
     _y_end: Array
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
-    def __init__(self, private: Mapping[str, Any] | Callable[[], Mapping[str, Any]], /, **fields: Any) -> None:
+    def __init__(
+        self,
+        private: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
+        items: Mapping[str, Any] = _NO_ITEMS,
+        /,
+        **fields: Any,
+    ) -> None:
         """`private` holds what is not an item; a callable makes it when it is first needed."""
-        super().__init__(fields)
+        super().__init__(items, **fields)
         if callable(private):
             self.__dict__["_make"] = private
         else:

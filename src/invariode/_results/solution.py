@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, flag, warn
 from .._base.notebook import html_of_solution
-from .._problem.accepted import extension_options
 from .._problem.invariants import InvariantsLike
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .._problem.sensitivities import SensitivitiesLike
@@ -19,6 +18,9 @@ from .export import Exports
 from .pictures import derivatives, drift, over_time, phase, steps
 from .pictures.canvas import require_matplotlib
 from .pictures.thumbnail import thumbnail
+
+if TYPE_CHECKING:
+    from .._problem.accepted import extension_options
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
@@ -170,7 +172,9 @@ class Solution(Exports):
                 "this solution comes from a file or a pickle, without the functions of its problem: it cannot be "
                 "extended. Solve from its final state"
             )
-        extended: Solution = self._origin.extend(self, t_end, extension_options(**options))
+        if TYPE_CHECKING:
+            extension_options(**options)  # editors complete options from this call
+        extended: Solution = self._origin.extend(self, t_end, options)
         return extended
 
     def gradient(

@@ -9,11 +9,11 @@ import numpy as np
 from .._base.arguments import Array, warn
 from .._functions.compiled import NativeWithInputs, native_parameters
 from .._functions.graph.function import TracedFunction
-from .._problem.description import Description
+from .._problem.problem import Problem
 from .._results.solution import Solution
 
 
-def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]) -> None:
+def compare(problem: Problem, sol: Solution, check: bool | Literal["strict"]) -> None:
     """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run and near
     its end.
 
@@ -45,7 +45,7 @@ def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]
     warn(text)
 
 
-def _difference(problem: Description, traced: TracedFunction, t: Array, y: Array) -> str | None:
+def _difference(problem: Problem, traced: TracedFunction, t: Array, y: Array) -> str | None:
     compiled = problem.slope(t, y)
     for at, state, values in zip(t.tolist(), y.T, compiled.T, strict=True):
         parameters = native_parameters((*(u(at) for u in problem.inputs), *problem.args), [traced])

@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from .. import _core
 from .._adjoint.adjoint import Forward, gradient
 from .._adjoint.sections import Sectioned, SectionedSolution
-from .._base.arguments import Array, number, output_times, quietly, shown, warn
+from .._base.arguments import Array, number, output_times, quietly, reals, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
@@ -24,16 +24,17 @@ from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, Jump, as_columns
+from .._laws.traced_jacobian import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .._plan.plan import Plan, make_plan, ordered_breakpoints, say_established, solver
+from .._plan.plan import Plan, course_of, make_plan, ordered_breakpoints, say_established, solver
 from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
-from .._problem.description import Description, Posed
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
 from .._problem.parameters import values_of
+from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
     accumulating,
@@ -58,7 +59,7 @@ from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .agreement import compare
 from .interruption import stopped_by_interrupt
-from .template import Template, plan_or_template
+from .prepared import Prepared, prepared_or_plan
 
 if TYPE_CHECKING:
     from .._sensitivity.variations import Variations
@@ -89,16 +90,13 @@ class Solved:
 
     __slots__ = ("_problem", "method", "options")
 
-    def __init__(self, problem: Description | Callable[[], Description], method: MethodName, options: Options) -> None:
+    def __init__(self, problem: Problem | Callable[[], Problem], method: MethodName, options: Options) -> None:
         self._problem, self.method, self.options = problem, method, options
 
-    def _described(self) -> Description:
-        return self.problem
-
     @property
-    def problem(self) -> Description:
+    def problem(self) -> Problem:
         """The problem, with the whole interval if the run continues another."""
-        if not isinstance(self._problem, Description):
+        if not isinstance(self._problem, Problem):
             self._problem = self._problem()
         return self._problem
 
@@ -106,7 +104,7 @@ class Solved:
     def history(self) -> Callable[[float], Array] | None:
         """y before the start, of a problem with delays."""
         known = self._problem  # one that has yet to be made has none
-        return known.history if isinstance(known, Description) else None
+        return known.history if isinstance(known, Problem) else None
 
 
 @dataclasses.dataclass(eq=False, slots=True)
@@ -235,42 +233,64 @@ class RunOrigin:
         return float(np.sign(self.source.problem.t_span[1] - self.source.problem.t_span[0]))
 
 
-def solve(problem: Posed | Description, method: MethodName, options: Options) -> Solution:
+def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
     try:
-        found = plan_or_template(problem, method, options)
+        found = prepared_or_plan(problem, method, options)
         given = options.copy()
         given.pop("progress", None)
         keep_arrays(given)
-        source = Solved(problem._described, method, given)
-        if not isinstance(found, Template):
-            return _solved(found, source)
-        run, course = found.run(problem, options)
-        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
-        return concluded(presented(finished), found.plan.on_failure)
+        source = Solved(problem, method, given)
+        finished = _run_of(found, problem, options, source)
+        if finished is None:
+            return _solved(_plan_of(found, problem, method, options), source)
+        return concluded(presented(finished), finished.general.on_failure)
     except (TypeError, ValueError) as error:
-        explain(error, problem._described())
+        explain(error, problem)
         raise
 
 
-def points(problem: Posed | Description, method: MethodName, options: Options) -> Points:
+def points(problem: Problem, method: MethodName, options: Options) -> Points:
     """The outputs of a solve that needs nothing else: the same run, without making a solution of it."""
     try:
-        found = plan_or_template(problem, method, options)
-        if not isinstance(found, Template):
-            sol = _solved(found, Solved(problem._described, method, options))
+        found = prepared_or_plan(problem, method, options)
+        source = Solved(problem, method, options)
+        finished = _run_of(found, problem, options, source, remember=False)
+        if finished is None:
+            sol = _solved(_plan_of(found, problem, method, options), source)
             return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
-        run, course = found.run(problem, options, remember=False)
+        run = finished.run
         if run.ordinary:
             return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
-        source = Solved(problem._described, method, options)
-        finished = Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course))
         _require_start(finished)
         _warn(finished)
         return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
     except (TypeError, ValueError) as error:
-        explain(error, problem._described())
+        explain(error, problem)
         raise
+
+
+def _run_of(
+    found: Prepared | Plan, problem: Problem, options: Options, source: Solved, remember: bool = True
+) -> Finished | None:
+    """Return the run of a problem by a prepared plan; None if it needs a plan of its own."""
+    if not isinstance(found, Prepared):
+        return None
+    course = course_of(found.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
+    breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
+    if breaks is not None:
+        breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
+        if breaks is None:
+            raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
+    run = found.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
+    if run is None:
+        return None
+    return Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course, run))
+
+
+def _plan_of(found: Prepared | Plan, problem: Problem, method: MethodName, options: Options) -> Plan:
+    """Return the plan of this problem alone."""
+    return make_plan(problem, method, options) if isinstance(found, Prepared) else found
 
 
 def _solved(plan: Plan, source: Solved) -> Solution:
@@ -403,13 +423,14 @@ class Finished:
 
 def presented(finished: Finished) -> Solution:
     """Return the solution of a finished run and warn of its problems, or raise its exception."""
-    if finished.run.ordinary and not finished.general.names:
-        return _solution(finished)
-    _require_start(finished)
+    run = finished.run
+    if not run.ordinary:
+        _require_start(finished)
     sol = _solution(finished)
-    if finished.general.names:
-        _warn_of_projection(finished.run, finished.plan, sol)
-    _warn(finished)
+    if finished.general.names and (run.harmed >= 0 or run.dropped):
+        _warn_of_projection(run, finished.plan, sol)
+    if not run.ordinary:
+        _warn(finished)
     return sol
 
 
@@ -482,7 +503,7 @@ def _integrated(
     with ExitStack() as around:
         report = request = None
         if plan.progress:
-            report = around.enter_context(run_bar(plan.progress, name, plan.settings.t0, plan.settings.tf))
+            report = around.enter_context(run_bar(plan.progress, name, plan.course.t0, plan.course.tf))
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
@@ -502,23 +523,26 @@ def _solution(finished: Finished) -> Solution:
         plan.varied.tell_of_steps(t, y)
     if plan.settings.sections:
         finished.sectioned = (Sectioned.of(finished.plan, run),)
-    return Solution(
-        finished.private,
-        t=t,
-        y=y,
-        sol=None if dense is None else DenseSolution(dense, y.dtype, finished.bound).after(finished.source.history),
-        t_events=None if happened is None else [times for times, _ in happened],
-        y_events=None if happened is None else [points.view(y.dtype) for _, points in happened],
-        nfev=run.nfev,
-        njev=run.njev,
-        nlu=run.nlu,
-        status=status,
-        message=message,
-        success=status >= 0,
-        stats=Stats.when_needed(finished.stats),
-        steps=Steps(run, finished.members) if plan.settings.record else None,
-        t_end=run.t_end,
-    )
+    items = _ITEMS.copy()
+    run.put_into(items)
+    items["t"], items["y"] = t, y
+    items["status"], items["message"], items["success"] = status, message, status >= 0
+    items["stats"] = Stats.when_needed(finished.stats)
+    if dense is not None:
+        items["sol"] = DenseSolution(dense, y.dtype, finished.bound).after(finished.source.history)
+    if happened is not None:
+        items["t_events"] = [times for times, _ in happened]
+        items["y_events"] = [points.view(y.dtype) for _, points in happened]
+    if plan.settings.record:
+        items["steps"] = Steps(run, finished.members)
+    return Solution(finished.private, items)
+
+
+#: The items of a solution, in their order; None: absent, unless the run has it.
+_ITEMS: dict[str, Any] = dict.fromkeys(
+    ("t", "y", "sol", "t_events", "y_events", "nfev", "njev", "nlu", "status", "message", "success", "stats", "steps")
+)
+_ITEMS["t_end"] = None
 
 
 def _parted(
@@ -541,7 +565,8 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
     """Return how the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
-    given = {"traced" if is_derived(one.jac) else "given" for one in plan.bound.specs if not isinstance(one.jac, str)}
+    functions = [one.jac for one in plan.bound.specs if not isinstance(one.jac, str)]
+    given = {"traced" if is_derived(one) or isinstance(one, TracedJacobian) else "given" for one in functions}
     return {kind for one in run.derivatives for kind in (given if one == "given" else {one})}
 
 

@@ -25,10 +25,10 @@ from .._base.arguments import EPS, RTOL, Array, warn
 from .._functions.compiled import CoreFunction
 from .._functions.directional import Directional, Point
 from .._laws.imposing import impose
-from .._problem.description import Description
 from .._problem.events import Event, titled
 from .._problem.invariants import AccuracyWarning, Invariants
 from .._problem.parameters import ParameterName
+from .._problem.problem import Problem
 from .algebraic import dense_mass
 from .mass_derivatives import AlgebraicOverTime
 
@@ -58,7 +58,7 @@ class Rate:
     (Between steps, rests are as exact as Newton's iteration.)
     """
 
-    def __init__(self, problem: Description, atol: float | Array, slope: Callable[[], Directional]) -> None:
+    def __init__(self, problem: Problem, atol: float | Array, slope: Callable[[], Directional]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
         self._algebraic = AlgebraicOverTime(problem)
         self._derivatives = slope() if self.is_singular else None
@@ -206,7 +206,7 @@ class _Restored(CoreFunction):
         return np.asarray(impose([*self._demanded], t, y, args=args, rtol=RTOL, atol=self._atol).y)
 
 
-def restoration(problem: Description, names: Sequence[ParameterName], threshold: float | Array) -> Directional | None:
+def restoration(problem: Problem, names: Sequence[ParameterName], threshold: float | Array) -> Directional | None:
     """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
     differences, which do not depend on the tolerance."""
     demanded = [one for one in problem.invariants if one.value is not None]

@@ -18,10 +18,10 @@ from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.layout import Arguments, Numbers, Parameters, arguments_of, count_of, place_of
 from .._functions.second_order import SecondOrder
-from .._problem.description import Description, Posed
 from .._problem.inputs import Input
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName
+from .._problem.problem import Problem
 
 if TYPE_CHECKING:
     from .._functions.graph.landings import Crossing, Landings
@@ -54,13 +54,13 @@ class Schedule(NamedTuple):
         return bool(self.landings.parameters())
 
 
-def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] | None = None) -> Schedule | None:
+def schedule_of(problem: Problem, parameters: Array, graph: Sequence[Node] | None = None) -> Schedule | None:
     """The landings of a problem; None: there are none. Conditions that change too often, or in a way that is not
     understood, are left out, with a warning.
 
     Parameters
     ----------
-    problem : Description
+    problem : Problem
         The problem.
     parameters : ndarray
         Parameters of the problem's native functions.
@@ -86,7 +86,7 @@ def schedule_of(problem: Description, parameters: Array, graph: Sequence[Node] |
     return Schedule(made, p)
 
 
-def switches_in_time(problem: Posed | Description) -> bool:
+def switches_in_time(problem: Problem) -> bool:
     """Return whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
     from .._functions.graph.plain import may_switch, plain_graph
 
@@ -97,7 +97,7 @@ def switches_in_time(problem: Posed | Description) -> bool:
     return made is not None and bool(made.timed)
 
 
-def _conditions(problem: Description, parameters: Array) -> list[Crossing]:
+def _conditions(problem: Problem, parameters: Array) -> list[Crossing]:
     """The conditions of f that depend on t alone."""
     from .._functions.graph.landings import timed
 
@@ -115,7 +115,7 @@ def _conditions(problem: Description, parameters: Array) -> list[Crossing]:
     return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
 
 
-def _of_python(problem: Description) -> PlainGraph | None:
+def _of_python(problem: Problem) -> PlainGraph | None:
     """Return the graph of a Python f, if it has one that may switch, else None."""
     fun, n = problem.fun, reals(problem.y0)
     if isinstance(fun, SecondOrder):
@@ -137,7 +137,7 @@ def _of_python(problem: Description) -> PlainGraph | None:
     return plain_graph(fun, n, args, is_complex=problem.y0.dtype.kind == "c")
 
 
-def _fed(outputs: Sequence[Node], problem: Description) -> tuple[list[Node], list[Node]]:
+def _fed(outputs: Sequence[Node], problem: Problem) -> tuple[list[Node], list[Node]]:
     """The graph with inputs as functions of t, and the nodes of their tables, of which `breakpoints` decides."""
     if not problem.inputs:
         return list(outputs), []
@@ -216,7 +216,7 @@ class LandingJump:
 
 
 def landing_jump(
-    schedule: Schedule | None, problem: Description, names: Sequence[ParameterName], rate: Rate
+    schedule: Schedule | None, problem: Problem, names: Sequence[ParameterName], rate: Rate
 ) -> LandingJump | None:
     """Return the jump of sensitivities at landings; None if their times do not depend on the parameters."""
     if schedule is None or not schedule.landings:

@@ -12,8 +12,8 @@ from .._base.arguments import Array
 from .._base.matrices import as_matrix
 from .._functions.directional import Directional, Point
 from .._functions.layout import with_numbers
-from .._problem.description import Description
 from .._problem.parameters import ParameterName, values_of
+from .._problem.problem import Problem
 from .algebraic import Algebraic, dense_mass
 
 #: A change of a parameter that a mass matrix which depends on it shows.
@@ -41,7 +41,7 @@ class MassDerivatives:
 
     Parameters
     ----------
-    problem : Description
+    problem : Problem
         The problem.
     names : sequence of ParameterName
         The parameters.
@@ -54,9 +54,7 @@ class MassDerivatives:
         Derivatives of the mass matrix.
     """
 
-    def __init__(
-        self, problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
-    ) -> None:
+    def __init__(self, problem: Problem, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]) -> None:
         n = len(problem.y0)
         at = Point(problem.t_span[0], problem.y0)
         rows = _Rows(problem.matrices.mass)
@@ -84,7 +82,7 @@ class WithMass:
 class AlgebraicOverTime:
     """The algebraic equations of a singular mass matrix, which may be a function of t."""
 
-    def __init__(self, problem: Description) -> None:
+    def __init__(self, problem: Problem) -> None:
         self._mass, self._args = problem.matrices.mass, problem.args
         self._at_start = Algebraic.of(dense_mass(self._mass, problem.t_span[0], self._args))
         self.moves = self.is_singular and moves_in_time(problem)  # M is a function of t
@@ -111,7 +109,7 @@ class AlgebraicOverTime:
         return found
 
 
-def mass_rate(problem: Description, derivatives: Callable[..., Directional]) -> Callable[[float], Array]:
+def mass_rate(problem: Problem, derivatives: Callable[..., Directional]) -> Callable[[float], Array]:
     """M' as a function of t."""
     n = len(problem.y0)
     made = derivatives(_Rows(problem.matrices.mass), "mass", m=n * n, moves_t=True)
@@ -120,13 +118,13 @@ def mass_rate(problem: Description, derivatives: Callable[..., Directional]) -> 
 
 
 def mass_derivatives(
-    problem: Description, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
+    problem: Problem, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]
 ) -> MassDerivatives | None:
     """Return the derivatives of the mass matrix of a problem; None if it depends on none of these parameters."""
     return MassDerivatives(problem, names, rate) if depends_on(problem, names) else None
 
 
-def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
+def depends_on(problem: Problem, names: Sequence[ParameterName]) -> bool:
     """Return whether the mass matrix depends on one of these parameters."""
     mass, args = problem.matrices.mass, problem.args
     if not callable(mass):
@@ -142,7 +140,7 @@ def depends_on(problem: Description, names: Sequence[ParameterName]) -> bool:
     return False
 
 
-def moves_in_time(problem: Description) -> bool:
+def moves_in_time(problem: Problem) -> bool:
     """Return whether the mass matrix is a function of t."""
     mass = problem.matrices.mass
     if not callable(mass):
@@ -151,7 +149,7 @@ def moves_in_time(problem: Description) -> bool:
     return any(abs(one - first).max() != 0 for one in others)
 
 
-def _some_times(problem: Description) -> list[float]:
+def _some_times(problem: Problem) -> list[float]:
     t0, tf = problem.t_span
     length = tf - t0 if np.isfinite(tf) else np.copysign(max(abs(t0), 1.0), tf)
     return [t0 + part * length for part in _TIMES]

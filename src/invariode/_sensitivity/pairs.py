@@ -19,10 +19,10 @@ from .._functions.compiled import is_native
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint
-from .._problem.description import Description
 from .._problem.events import Event
 from .._problem.invariants import Invariants
 from .._problem.parameters import ParameterName
+from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities
 from .._results.result import Result
 
@@ -88,7 +88,7 @@ class RealForm(NamedTuple):
 
     Attributes
     ----------
-    problem : Description
+    problem : Problem
         The problem.
     names : tuple of ParameterName
         The parameters; an initial value stands for its real part, or for both, one after the other.
@@ -96,12 +96,12 @@ class RealForm(NamedTuple):
         The breakpoints.
     """
 
-    problem: Description
+    problem: Problem
     names: tuple[ParameterName, ...]
     points: list[Breakpoint]
 
 
-def real_form(problem: Description, points: Sequence[Breakpoint], *, both_parts: bool = False) -> RealForm:
+def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: bool = False) -> RealForm:
     """The problem with real states. It has no Jacobians: those of complex problems are of analytic functions.
     `both_parts`: both parts of initial values are parameters, so that nothing needs to be analytic.
 
@@ -128,7 +128,7 @@ def real_form(problem: Description, points: Sequence[Breakpoint], *, both_parts:
         scale=wanted.scale,
         error_test=wanted.error_test,
     )
-    form = Description(
+    form = Problem(
         of_pairs(problem.fun),
         problem.t_span,
         problem.y0.view(float),

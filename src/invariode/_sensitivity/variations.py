@@ -20,11 +20,11 @@ from .._functions.layout import Parameters
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
-from .._problem.description import Description
 from .._problem.events import Event, EventSpec, RootOf, event_spec, titled
 from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
+from .._problem.problem import Problem
 from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, Weights, restoration
 from .landings import Schedule, landing_jump, schedule_of
@@ -126,6 +126,12 @@ class Variations:
             )
         return found
 
+    def tolerances_at(self, y: Array, args: tuple[Any, ...]) -> Array:
+        """Return the tolerances of S, (k, n), from another start with other arguments."""
+        numbers = np.array(args) if all(type(one) is float for one in args) else Parameters.of(args)
+        pairs = zip(self.sizes.names, self.sizes.places, strict=True)
+        return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))
+
     def augmented(self, y: Array) -> Array:
         """Y for the core."""
         return np.concatenate([y, self.start.ravel()])
@@ -218,7 +224,7 @@ class Variations:
 
 
 def make_variations(
-    problem: Description,
+    problem: Problem,
     y0: Array,
     weights: Weights,
     specs: Sequence[InvariantSpec],
@@ -286,7 +292,7 @@ def make_variations(
     )
 
 
-def _with_past(problem: Description, t: float, Y: Array) -> Array:
+def _with_past(problem: Problem, t: float, Y: Array) -> Array:
     """(y, S) as the slope of S takes them: with delays, each row has the delayed values behind it."""
     if problem.delays is None:
         return Y
@@ -317,7 +323,7 @@ class _Derivatives:
         """Return the derivatives of a function."""
         return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
 
-    def of_fun(self, problem: Description, atol: float | Array) -> tuple[Directional, Rate]:
+    def of_fun(self, problem: Problem, atol: float | Array) -> tuple[Directional, Rate]:
         """Return the derivatives of f along directions of y and the parameters, and its rate along the solution."""
         fun, given = given_derivatives(problem, self._names)
         if problem.delays is not None:
@@ -325,7 +331,7 @@ class _Derivatives:
         slope = self.of(fun, "fun", m=self._n, given=given)
         return slope, Rate(problem, atol, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
 
-    def _of_past(self, problem: Description, fun: Any, given: Given) -> Directional:
+    def _of_past(self, problem: Problem, fun: Any, given: Given) -> Directional:
         """Return the derivatives of f of (t, x), where x is y and its delayed values."""
         assert problem.delays is not None
         n, x = self._n, problem.delays.stacked_at_start(self.at.t, self.at.y, self._args)
@@ -345,14 +351,14 @@ class _Derivatives:
         self.made.append(made)
         return made
 
-    def of_laws(self, problem: Description, specs: Sequence[InvariantSpec]) -> list[Directional]:
+    def of_laws(self, problem: Problem, specs: Sequence[InvariantSpec]) -> list[Directional]:
         """Return the derivatives of the invariants."""
         return [
             self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
             for one, spec in zip(problem.invariants, specs, strict=True)
         ]
 
-    def of_mass(self, problem: Description, rate: Rate) -> MassDerivatives | None:
+    def of_mass(self, problem: Problem, rate: Rate) -> MassDerivatives | None:
         """Return the derivatives of the mass matrix; None if it does not depend on the parameters."""
         found = mass_derivatives(problem, self._names, rate)
         if found is not None:
@@ -361,7 +367,7 @@ class _Derivatives:
 
     def of_actions(
         self,
-        problem: Description,
+        problem: Problem,
         points: Sequence[Breakpoint],
         times: Sequence[EventTime],
         rate: Rate,
@@ -507,7 +513,7 @@ class Switching:
 
 
 def followed(
-    slope: Directional, about: Callable[..., Directional], problem: Description, log: list[tuple[float, str]]
+    slope: Directional, about: Callable[..., Directional], problem: Problem, log: list[tuple[float, str]]
 ) -> list[Switching]:
     """The conditions of f at which it jumps, if they can be followed; if not, there is a warning."""
     found = slope.switches(Point(problem.t_span[0], problem.y0))
@@ -543,7 +549,7 @@ def _sign_of(value: Callable[[float, Array], Array]) -> Callable[..., float]:
 # What is known, and what is possible
 
 
-def require_possible(problem: Description) -> None:
+def require_possible(problem: Problem) -> None:
     """Refuses by name what has no sensitivities."""
     if isinstance(problem.fun, SecondOrder) and problem.fun.native:
         raise ValueError(
@@ -557,13 +563,13 @@ def require_possible(problem: Description) -> None:
         )
 
 
-def given_derivatives(problem: Description, names: Sequence[ParameterName]) -> tuple[Any, Given]:
+def given_derivatives(problem: Problem, names: Sequence[ParameterName]) -> tuple[Any, Given]:
     """f with its inputs, and what is given of its derivatives, of (t, y, *args)."""
     dfdp = None if problem.sensitivities is None else problem.sensitivities.dfdp
     return _with_inputs(problem), Given(_jacobian(problem), _dfdp(dfdp, problem, names))
 
 
-def _with_inputs(problem: Description) -> Any:
+def _with_inputs(problem: Problem) -> Any:
     """Return f with its inputs."""
     fun, inputs = problem.fun, problem.inputs
     fun = fun.first_order if isinstance(fun, SecondOrder) else fun
@@ -574,7 +580,7 @@ def _is_python(given: Any) -> bool:
     return callable(given) and not is_native(given)
 
 
-def _jacobian(problem: Description) -> Any:
+def _jacobian(problem: Problem) -> Any:
     """The Jacobian that is given, whole; None: none, or machine code."""
     matrices = problem.matrices
     given = fed(matrices.jac, problem.inputs)
@@ -594,7 +600,7 @@ def _jacobian(problem: Description) -> Any:
     return whole
 
 
-def _dfdp(given: Any, problem: Description, names: Sequence[ParameterName]) -> Any:
+def _dfdp(given: Any, problem: Problem, names: Sequence[ParameterName]) -> Any:
     """∂f/∂p that is given, of (t, y, *args)."""
     if given is None:
         return None

@@ -10,7 +10,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,13 +17,14 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, output_times, shown
 from .._base.failures import SolveError
+from .._base.forks import short_lock
 from .._base.types import MethodName
 from .._functions.contents import content
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities
 from .._results.solution import Solution
 from .prepared import PreparedSolver
-from .problem import Problem
 
 Operands: TypeAlias = Sequence[Any]
 
@@ -34,6 +34,7 @@ _OWN = ("t_eval", "dense_output", "keep", "refine", "progress")
 
 #: Bridges, and on each of them functions for JAX, that are kept for further calls: the latest ones.
 _KEPT = 16
+_keeping = short_lock()
 
 
 class Latest:
@@ -41,16 +42,15 @@ class Latest:
 
     def __init__(self) -> None:
         self._values: OrderedDict[Any, Any] = OrderedDict()
-        self._lock = Lock()
 
     def get(self, key: Any, make: Callable[[], Any]) -> Any:
         """Return the value of the key, or make it."""
-        with self._lock:
+        with _keeping:
             if key in self._values:
                 self._values.move_to_end(key)
                 return self._values[key]
         value = make()  # it calls functions of the user
-        with self._lock:
+        with _keeping:
             self._values[key] = value
             while len(self._values) > _KEPT:
                 self._values.popitem(last=False)

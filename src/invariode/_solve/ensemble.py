@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +14,12 @@ from .._base.arguments import as_array
 from .._base.types import EventsLike, Function, MethodName, Span
 from .._ensemble.solution import EnsembleSolution
 from .._ensemble.store import EnsembleStore
-from .._problem.accepted import ensemble_options
 from .._problem.docstrings import documented
 from .._problem.options import DescribingOptions, EnsembleOptions, parted, table_of
-from .problem import Problem
+from .._problem.problem import Problem
+
+if TYPE_CHECKING:
+    from .._problem.accepted import ensemble_options
 
 __all__ = ["solve_ensemble"]
 
@@ -101,7 +103,7 @@ def solve_ensemble(
     >>> np.allclose(out.y_end[:, 0], np.exp([-1, -2]), rtol=1e-7)
     True
     """
-    describing, others = parted(ensemble_options(**options), DescribingOptions)
+    describing, others = parted(options, DescribingOptions)
     rows, like = _like_one(y0)
     problem = Problem(fun, t_span, like, events=events, **describing)
     from .._ensemble.ensemble import Wanted, solve_rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,6 @@ from .._base.arguments import flag, function
 from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
 from .._functions.second_order import SecondOrder
-from .._problem.accepted import solve_options
-from .._problem.description import Posed
 from .._problem.docstrings import documented
 from .._problem.options import (
     CallingOptions,
@@ -25,9 +23,12 @@ from .._problem.options import (
     table_of,
     unused,
 )
+from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import solve
-from .problem import Problem
+
+if TYPE_CHECKING:
+    from .._problem.accepted import solve_options
 
 __all__ = ["solve_ivp"]
 
@@ -112,13 +113,15 @@ def solve_ivp(
     >>> bool(abs(sol.residual).max() < 1e-6)
     True
     """
-    describing, running = parted(solve_options(**options), DescribingOptions)
+    if TYPE_CHECKING:
+        solve_options(**options)  # editors complete options from this call
+    describing, running = parted(options, DescribingOptions)
     if describing:
         unused(method, describing)
     alone = one_column(fun, describing) if flag("vectorized", vectorized) else fun
     running["t_eval"], running["dense_output"] = t_eval, dense_output
     if events is None and not describing:
-        return solve(Posed(Problem, alone, t_span, y0, args), method, running)
+        return solve(Problem.plain(alone, t_span, y0, args), method, running)
     return solve(Problem(alone, t_span, y0, args=args, events=events, **describing), method, running)
 
 

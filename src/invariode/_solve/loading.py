@@ -19,11 +19,11 @@ from .._core import MEMORY_VERSION, Dense
 from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
 from .._laws.bound import BoundInvariants, Jump, bind
-from .._problem.description import Description
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, checked
+from .._problem.problem import Problem
 from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivities import AtEvents, SensitivityData
@@ -33,7 +33,7 @@ from .._run.run import RunOrigin, Solved
 
 def load(
     path: str | os.PathLike[str],
-    problem: Description | None = None,
+    problem: Problem | None = None,
     *,
     invariants: InvariantsLike | None = None,
     args: Iterable[Any] | None = (),
@@ -153,14 +153,14 @@ def _invariants_of(
                 f"{of_the_run[0]} is an option of the run, which goes on with its problem: give problem too"
             )
         return listed, extra
-    if not isinstance(problem, Description):
+    if not isinstance(problem, Problem):
         raise TypeError(
             f"problem must be a Problem, got {shown(problem)}; invariants are given by name. For the run of a function "
             "fun give load(path, Problem(fun, t_span, y0)), with the run's args, events and invariants"
         )
     if invariants is not None or args:
         raise ValueError("invariants and args are those of the problem: leave them out")
-    return problem.invariants, problem.args
+    return [*problem.invariants], problem.args
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ def _origin(fields: dict[str, Any]) -> _OriginInFile:
     return _OriginInFile(who, fields["y_end"], fields["next_h"], *memory, fields["imposed"])
 
 
-def _source(path: PathLike, origin: _OriginInFile, problem: Description, options: Options, trust: str | None) -> Solved:
+def _source(path: PathLike, origin: _OriginInFile, problem: Problem, options: Options, trust: str | None) -> Solved:
     """Return the stored run, after a check that the problem and the options belong to it."""
     if origin.memory_version != MEMORY_VERSION:
         raise unreadable(
@@ -296,7 +296,7 @@ def _sensitivities(fields: dict[str, Any], each: list[dict[str, Array]] | None) 
     return SensitivityData(names, fields["S"], fields["S_end"], events)
 
 
-def _tangents(path: PathLike, solution: Solution, problem: Description | None, bound: BoundInvariants) -> Sequence[Any]:
+def _tangents(path: PathLike, solution: Solution, problem: Problem | None, bound: BoundInvariants) -> Sequence[Any]:
     """Return the invariants onto whose tangents sensitivities are projected between the steps."""
     if problem is None:
         raise ValueError(

@@ -19,10 +19,10 @@ from .._functions.compiled import is_native
 from .._plan.call_errors import explain
 from .._plan.plan import Plan, make_plan
 from .._plan.walk import Walk
-from .._problem.description import Description
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
 from .._problem.options import MethodOptions, Options, StepSizeOptions, unknown_option
+from .._problem.problem import Problem
 
 __all__ = ["complex_ode", "ode"]
 
@@ -253,7 +253,7 @@ class ode:  # noqa: N801 - SciPy's name
         self.t = 0.0
         self._y: Array = np.zeros(0)
         self._code: int | None = None  # None: nothing was integrated
-        self._problem: Description | None = None
+        self._problem: Problem | None = None
         self._plan: Plan | None = None
         self._walk: Walk | None = None  # the run that continues from call to call
         self._begun = 0.0  # where its last step began
@@ -414,17 +414,18 @@ class ode:  # noqa: N801 - SciPy's name
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
         """Return a run from here to `tf`. If there is a plan, invariants keep its values."""
         calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
-        if self._plan is None or self._plan.settings.forward != math.copysign(1.0, endless):
+        if self._plan is None or self._plan.course.forward != math.copysign(1.0, endless):
             held = None if self._plan is None else self._plan.bound.value
             linear = {"jac": calls.jacobian(), **chosen.bands} if chosen.implicit else {}
-            self._problem = Description(
+            self._problem = Problem(
                 calls.f, (self.t, endless), self._y, args=calls.f_params, invariants=self._invariants, **linear
             )
             plan = make_plan(self._problem, chosen.method, chosen.options)
             self._plan = plan if held is None else plan.holding(held)
         settings = self._plan.settings
-        first = min(settings.first_step, abs(tf - self.t))
-        return Walk(self._plan._replace(settings=settings._replace(t0=self.t, tf=tf, first_step=first)), self._y)
+        settings = settings._replace(first_step=min(settings.first_step, abs(tf - self.t)))
+        course = self._plan.course._replace(t0=self.t, tf=tf)
+        return Walk(self._plan._replace(course=course, settings=settings), self._y)
 
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
         """Integrate from the current time to `target`, calling solout at the start and after each step."""

@@ -27,13 +27,12 @@ from .._base.types import Function, MethodName, Numbers
 from .._core import StateFirst, StepLimit, plain_breakpoints, plain_course
 from .._functions.compiled import is_native
 from .._functions.graph.plain import AS_TRACED
-from .._problem.description import Posed
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
 from .._problem.options import Options
+from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import Points, points, solve
-from .problem import Problem
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
@@ -298,13 +297,13 @@ def _problem(
     args: Iterable[Any],
     dfun: Any,
     invariants: InvariantsLike | None,
-) -> Posed | Problem:
+) -> Problem:
     fun = _in_order(func, "func", call.tfirst, None if counter is None else counter.calls)
     start = y0 if isinstance(y0, (list, tuple)) else as_array("y0", y0)
     if isinstance(start, np.ndarray) and not start.ndim:
         start = start[np.newaxis]
     if dfun is None and invariants is None and call.bands is None:
-        return Posed(Problem, fun, span, start, args)
+        return Problem.plain(fun, span, start, args)
     jac = None if dfun is None else _jacobian(dfun, call.tfirst, call.transposed, counter)
     lower, upper = call.bands or (None, None)
     return Problem(fun, span, start, args=args, invariants=invariants, jac=jac, lband=lower, uband=upper)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
@@ -13,8 +13,6 @@ from .._base.arguments import ATOL, RTOL, Array, flag
 from .._base.types import LargestStep, MethodName, Numbers
 from .._plan.plan import make_plan
 from .._plan.walk import Walk
-from .._problem.accepted import stepper_options
-from .._problem.description import Description
 from .._problem.docstrings import documented
 from .._problem.options import (
     TABLE,
@@ -26,8 +24,12 @@ from .._problem.options import (
     unknown_option,
     unused,
 )
+from .._problem.problem import Problem
 from .._results.result import DenseSolution
 from .ivp import one_column
+
+if TYPE_CHECKING:
+    from .._problem.accepted import stepper_options
 
 _OPTIONS = table_of(StepperOptions)
 
@@ -100,13 +102,15 @@ class Stepper(OdeSolver):
     ) -> None:
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
-        describing, stepping = parted(stepper_options(**options), DescribingOptions)
+        if TYPE_CHECKING:
+            stepper_options(**options)  # editors complete options from this call
+        describing, stepping = parted(options, DescribingOptions)
         if describing.get("sensitivities"):
             raise ValueError(f"{type(self).__name__} steps y alone: sensitivities are those of solve_ivp and Problem")
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun, describing) if flag("vectorized", vectorized) else fun
-        problem = Description(alone, (t0, t_bound), y0, **describing)
+        problem = Problem(alone, (t0, t_bound), y0, **describing)
         alone = problem.fun if problem.inplace else alone
         super().__init__(alone, t0, problem.y0, t_bound, False, support_complex=True)
         given: Options = stepping

@@ -17,8 +17,8 @@ from .._base.public import public
 from .._base.types import Function, Numbers
 from .._functions.compiled import native_parameters
 from .._laws.bound import BoundInvariants, bind
-from .._problem.description import Description
 from .._problem.invariants import InvariantsLike, to_invariants
+from .._problem.problem import Problem
 from .._results.messages import wrong_jacobian
 from .._run.run import solve
 
@@ -160,13 +160,11 @@ def check_invariants(
     listed = to_invariants(invariants)
     if not listed:
         raise ValueError("check_invariants needs at least one invariant")
-    problem = Description(fun, (at, np.inf), point, args=args, invariants=listed)
+    problem = Problem(fun, (at, np.inf), point, args=args, invariants=listed)
     return checked_at(problem, at, point, rtol=rtol, atol=atol, nearby=flag("nearby", nearby))
 
 
-def checked_at(
-    given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
-) -> CheckReport:
+def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool) -> CheckReport:
     """Return the report on the invariants of a problem at a point."""
     given.require_no_delays("a check of invariants at a point")
     extra, listed = given.args, given.invariants
@@ -192,7 +190,7 @@ def checked_at(
     if not (nearby and report.conserved.any()):
         return report
     others = _points_nearby(
-        Description(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
+        Problem(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
     )
     return _with_points(report, [_examined(*other, problem, weights) for other in others])
 
@@ -204,7 +202,7 @@ _NEARBY, _SPREAD = 4, 0.05
 _STEPS, _ALONG = 20, 4
 
 
-def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
+def _points_nearby(problem: Problem) -> list[tuple[float, Array]]:
     """Return points of a short run, and others around the start, in every direction; the same ones every time."""
     t, y = problem.t_span[0], problem.y0
     run: list[tuple[float, Array]] = []

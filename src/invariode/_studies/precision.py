@@ -17,11 +17,12 @@ import numpy as np
 from .._base.arguments import EPS, Array
 from .._base.types import MethodName
 from .._functions.graph.function import OnGraph
+from .._laws.bound import BoundInvariants
 from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
+from .._problem.problem import Problem
 from .._results.result import LIMIT_REACHED, StiffnessWarning
 from .._results.solution import Solution
-from .._solve.problem import Problem
 from .below_zero import BelowZero, Lowest, below_zero
 
 #: With and without projection.
@@ -98,7 +99,8 @@ class Run:
     """A run of one method at one tolerance: error, evaluations of f (the invariants' tests too), of g and its Jacobian.
 
     `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed. `below_zero`: what the
-    reference does not do.
+    reference does not do. `off`: the distance of the final state from the level set of the invariants, in units of the
+    components' largest sizes along the solution; None without invariants, and where events change their values.
     """
 
     error: float
@@ -110,6 +112,7 @@ class Run:
     message: str = ""
     derivatives: str | None = None
     below_zero: BelowZero | None = None
+    off: float | None = None
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,11 @@ def _measured(
     for _ in range(repeats):
         for i, (way, _, _) in enumerate(runs):
             times[i] = min(times[i], _timed(partial(way.solve, **options))[1])
-    measured = [_run(sol, time, truth, low) for (_, sol, _), time, low in zip(runs, times, below, strict=True)]
+    laws = runs[-1][1]._invariants.equalities()  # of the projected run, if it came to that
+    measured = [
+        _run(sol, time, truth, low, _off(laws, sol, truth))
+        for (_, sol, _), time, low in zip(runs, times, below, strict=True)
+    ]
     if len(measured) < len(ways):  # plain took too long
         measured.append(measured[0])
     return measured[0], measured[1] if problem.invariants else None
@@ -262,7 +269,16 @@ def _timed(solve: Callable[[], Solution]) -> tuple[Solution, float]:
     return sol, perf_counter() - start
 
 
-def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | None) -> Run:
+def _off(laws: BoundInvariants, sol: Solution, truth: Reference) -> float | None:
+    """Return how far the final state of a run is off the invariants, in units of the sizes of the components."""
+    if not len(laws) or laws.jumps or sol.status not in (0, 1):
+        return None
+    end = np.array([sol.t_end])
+    # With rtol = 1 the weights are the sizes: no component is larger along the solution.
+    return float(laws.distance(end, sol.y_end[:, None], 1.0, truth.size).max(initial=0.0))
+
+
+def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | None, off: float | None) -> Run:
     problem, message = None, ""
     if sol.status == LIMIT_REACHED:
         problem = "too long"
@@ -273,7 +289,7 @@ def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | Non
     error = math.inf if problem else truth.error(sol.y[:, -1])
     stats = sol.stats
     f = sol.nfev + stats.nfev_check
-    return Run(error, f, stats.ng, stats.ngjac, seconds, problem, message, stats.derivatives, below)
+    return Run(error, f, stats.ng, stats.ngjac, seconds, problem, message, stats.derivatives, below, off)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

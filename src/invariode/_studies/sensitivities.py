@@ -13,7 +13,7 @@ from .._base.arguments import Array, number, shown, state
 from .._base.public import public
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Given, Point
-from .._problem.description import Description
+from .._problem.problem import Problem
 from .._sensitivity.variations import given_derivatives
 
 #: Tolerated discrepancies of entries, relative to the largest in their column: from exact derivatives, and from finite
@@ -60,7 +60,7 @@ class SensitivityReport:
 
 @public
 def check_sensitivities(
-    problem: Description, t: float | None = None, y: ArrayLike | None = None, *, y0: Callable[..., Any] | None = None
+    problem: Problem, t: float | None = None, y: ArrayLike | None = None, *, y0: Callable[..., Any] | None = None
 ) -> SensitivityReport:
     """Compare the derivatives supplied to a problem for its sensitivities with those computed from its functions.
 

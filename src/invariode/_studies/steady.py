@@ -31,7 +31,7 @@ from .._functions.graph.structure import linear_totals, replaced, staying_zero
 from .._functions.layout import Parameters, count_of, place_of, with_numbers
 from .._problem.grouped import Limits
 from .._problem.parameters import ParameterName, values_of
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 
 Totals: TypeAlias = Literal["auto"] | Sequence[Any] | Array
 

@@ -15,8 +15,8 @@ from .._base.public import public
 from .._base.style import BLACK, INK, LOOK, SHADE, STYLE
 from .._base.style import COLOURS as PALETTE
 from .._problem.methods import METHODS, find_method
+from .._problem.problem import Problem
 from .._results.pictures.canvas import drawable, log_axis, require_matplotlib
-from .._solve.problem import Problem
 from .precision import WAYS, NoReferenceError, Reference, Row, able, compare_runs
 from .precision import reference as agreed_reference
 

@@ -18,9 +18,9 @@ from .._functions.graph.nodes import Node
 from .._functions.layout import Parameters, count_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
-from .._problem.description import Description
 from .._problem.events import Event, EventSpec, RootOf
 from .._problem.methods import Method
+from .._problem.problem import Problem
 from .._sensitivity.landings import with_inputs
 from .._sensitivity.variations import Variations
 
@@ -60,7 +60,7 @@ def order_of(method: Method, rtol: float, given: int | None, sums: float) -> int
 # Functions as graphs
 
 
-def on_graph(problem: Description, method: Method) -> Description:
+def on_graph(problem: Problem, method: Method) -> Problem:
     """The problem with f, and events if they can be, as functions that are compiled from their graphs.
 
     Raises
@@ -79,7 +79,7 @@ def on_graph(problem: Description, method: Method) -> Description:
     return found
 
 
-def _require_graph(problem: Description, method: Method) -> None:
+def _require_graph(problem: Problem, method: Method) -> None:
     """Raise an error unless f can be traced."""
     n = reals(problem.y0)
     needs = f"method={method.name!r} needs the expression graph of fun"
@@ -112,7 +112,7 @@ def _traceable(fun: Any, method: Method) -> Any:
     return compile(fun, by="trace")
 
 
-def _on_graph(event: Event, problem: Description) -> Event:
+def _on_graph(event: Event, problem: Problem) -> Event:
     """Return the event with a traced function if that is possible, else the event."""
     if is_native(event.fun) or isinstance(event, RootOf) or problem.y0.dtype.kind == "c":
         return event
@@ -124,7 +124,7 @@ def _on_graph(event: Event, problem: Description) -> Event:
     return event.replaced(traced)
 
 
-def _graph_of_event(fun: Any, problem: Description) -> list[Node] | None:
+def _graph_of_event(fun: Any, problem: Problem) -> list[Node] | None:
     """Return the nodes of an event's value, a function of (t, y) and the parameters of native functions; None without a
     graph."""
     if not isinstance(fun, OnGraph):
@@ -151,7 +151,7 @@ class System(NamedTuple):
     own: bool
 
 
-def system_of(problem: Description, parameters: Array, unknown: Iterable[Node] = ()) -> System:
+def system_of(problem: Problem, parameters: Array, unknown: Iterable[Node] = ()) -> System:
     """The graph of f, which is known to have one. `unknown`: branches that change with t alone, and not where landings
     are."""
     n = reals(problem.y0)
@@ -180,7 +180,7 @@ class Expansion(NamedTuple):
         Number of the conditions.
     events : list of EventSpec
         Events of the problem with their series.
-    problem : Description
+    problem : Problem
         The problem, with f and its events on their graphs.
     outputs : list of Node
         y' of the solution, and of its sensitivities.
@@ -194,7 +194,7 @@ class Expansion(NamedTuple):
     conditions: _core.Series | None
     condition_count: int
     events: list[EventSpec]
-    problem: Description
+    problem: Problem
     outputs: list[Node]
     form: SeriesForm
     of_any_span: bool
@@ -211,7 +211,7 @@ class Expansion(NamedTuple):
 
 
 def make_expansion(
-    problem: Description,
+    problem: Problem,
     system: System,
     order: Callable[[float], int],
     events: Sequence[EventSpec],

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from .._base.types import MethodName
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .._studies.below_zero import Lowest, below_zero
 from .._studies.check import CheckReport, checked_at
 from .._studies.precision import unprojected

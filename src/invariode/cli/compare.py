@@ -17,7 +17,7 @@ from rich.text import Text
 
 from .._base.progress import bar, in_passing
 from .._problem.methods import Method
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .._studies.precision import (
     WAYS,
     Judgement,
@@ -93,8 +93,9 @@ def compare(
 
     Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one on
     which two methods agree. The error is the largest over the components, each relative to its largest size along the
-    solution. A component that falls below 0 by more than 100 atol in a run, but not in the reference, is named.
-    Evaluations of f include those that test the invariants; times are the smallest of several.
+    solution; beside it stands how far each run ends off the invariants, in the same unit. A component that falls below
+    0 by more than 100 atol in a run, but not in the reference, is named. Evaluations of f include those that test the
+    invariants; times are the smallest of several.
 
     Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -129,6 +130,8 @@ def _print_all(
     reached = any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run)
     if reached:
         console.print(Text(_answer(problem, rows, truth), style="bold"))
+        if (off := off_the_invariants(rows)) is not None:
+            console.print(Text(off, style="bold"))
     if not quiet:
         if reached:
             console.print()
@@ -206,17 +209,18 @@ def _all(
 def _print_runs(console: Console, problem: Problem, rows: Sequence[Row], truth: Reference) -> None:
     both = bool(problem.invariants)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
-    headings = [("\nmethod", "left"), ("\nrtol", "right"), *_headings("plain", ("error", "f", "ms"))]
+    off = ("off",) if any(run.off is not None for row in rows for run in (row.plain, row.projected) if run) else ()
+    headings = [("\nmethod", "left"), ("\nrtol", "right"), *_headings("plain", ("error", *off, "f", "ms"))]
     if both:
-        headings += [("\n ", "right"), *_headings("projected", ("error", "f", "g", "J", "ms"))]
+        headings += [("\n ", "right"), *_headings("projected", ("error", *off, "f", "g", "J", "ms"))]
     for heading, side in headings:
         table.add_column(heading, justify="right" if side == "right" else "left", no_wrap=True)
     for name, group in groupby(rows, key=lambda row: row.method):
         own = list(group)
         for i, row in enumerate(own):
-            cells = [name if i == 0 else "", power(row.rtol), *_cells(row.plain, truth, with_g=False)]
+            cells = [name if i == 0 else "", power(row.rtol), *_cells(row.plain, truth, len(off) > 0, with_g=False)]
             if row.projected:
-                cells += ["", *_cells(row.projected, truth, with_g=True)]
+                cells += ["", *_cells(row.projected, truth, len(off) > 0, with_g=True)]
             table.add_row(*cells, end_section=i == len(own) - 1)
     at = "the terminal event" if truth.status else f"t = {problem.t_span[1]:g}"
     console.print(Text.assemble((problem.name, "bold"), f", error of the final state, at {at}"))
@@ -233,12 +237,13 @@ def _headings(way: str, names: Sequence[str]) -> list[tuple[str, str]]:
     return [(f"{way if i == 0 else ''}\n{name}", "right") for i, name in enumerate(names)]
 
 
-def _cells(run: Run, truth: Reference, with_g: bool) -> list[str]:
+def _cells(run: Run, truth: Reference, with_off: bool, with_g: bool) -> list[str]:
     if run.problem:
-        return [f"[red]{run.problem}[/]", *(["–"] * (4 if with_g else 2))]
+        return [f"[red]{run.problem}[/]", *(["–"] * (with_off + (4 if with_g else 2)))]
     error = f"{run.error:.1e}" if run.error >= truth.floor else f"<{power(truth.floor)}"
     counts = [count(number) for number in ((run.f, run.g, run.jacobians) if with_g else (run.f,))]
-    return [error, *counts, _milliseconds(run.seconds)]
+    off = [] if not with_off else ["–" if run.off is None else power(run.off) if run.off else "0"]
+    return [error, *off, *counts, _milliseconds(run.seconds)]
 
 
 def _milliseconds(seconds: float) -> str:
@@ -344,6 +349,19 @@ def answer(one: Judgement) -> str:
             f"it takes {_range(there)} ×"
         )
     return text + _by(one) + _counted(one) + "."
+
+
+def off_the_invariants(rows: Sequence[Row]) -> str | None:
+    """Return a sentence about how far runs end off the invariants, or None if that is not known."""
+    ways = [[run.off for row in rows if (run := row.run(way)) and run.off is not None] for way in WAYS]
+    if not all(ways):
+        return None
+    plain, projected = ways
+    low, high = power(min(plain)), power(max(plain))
+    return (
+        f"Plain runs end off the invariants by {low if low == high else f'{low} to {high}'} of the size of the "
+        f"solution, projected ones by {power(max(projected))} at most: project if that matters, as for constraints."
+    )
 
 
 def _by(one: Judgement) -> str:

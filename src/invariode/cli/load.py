@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .._base.suggestions import nearest
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .session import print_traceback, stop
 
 #: The name used if none is given.

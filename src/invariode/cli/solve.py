@@ -21,10 +21,10 @@ from .._functions.compiled import is_native
 from .._laws.bound import bind
 from .._problem.grouped import Checkpoint, Limits
 from .._problem.options import ExtensionOptions
+from .._problem.problem import Problem
 from .._results.pictures.canvas import component, listed
 from .._results.solution import Solution
 from .._solve.loading import load as load_solution
-from .._solve.problem import Problem
 from .._studies.precision import unprojected
 from .load import File, load
 from .session import (

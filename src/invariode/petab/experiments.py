@@ -22,7 +22,7 @@ from .._functions.directional import has_llvm
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node
 from .._functions.graph.python import Formula
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .._studies.fit.experiment import Experiment
 from ..sbml.equations import used
 from ..sbml.events import Machine

@@ -23,13 +23,16 @@ from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import replaced
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .expressions import Expression, Translator
 from .library import UnsupportedError
 from .reading import Contents
 
 #: The factor of the rates of fast reactions, whose limit is asked for by ``fast="limit"``.
 FAST = 1e7
+
+#: Operations across which values may jump.
+_JUMPING = {"select", "less", "less_equal", "equal", "not_equal", "floor", "ceil", "sign", "modulo", "piece", "pick"}
 
 #: Newton's steps for values that algebraic rules determine, and their last size.
 _ITERATIONS, _ARRIVED = 50, 1e-14
@@ -394,8 +397,8 @@ class Equations:
     def slopes(self) -> list[Node]:
         """Nodes of f: y', or the residuals of algebraic rules in the places of their variables."""
         rows = [self.slope(name) if name not in self.matched else self.graph.node(0.0) for name in self.states]
-        for name, i in self.matched.items():
-            rows[self.place[name]] = self.formula(self.contents.algebraic[i])
+        for name, rule in zip(self.matched, self.rules, strict=True):
+            rows[self.place[name]] = rule
         return rows
 
     @cached_property
@@ -404,6 +407,36 @@ class Equations:
         if not self.matched:
             return None
         return np.diag([0.0 if name in self.matched else 1.0 for name in self.states])
+
+    @cached_property
+    def rules(self) -> list[Node]:
+        """The residuals r of the algebraic rules, in the order of their variables z."""
+        return [self.formula(self.contents.algebraic[i]) for i in self.matched.values()]
+
+    @cached_property
+    def differentiated(self) -> list[Node] | None:
+        """Nodes of f with algebraic rules differentiated once, z' = −(∂r/∂z)⁻¹ (∂r/∂t + ∂r/∂x x'), for methods without
+        a mass matrix; None: a rule has a condition, across which z jumps."""
+        if any(node.op in _JUMPING for node in in_order(self.rules)):
+            return None
+        graph, zero = self.graph, self.graph.node(0.0)
+        places = [self.place[name] for name in self.matched]
+        others = [i for i in range(len(self.states)) if i not in places]
+        k = len(places)
+        variables = [*map(graph.y, places), graph.t, *map(graph.y, others)]
+        rates = [graph.node(1.0), *(self.slopes[i] for i in others)]
+        matrix, right = [], []
+        for row in jacobian(self.rules, variables):
+            matrix.append([row.get(j, zero) for j in range(k)])
+            total = zero
+            for j, rate in enumerate(rates, k):
+                if j in row:
+                    total = total - row[j] * rate
+            right.append([total])
+        found = list(self.slopes)
+        for place, (value,) in zip(places, graph.solve(matrix, right), strict=True):
+            found[place] = value
+        return found
 
     def formula(self, one: Expression) -> Node:
         """Return an expression in the symbols as a node."""

@@ -20,7 +20,8 @@ from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._problem.delays import GraphOfPast
 from .._problem.invariants import Invariants
-from .._solve.problem import Problem
+from .._problem.methods import METHODS
+from .._problem.problem import Problem
 from .equations import FAST, Equations, used
 from .events import SAME_TIME, EventCode, Machine, times_of_roots
 from .reading import Contents
@@ -242,22 +243,45 @@ class Model:
             found.append(graph.select(graph.make("equal", one, one), one, graph.node(1.0)))
         return self._function("comparisons", found, len(found)) if found else None
 
-    def _problem(self, t_span: tuple[float, float], p: Array, y0: Array, moieties: bool, **more: Any) -> Problem:
+    def _problem(
+        self, t_span: tuple[float, float], p: Array, y0: Array, moieties: bool, explicit: bool = False, **more: Any
+    ) -> Problem:
+        """Return the model as a problem. `explicit`: with algebraic rules differentiated, and imposed."""
         e, fun = self._equations, self.fun
+        explicit = explicit and e.differentiated is not None
         named = dict(zip(self._names, p.tolist(), strict=False))
         options: dict[str, Any] = {"name": self.name, **more}
         if self.states:
             options["labels"] = self.states
-        if e.mass is not None:
+        invariants = [self._invariants] if moieties and self._weights else []
+        if explicit:
+            invariants.append(self._rules)
+        elif e.mass is not None:
             options["mass"] = e.mass
-        if moieties and self._weights:
-            options["invariants"] = self._invariants
+        if invariants:
+            options["invariants"] = invariants
         if named:
             options["parameters"] = named
         options["breakpoints"] = self._times(p, *map(float, t_span)) or None
         if e.delays:
             options |= {"delays": self._delays(p), "history": self._consistent(float(t_span[0]), e.initial_state(p), p)}
-        return Problem(fun, t_span, y0, **options)
+        return Problem(self._differentiated if explicit else fun, t_span, y0, **options)
+
+    @cached_property
+    def _differentiated(self) -> Any:
+        """f(t, y, p) with algebraic rules differentiated once."""
+        slopes = self._equations.differentiated
+        assert slopes is not None
+        return self._function("f", slopes, len(slopes))
+
+    @cached_property
+    def _rules(self) -> Invariants:
+        """The algebraic rules, which determine their variables alone, behind the totals."""
+        e = self._equations
+        names = [f"algebraic rule {i + 1}" for i in e.matched.values()]
+        places = [e.place[name] for name in e.matched]
+        rules = self._function("rules", e.rules, len(e.rules))
+        return Invariants(rules, value=[0.0] * len(places), names=names, level=1, moves=places)
 
     @cached_property
     def _invariants(self) -> Invariants:
@@ -317,7 +341,8 @@ class Model:
             parameters, compartments, reactions (their rates) and of stoichiometries; ``"S1'"``, the rate of change of
             an amount, and so on. Default: time and the concentrations of all species that change.
         method : str, default 'auto'
-            As in `solve_ivp`; 'ode15s' takes its place if there are algebraic rules.
+            As in `solve_ivp`; 'ode15s' takes its place if there are algebraic rules. For methods that take no mass
+            matrix these are differentiated once, and imposed, unless they contain conditions.
         rtol, atol : float
             Tolerances, 1e-8 and at most 1e-12: less if all amounts are below 1.
         moieties : bool, default True
@@ -372,7 +397,9 @@ class Model:
             more["events"] = machine.functions(self._differences, once=True)
         if end == start or (not self.states and not self.events):
             return np.repeat(np.tile(y, 1 + len(self._equations.delays))[:, None], len(times), axis=1)
-        problem = self._problem((start, end), p, y, moieties, **more)
+        known = next((one for one in METHODS.values() if method in (one.name, one.scipy_name)), None)
+        explicit = self._equations.mass is not None and known is not None and known.mass == "none"
+        problem = self._problem((start, end), p, y, moieties, explicit, **more)
         if problem.matrices.mass is not None and method == "auto":
             method = "ode15s"
         delays = [] if problem.delays is None else problem.delays.values(problem.args, problem.y0)

@@ -10,7 +10,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from .._base.types import Span
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .code import System, eliminated
 from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes

@@ -13,7 +13,7 @@ from .._base.arguments import choice, interval, warn
 from .._base.failures import InvariantError
 from .._base.types import Span
 from .._laws.imposing import impose
-from .._solve.problem import Problem
+from .._problem.problem import Problem
 from .code import System
 from .energy import energy
 from .mechanics import Form

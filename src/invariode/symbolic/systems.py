@@ -12,8 +12,8 @@ import sympy
 from .._base.arguments import Array, choice, distinct, extra_arguments, interval
 from .._base.types import Points, Span
 from .._problem.invariants import Invariants
+from .._problem.problem import Problem
 from .._results.points import HasPoints
-from .._solve.problem import Problem
 from .._studies.check import check_invariants
 from .code import Code, System, functions
 from .mechanism import Consistent, Correction, Mechanism

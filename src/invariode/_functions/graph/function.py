@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import _core
 from ..._base.arguments import Array
+from ..._base.forks import compiling
 from ..compiled import CompiledFunction, Shape, condition_value
 from ..layout import TRUTHS, Arguments, Constant, Numbers, count_of
 from .nodes import Node, TraceError, in_order
@@ -179,6 +180,11 @@ class TracedFunction(OnGraph):
         real = shape._replace(is_complex=False, real_time=False)
         if real in self._graphs:
             return shape
+        with compiling:
+            return self._traced_as(shape, real)
+
+    def _traced_as(self, shape: Shape, real: Shape) -> Shape:
+        """Trace the function, and return the shape with its arguments as they are handed over."""
         arguments = _arguments(real.parameters)
         key = real._replace(parameters=arguments.fixed(TRUTHS))
         if key not in self._ways:

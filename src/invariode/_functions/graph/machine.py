@@ -6,7 +6,6 @@ The operations and our elementary functions are the same in both, so that the bi
 from __future__ import annotations
 
 import hashlib
-import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from ... import _core
+from ..._base.forks import compiling, short_lock
 from .nodes import Node, as_rows, in_order
 from .operations import DOUBLE, INDEX, POINTER, SOLVE, SOLVE_SPARSE, Operations
 from .rolled import Group, rolled
@@ -34,7 +34,7 @@ _OF_EACH, _OF_LINE = 1_000_000, 1_000
 #: Bytes of the codes that are kept for equal graphs, and those, in the order of their last use.
 _MOST_BYTES = 256_000_000
 _kept: OrderedDict[bytes, MachineCode] = OrderedDict()
-_keeping = threading.Lock()
+_keeping = short_lock()
 #: Doubles that loops may keep on the stack.
 _MOST_WORK = 2**15
 
@@ -95,6 +95,11 @@ def once(key: Any, make: Callable[[], MachineCode]) -> MachineCode:
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> MachineCode:
     """Compile the module that a writer writes, at a level of optimisation; 0: as it was written."""
+    with compiling:
+        return _compiled(lanes, writer, outputs, level)
+
+
+def _compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int) -> MachineCode:
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = writer(module).write(outputs)

@@ -144,12 +144,14 @@ class Graph:
     def __init__(self, most: int | None = None) -> None:
         self._known: dict[tuple[Any, ...], Node] = {}
         self._most = most
+        self.operations = 0  # that were asked for; equal ones are one node
 
     def __len__(self) -> int:
         return len(self._known)
 
     def make(self, op: str, *arguments: Node, value: Any = None) -> Node:
         """The node of this operation, without identities."""
+        self.operations += 1
         same = repr(value) if op == "number" else value  # 0.0 == -0.0, and NaN is not NaN
         key = (op, same, *map(id, arguments))
         found = self._known.get(key)

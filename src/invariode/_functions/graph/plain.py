@@ -11,7 +11,6 @@ import builtins
 import dis
 import inspect
 import math
-import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..._base.forks import short_lock
 from ..._core import StateFirst
 from ..filling import Filling
 from ..first_order import FirstOrderForm
@@ -91,7 +91,7 @@ class _Code(NamedTuple):
 #: What is known of codes; the oldest go first.
 _known: dict[CodeType, _Code] = {}
 _MOST_KNOWN = 1024
-_knowing = threading.Lock()
+_knowing = short_lock()
 
 
 def may_switch(fun: Any) -> bool:
@@ -127,17 +127,21 @@ _graphs: dict[Hashable, PlainGraph | None] = {}
 _MOST_GRAPHS = 64
 
 
-def plain_graph(fun: Any, n: int, args: Arguments, *, is_complex: bool = False) -> PlainGraph | None:
+def plain_graph(
+    fun: Any, n: int, args: Arguments, *, size: int | None = None, is_complex: bool = False
+) -> PlainGraph | None:
     """The values of a Python function of (t, y, *args) as a graph, found without an effect that could be noticed.
 
     Parameters
     ----------
     fun : callable
-        The function, for which `may_switch` is true.
+        The function.
     n : int
         The reals that make up y.
     args : Arguments
         Its further arguments.
+    size : int, optional
+        The number of its values. Default: n.
     is_complex : bool, default False
         As in `trace`.
 
@@ -153,9 +157,10 @@ def plain_graph(fun: Any, n: int, args: Arguments, *, is_complex: bool = False) 
         contents = _contents(function, ()), _contents_of_arguments(args.entries)
     except _NoticedError:
         return None
-    key = (*contents, type(fun), n, args.fixed(TRUTHS), is_complex)
+    size = n if size is None else size
+    key = (*contents, type(fun), n, size, args.fixed(TRUTHS), is_complex)
     if key not in _graphs:
-        made = _traced(fun, n, args, is_complex=is_complex)
+        made = _traced(fun, n, args, size, is_complex=is_complex)
         with _knowing:
             while len(_graphs) >= _MOST_GRAPHS:
                 del _graphs[next(iter(_graphs))]
@@ -164,7 +169,7 @@ def plain_graph(fun: Any, n: int, args: Arguments, *, is_complex: bool = False) 
     return _graphs.get(key)
 
 
-def _traced(fun: Any, n: int, args: Arguments, *, is_complex: bool) -> PlainGraph | None:
+def _traced(fun: Any, n: int, args: Arguments, size: int, *, is_complex: bool) -> PlainGraph | None:
     from .trace import IN_PASSING, trace  # imported when a function is traced
 
     fun = getattr(fun, AS_TRACED, fun)
@@ -178,7 +183,7 @@ def _traced(fun: Any, n: int, args: Arguments, *, is_complex: bool) -> PlainGrap
             outputs = trace(fun, n, args, inplace=n * fills, is_complex=is_complex, limits=IN_PASSING).outputs
     except (TraceError, RecursionError):
         return None
-    return PlainGraph(outputs) if len(outputs) == n else None
+    return PlainGraph(outputs) if len(outputs) == size else None
 
 
 def _time_first(fun: Any) -> Callable[..., Any]:

@@ -12,7 +12,6 @@ import cmath
 import dis
 import functools
 import math
-import time
 import types
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -40,18 +39,19 @@ from .traced import (
 
 
 class TraceLimits(NamedTuple):
-    """Limits of tracing: paths through branches on values, decisions on one of them, nodes, seconds. Nodes are counted
-    where a decision is taken, or `anywhere`."""
+    """Limits of tracing: paths through branches on values, decisions on one of them, nodes of the graph, and operations
+    on all paths together. Nodes and operations are counted where a decision is taken, nodes also `anywhere`. None
+    depends on the clock, so that the same function is always compiled by the same compiler."""
 
     paths: int = 512
     decisions: int = 60
     nodes: int = 200_000
-    seconds: float = 5.0
+    operations: int = 400_000  # about 5 s
     anywhere: bool = False
 
 
-#: For what a run does in passing: beyond these counts, which do not depend on the clock, it does without.
-IN_PASSING = TraceLimits(paths=16, decisions=8, nodes=5000, seconds=math.inf, anywhere=True)
+#: For what a run does in passing: beyond these counts it does without.
+IN_PASSING = TraceLimits(paths=16, decisions=8, nodes=5000, anywhere=True)
 
 
 class Traced(NamedTuple):
@@ -164,11 +164,9 @@ class _Run:
         self._fun = self._copies.of(fun)
         self._decisions: list[tuple[Node, bool, bool]] = []  # condition, answer, whether the other one has been given
         self._at = 0
-        self._ends = math.inf
 
     def traced(self, alone: bool = False) -> Traced | None:
         """The graph, or None if it has several paths and `alone` is true."""
-        self._ends = time.monotonic() + self._limits.seconds
         known: list[tuple[list[tuple[Node, bool]], list[Node] | None]] = []
         shape: tuple[int, ...] = ()
         while True:
@@ -254,8 +252,12 @@ class _Run:
                 raise TraceError(
                     f"more than {self._limits.decisions} decisions on one path: a loop that ends where values do"
                 )
-            if time.monotonic() > self._ends or len(self._graph) > self._limits.nodes:
-                raise TraceError(f"more than {self._limits.seconds} s or {self._limits.nodes} operations")
+            for count, most in (
+                (len(self._graph), self._limits.nodes),
+                (self._graph.operations, self._limits.operations),
+            ):
+                if count > most:
+                    raise TraceError(f"more than {most} operations")
             self._decisions.append((condition, True, False))
         elif self._decisions[self._at][0] is not condition:
             raise TraceError("it does not do the same for the same values: it is random, or remembers calls")
@@ -428,7 +430,9 @@ class _Copies:
         if function.__kwdefaults__ is not None:
             copy.__kwdefaults__ = {name: self.of(one) for name, one in function.__kwdefaults__.items()}
         for name, cell in zip(code.co_freevars, closed, strict=True):
-            if _is_full(cells[name]):
+            if name not in cells:  # a global function that calls itself: its rewritten code stands within another one
+                cell.cell_contents = self.of(function.__globals__[name])
+            elif _is_full(cells[name]):
                 cell.cell_contents = self.of(cells[name].cell_contents)
         for name in names & found.keys():
             found[name] = self.of(found[name])

@@ -19,7 +19,7 @@ from ..._base.types import MethodName
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
-from ..._solve.problem import Problem
+from ..._problem.problem import Problem
 from .data import Data, in_order, is_table, read
 
 #: Types of `observe`: components by label or index, or a function.
@@ -67,9 +67,9 @@ class Experiment:
         the residuals.
     noise : {"normal", "lognormal", "laplace", "loglaplace"}, default "normal"
         The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
-        which is then a relative error. "laplace": Laplace's distribution, with the density exp(-|r| / sigma) / (2
-        sigma) of a residual r, for data with outliers; "loglaplace": that of logarithms. A list has one for each
-        quantity. Decadic logarithms have ln(10) times their sigma.
+        which is then a relative error. "laplace": Laplace's distribution, with the density
+        ``exp(-|r| / sigma) / (2 sigma)`` of a residual r, for data with outliers; "loglaplace": that of logarithms. A
+        list has one for each quantity. Decadic logarithms have ln(10) times their sigma.
     event_times : dict, optional
         Measured times of events of the problem, by name: that of ``Event(name=)``, or else of the event's function. The
         first value is the time of the first occurrence; NaN means not measured.

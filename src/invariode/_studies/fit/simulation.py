@@ -22,11 +22,11 @@ from ..._functions.layout import Parameters, place_of
 from ..._problem.events import titled
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
+from ..._problem.problem import Problem
 from ..._problem.sensitivities import Sensitivities
 from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
-from ..._solve.problem import Problem
 from ..steady import Found, NotFound, SteadyStates
 from .experiment import Experiment, Series
 from .failed import Failed

@@ -1,6 +1,8 @@
 """Minimisation within bounds from values, gradients and expected second derivatives: steps within a trust region.
 
-For sums of squares these are Gauss-Newton steps, for likelihoods those of Fisher's scoring.
+For sums of squares these are Gauss-Newton steps, for likelihoods those of Fisher's scoring. What the expected second
+derivatives leave out is estimated from changes of the gradient, and used if it predicts the cost better (J. E. Dennis,
+D. M. Gay and R. E. Welsch, ACM Trans. Math. Softw. 7 (1981) 348-368).
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ _FIRST, _SHRINKS, _GROWS = math.log(10.0), 0.25, 2.0
 #: Parts of the predicted decrease below which a step is refused, and below and above which the radius changes; a step
 #: of at least this part of the radius makes it grow.
 _REFUSED, _POOR, _GOOD, _WHOLE = 1e-4, 0.25, 0.75, 0.8
+#: A model of the second derivatives replaces the other one if its error is below this part of the other's; the cosine
+#: between a step and the change of the gradient below which that says nothing.
+_BETTER, _CURVED = 0.5, 1e-8
 #: Relative changes of the cost, and of the parameters, that count as none where a step is refused.
 _CHANGE = 1e-8
 #: Second derivatives below this part of the largest are zero: the step of smallest length leaves these directions out.
@@ -69,11 +74,12 @@ def minimise(
     """
     u, here = start, at(start)
     assert here is not None
-    radius = _FIRST
+    radius, rest, uses_rest = _FIRST, np.zeros_like(here.information), False
     for _ in range(_MOST * max(len(u), 1)):
-        point = within(u, -here.gradient, here.information, lower, upper, radius)
+        model = here.information + rest if uses_rest else here.information
+        point = within(u, -here.gradient, model, lower, upper, radius)
         step = point - u
-        gain = float(-here.gradient @ step - 0.5 * step @ here.information @ step)
+        gain = float(-here.gradient @ step - 0.5 * step @ model @ step)
         if 2 * gain <= _ARRIVED**2 * here.unit:
             return End(u, True, "The search has arrived: the next step is far below the standard errors.")
         there = at(point)
@@ -83,13 +89,32 @@ def minimise(
             radius = _SHRINKS * length
         elif real > _GOOD * gain and length > _WHOLE * radius:
             radius *= _GROWS
+        if there is not None:
+            other = gain - (0.5 if not uses_rest else -0.5) * float(step @ rest @ step)
+            if abs(other - real) < _BETTER * abs(gain - real):
+                uses_rest = not uses_rest
         if there is not None and real > _REFUSED * gain:
+            rest = _secant(rest, step, there.gradient - here.gradient, there.information)
             u, here = point, there
             if (reason := ends(u)) is not None:
                 return End(u, False, reason)
         elif gain <= _CHANGE * abs(here.cost) or radius <= _CHANGE * (1 + float(np.linalg.norm(u))):
             return End(u, True, "The search has arrived: the cost no longer decreases.")
     return End(u, False, "The search did not arrive within its number of evaluations.")
+
+
+def _secant(rest: Array, step: Array, change: Array, information: Array) -> Array:
+    """Return the estimate of the second derivatives beyond the expected ones: the least change, in a metric that the
+    change of the gradient gives, for which both together map the step to that change."""
+    along = float(change @ step)
+    wanted = change - information @ step
+    if along <= _CURVED * float(np.linalg.norm(change) * np.linalg.norm(step)):
+        return rest
+    size = abs(float(step @ rest @ step))
+    sized = min(1.0, abs(float(step @ wanted)) / size) * rest if size > 0 else rest
+    error = wanted - sized @ step
+    both = np.outer(error, change)
+    return np.asarray(sized + (both + both.T) / along - float(error @ step) * np.outer(change, change) / along**2)
 
 
 def within(u: Array, g: Array, F: Array, lower: Array, upper: Array, radius: float) -> Array:
@@ -118,11 +143,11 @@ def within(u: Array, g: Array, F: Array, lower: Array, upper: Array, radius: flo
 def _unbounded(g: Array, F: Array, radius: float) -> Array:
     """Return the maximum of g·s − sᵀ F s / 2 with |s| ≤ radius: by the eigenvalues of F, and bisection of the shift."""
     values, V = np.linalg.eigh(F)
-    values = np.maximum(values, 0.0)
     c = V.T @ g
     size = float(np.linalg.norm(c))
     if size == 0.0:
         return np.zeros_like(g)
+    values = values - min(float(values[0]), 0.0)  # directions of negative curvature end at the radius
 
     def length(shift: float) -> float:
         return float(np.linalg.norm(c / (values + shift)))

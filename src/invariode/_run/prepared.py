@@ -1,0 +1,344 @@
+"""Prepared plans: a plan is checked once and runs many times, with other y0, arguments, intervals and functions.
+
+`solve` keeps a few of them, by the kind of the problem; `Problem.prepare`, `odeint`, fits and the bridges to JAX and
+PyTorch hold their own. What a plan has in common with other problems is checked once; everything else is checked in
+each run, by the same code.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import replace
+from typing import Any, cast
+
+from .. import _core
+from .._base.arguments import Array, call_name, reals, warnings_given
+from .._base.forks import short_lock
+from .._base.types import MethodName
+from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
+from .._functions.derivatives import at_complex
+from .._functions.graph.function import TracedFunction
+from .._functions.layout import Arguments, count_of
+from .._functions.second_order import SecondOrder
+from .._laws.bound import BoundInvariants, InvariantSpec, values_at_start
+from .._plan.plan import Choice, Course, Plan, choose, names_of, planned, solver
+from .._plan.second_order import fits_any_args
+from .._problem.events import Event, direction_sign, terminal_count
+from .._problem.invariants import Invariants
+from .._problem.matrices import NO_MATRICES
+from .._problem.options import Options
+from .._problem.problem import Problem
+from .._sensitivity.landings import switches_in_time
+
+#: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
+#: step.
+_LARGE = 200
+
+#: So many plans are kept, which is more than a script has calls of different kinds; the oldest goes first.
+_MOST = 64
+
+_kept: dict[Hashable, Prepared] = {}
+_keeping = short_lock()
+
+#: In the place of a function that is lent in each run.
+_LENT: Any = ...
+
+
+class Prepared:
+    """A plan that runs many times, with the core's solvers that carry it out.
+
+    Parameters
+    ----------
+    problem : Problem
+        A problem of the plan's kind.
+    choice : Choice
+        The method with its options.
+    plan : Plan
+        The plan.
+    lends : bool
+        Each run is for a problem with Python functions of its own, of which nothing is kept. Otherwise they are those
+        of `problem`.
+
+    Attributes
+    ----------
+    plan : Plan
+        The plan, which all runs have in common; `plan_of` returns that of a run.
+    members : tuple of str
+        The methods that take turns.
+    any_y0, any_args, any_span : bool
+        Whether the plan holds for another initial state, other arguments, another interval.
+    """
+
+    def __init__(self, problem: Problem, choice: Choice, plan: Plan, *, lends: bool = False) -> None:
+        self.choice, self._lends = choice, lends
+        self.plan = _without_functions(plan) if lends else plan
+        self._remarks = self.plan.remarks
+        core = solver(self.plan)
+        self.members = core.members
+        #: Idle solvers: a run takes one, or makes another.
+        self._idle = deque([core])
+        self._starts = bool(plan.bound.specs) and not all(map(_is_native, plan.bound.specs))
+        self.any_y0 = _of_any_y0(problem, plan, core.native)
+        self.any_args = self.any_y0 and _of_any_args(problem, plan)
+        self.any_span = self.any_y0 and _of_any_span(problem, plan)
+        self._parameters = len(plan.functions.parameters) > 0
+
+    def run(
+        self,
+        problem: Problem,
+        y0: Array,
+        args: tuple[Any, ...],
+        course: Course,
+        *,
+        breaks: Array | None = None,
+        limit: _core.StepLimit | None = None,
+        remember: bool = True,
+    ) -> _core.Run | None:
+        """Return a run from y0 on a course. None: the plan does not hold for it, and a plan of its own is needed, or
+        says what is wrong.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem with the functions of the run.
+        y0 : ndarray, (n,)
+            The initial state.
+        args : tuple
+            Its arguments.
+        course : Course
+            The interval, output times and limits.
+        breaks : ndarray, optional
+            Breakpoints of a plan that is lent functions, without actions.
+        limit : StepLimit, optional
+            The limit of steps of such a plan.
+        remember : bool, default True
+            The run can be extended.
+        """
+        plan, varied, value, tolerances = self.plan, self.plan.varied, None, None
+        if self._starts:
+            value = values_at_start(plan.bound, problem.invariants, course.t0, y0, args, plan.tolerances.threshold)
+            if value is None:
+                return None
+        functions = _functions_of(problem, plan.bound) if self._lends else None
+        if plan.functions.complex:
+            y0 = y0.view(float)
+        if varied is not None:
+            tolerances = varied.tolerances_at(y0, args)
+            y0 = varied.augmented(y0)
+        parameters: Array | None = None
+        try:
+            core = self._idle.pop()
+        except IndexError:
+            core = solver(plan)
+        for _ in range(2):
+            run = core.integrate_anew(
+                y0, functions, args, parameters, course, breaks, limit, remember, self._remarks, value, tolerances
+            )
+            if run is not None or not self._parameters:  # otherwise args are not only floats
+                break
+            parameters = native_parameters(args, problem.functions)
+        self._idle.append(core)  # but not after an exception
+        return run
+
+    def plan_of(self, problem: Problem, course: Course, run: _core.Run) -> Plan:
+        """Return the plan as a run of a problem carried it out."""
+        plan, described = self.plan, problem
+        bound = replace(plan.bound, args=problem.args, forward=course.forward)
+        if bound.specs:
+            used = [f for one in described.invariants for f in (one.fun, one.jac, one.metric)]
+            bound = replace(bound, value=run.value, parameters=native_parameters(problem.args, used))
+            if self._lends:
+                bound = bound.with_functions(described.invariants)
+        return plan.on(course, bound, names_of(problem, list(plan.called.events)))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What a plan holds for
+
+
+def _of_any_y0(problem: Problem, plan: Plan, native: bool) -> bool:
+    """Return whether the plan is valid for every y0. The motion of a mechanical system counts its work, and algebraic
+    equations and events at the start need work before the run."""
+    alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
+    counts = isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder)
+    if alone or counts or any(event.at_start for event in problem.events):
+        return False
+    linear = plan.functions.linear
+    if linear is not None and (linear.algebraic or not (native or _by_differences(linear))):
+        return False
+    if plan.varied is not None and not (native and plan.varied.own_to_each is None and not problem.events):
+        return False
+    compiled = [*map(_is_native, plan.bound.specs)]
+    return all(compiled) or (not any(compiled) and all(map(_starts_anywhere, problem.invariants, plan.bound.specs)))
+
+
+def _by_differences(linear: _core.Linear) -> bool:
+    """Return whether the Jacobian is formed in each run from values of f, in a structure that does not depend on f."""
+    return linear.kind == "differences" and not linear.found_pattern
+
+
+def _is_native(spec: InvariantSpec) -> bool:
+    return isinstance(spec.fun, _core.Native) or not callable(spec.fun)
+
+
+def _starts_anywhere(one: Invariants, spec: InvariantSpec) -> bool:
+    """Return whether everything that is found of a Python invariant at the start is its values."""
+    return type(one) is Invariants and one.metric is None and (isinstance(spec.jac, str) or spec.jac is one.jac)
+
+
+def _of_any_args(problem: Problem, plan: Plan) -> bool:
+    """Return whether the plan is valid for all arguments: compiled functions take any numbers, and no landing depends
+    on them."""
+    if plan.schedule is not None and plan.schedule.depends_on_args:
+        return False
+    p = plan.functions.parameters
+    if not len(p):
+        return True
+    arguments = count_of(p)
+    vary = not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.functions, p))
+    return vary and fits_any_args(problem, plan.method.name)
+
+
+def _of_any_span(problem: Problem, plan: Plan) -> bool:
+    """Return whether the plan is valid for all intervals. What is dissipated depends on the direction of time."""
+    return (
+        not (problem.inputs or problem.breakpoints or any(plan.bound.senses))
+        and plan.schedule is None
+        and (plan.expansion is None or plan.expansion.of_any_span)
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Plans for all problems of a kind
+
+
+def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> Prepared | Plan:
+    """Return the prepared plan for all problems of this kind, or the problem's own plan if there can be none."""
+    kind = _kind(problem, method, options)
+    kept: dict[Hashable, Prepared] = problem.fun.prepared if isinstance(problem.fun, CompiledFunction) else _kept
+    known = None if kind is None else kept.get(kind)
+    if known is not None:
+        return known
+    before = warnings_given()
+    described, choice = problem, choose(method, options)
+    plan = planned(described, choice)
+    if kind is None or warnings_given() != before or not _holds_for_all(plan, described):
+        return plan
+    choice = choice._replace(options=cast("Options", {**choice.options, "t_eval": None}))
+    prepared = Prepared(described, choice, plan, lends=True)
+    if not (prepared.any_y0 and prepared.any_args and prepared.any_span):
+        return plan
+    with _keeping:
+        if len(kept) >= _MOST:
+            del kept[next(iter(kept))]
+        kept[kind] = prepared
+    return prepared
+
+
+def _kind(problem: Problem, method: MethodName, options: Options) -> Hashable | None:
+    """Return a key of all problems that have a plan in common; None: this problem is the only one of its kind."""
+    n, fun = reals(problem.y0), problem.fun
+    described = _described(problem) if n < _LARGE and isinstance(method, str) else None
+    if described is None:
+        return None
+    if isinstance(fun, CompiledFunction):
+        renew([fun])
+        if isinstance(fun, TracedFunction) and fun.outputs:  # its first run is compared with the Python function
+            return None
+        types = tuple(map(type, problem.args))
+        if not _NUMBERS.issuperset(types):
+            return None
+        described = (*described, types)
+    elif switches_in_time(problem):
+        return None
+    given = _core.plain_options(options)
+    return None if given is None else (method, n, problem.y0.dtype.kind, described, given)
+
+
+def _described(problem: Problem) -> tuple[Any, ...] | None:
+    """Return everything that a plan takes from a problem besides its functions, y0, args and interval; None: something
+    that belongs to this problem alone."""
+    if not (is_plain_function(problem.fun) or isinstance(problem.fun, CompiledFunction)):
+        return None
+    if problem.inputs or problem.breakpoints or problem.sensitivities is not None or problem.second_order:
+        return None
+    if problem.matrices is not NO_MATRICES or problem.delays is not None:
+        return None
+    bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
+    laws = tuple(map(_law, problem.invariants))
+    events = tuple(map(_event, problem.events))
+    return None if None in laws or None in events else (problem.records_events, bounds, laws, events)
+
+
+def _law(one: Invariants) -> tuple[Any, ...] | None:
+    """Return the data of an invariant whose functions are Python's."""
+    alike = type(one) is Invariants and one.metric is None and is_plain_function(one.fun)
+    if not alike or not (one.jac is None or isinstance(one.jac, str) or is_plain_function(one.jac)):
+        return None
+    value = None if one.value is None else one.value.tobytes()
+    lists = (tuple(one.names or ()), tuple(one.moves or ()))
+    jac = True if callable(one.jac) else one.jac
+    return jac, value, call_name(one.fun, "g"), *lists, one.iterations, one.when, one.level, one.direction
+
+
+def _event(event: Event) -> tuple[Any, ...] | None:
+    """Return the data of an event whose functions are Python's."""
+    alike = type(event) is Event and not event.at_start and is_plain_function(event.fun)
+    if not alike or not (event.action is None or is_plain_function(event.action)):
+        return None
+    which = terminal_count(event), direction_sign(event), event.action is None, event.__name__
+    return *which, event.rehold, event.samples, event.touching, event.at_jumps
+
+
+_NUMBERS = frozenset({float, int})
+
+
+def _holds_for_all(plan: Plan, problem: Problem) -> bool:
+    """Return whether the plan is independent of Python functions, which the core calls as they are."""
+    return (
+        (isinstance(problem.fun, CompiledFunction) or plan.functions.fun is problem.fun)
+        and plan.method.equations == "any"
+        and plan.schedule is None
+        and not plan.settings.sections
+    )
+
+
+def _without_functions(plan: Plan) -> Plan:
+    """Return the plan without Python functions, their arguments and y0."""
+
+    def lent(fun: Any) -> Any:
+        return _LENT if callable(fun) and not isinstance(fun, _core.Native) else fun
+
+    functions = plan.functions._replace(
+        fun=lent(plan.functions.fun),
+        args=(),
+        callback=None,
+        events=[event._replace(fun=lent(event.fun), action=lent(event.action)) for event in plan.functions.events],
+        invariants=[law._replace(fun=lent(law.fun), jac=lent(law.jac)) for law in plan.functions.invariants],
+    )
+    bound = replace(plan.bound, specs=functions.invariants, args=())
+    return plan._replace(functions=functions, bound=bound, y0=plan.y0[:0].copy())
+
+
+def _functions_of(problem: Problem, bound: BoundInvariants) -> tuple[Any, ...]:
+    """Return the Python functions of a problem in the order in which the core makes its own of them."""
+    own = () if isinstance(problem.fun, CompiledFunction) else (problem.fun,)
+    if not problem.invariants and not problem.events:
+        return own
+    laws = [
+        f
+        for one, spec in zip(problem.invariants, bound.specs, strict=True)
+        for f in (one.fun, *_derivative_of(one, spec))
+    ]
+    events = [f for event in problem.events for f in (event.fun, event.action) if f is not None]
+    return (*own, *laws, *events)
+
+
+def _derivative_of(one: Invariants, spec: InvariantSpec) -> tuple[Any, ...]:
+    """Return the second function that the core makes of a Python invariant, if there is one."""
+    if callable(one.jac):
+        return (one.jac,)
+    if spec.jac == "complex-step":
+        return (one.fun,)
+    return (at_complex(one.fun, spec.m),) if spec.jac == "complex-step or 3-point" else ()
