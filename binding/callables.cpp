@@ -324,9 +324,11 @@ Callback Functions::state_valued(nb::handle f, const std::string& name) {
              space_.complex);
 }
 
-Callback Functions::slope(nb::handle f, const std::string& name) {
+Callback Functions::slope(nb::handle f, const std::string& name, std::size_t delays) {
   const std::size_t first = owned_.size();
-  const Callback callback = state_valued(f, name);
+  const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(delays);
+  const Callback callback = add(f, args_, name, {.rows = n, .complex = space_.complex},
+                                Takes{.n = n, .second = rows * n, .second_rows = rows, .complex = space_.complex});
   postpone_overflows_from(first);
   return callback;
 }
@@ -447,12 +449,13 @@ Callback Functions::product(nb::handle f, const std::string& name) {
              Takes{.n = n, .second = n, .complex = space_.complex});
 }
 
-Callback Functions::of_sensitivities(nb::handle f, const std::string& name, std::size_t k) {
+Callback Functions::of_sensitivities(nb::handle f, const std::string& name, std::size_t k, std::size_t delays) {
   const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
+  const std::ptrdiff_t width = n * static_cast<std::ptrdiff_t>(1 + delays);
   const std::size_t first = owned_.size();
   const Callback callback =
       add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
-          Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
+          Takes{.n = width, .rows = 1 + rows, .complex = space_.complex});
   postpone_overflows_from(first);
   return callback;
 }

@@ -140,11 +140,12 @@ struct Returns {
 };
 
 /// The arguments that a Python function takes after t: a vector of n numbers, or a matrix with rows of n, or that and a
-/// second one, a vector, one behind the other.
+/// second one, a vector or a matrix with rows of n, one behind the other.
 struct Takes {
   std::ptrdiff_t n;
-  std::ptrdiff_t rows = 0;  ///< 0: a vector
-  std::ptrdiff_t second = 0;
+  std::ptrdiff_t rows = 0;         ///< 0: a vector
+  std::ptrdiff_t second = 0;       ///< numbers of the second one; 0: there is none
+  std::ptrdiff_t second_rows = 0;  ///< 0: a vector
   bool complex = false;
   bool complex_time = false;  ///< t is the first of the complex numbers
 };
@@ -160,8 +161,8 @@ class Functions {
 
   /// f(t, y) -> state
   Callback state_valued(nb::handle f, const std::string& name);
-  /// f, whose overflows are postponed
-  Callback slope(nb::handle f, const std::string& name);
+  /// f, whose overflows are postponed. `delays`: of so many states z, it is f(t, y, z), with z (delays, n).
+  Callback slope(nb::handle f, const std::string& name, std::size_t delays = 0);
   /// Puts functions in the places of the Python functions with arguments, in the order of their making, and other
   /// arguments. None: the functions stay.
   void lend(const nb::object& functions, const nb::tuple& args);
@@ -185,7 +186,8 @@ class Functions {
   MatrixFunction matrix(nb::handle f);
   // Of a state with sensitivities to k parameters, Y of 1 + k states; without args.
   /// f(t, Y) -> (k, state)
-  Callback of_sensitivities(nb::handle f, const std::string& name, std::size_t k);
+  /// `delays`: each row of Y has so many delayed states behind its own.
+  Callback of_sensitivities(nb::handle f, const std::string& name, std::size_t k, std::size_t delays = 0);
   /// f(t, Y) -> (k, m)
   Callback tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m);
   /// f(t, Y, state) -> (k, state)

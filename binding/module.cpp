@@ -223,6 +223,7 @@ void define_methods(nb::module_& module) {
           "equations", [](const Method& m) { return name_of(m.equations); },
           "Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a "
           "'second-order' system.")
+      .def_ro("delays", &Method::delays, "True if f may take values of the solution at earlier times.")
       .def_prop_ro("options", [](const Method& m) {
         std::vector<const char*> names;
         for (const char* one : m.options)

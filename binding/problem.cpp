@@ -186,7 +186,8 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
   require_one_each(spec.breakpoints.size(), problem.breakpoints.size(), "breakpoints");
   Variations& variations = problem.variations.emplace();
   variations.k = spec.k;
-  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k);
+  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k,
+                                                problem.delays ? problem.delays->lags.size() : 0);
   variations.tolerance = spec.thresholds;
   variations.error_test = spec.error_test;
   variations.quadratures = spec.quadratures;
@@ -211,6 +212,17 @@ Landings make_landings(const LandingsSpec& spec) {
   return {times, std::move(progressions)};
 }
 
+DelayTerms make_delays(const DelaysSpec& spec, Functions& functions) {
+  require(spec.parameters.size() == spec.lags.size(), "delays have not one number of a parameter each");
+  DelayTerms terms{.lags = {}, .constant = spec.constant, .history = {}, .jumps = spec.jumps, .rates = spec.rates};
+  for (std::size_t j = 0; j < spec.lags.size(); ++j) {
+    const std::int64_t number = spec.parameters[j];
+    terms.lags.push_back({spec.lags[j], number < 0 ? std::nullopt : std::optional(static_cast<std::size_t>(number))});
+  }
+  if (!spec.history.is_none()) terms.history = functions.state_valued(spec.history, "history(t)");
+  return terms;
+}
+
 }  // namespace
 
 Weights to_weights(double rtol, std::vector<double> threshold, std::vector<double> scale) {
@@ -228,7 +240,9 @@ Weights Tolerances::for_size(std::size_t n) const {
 BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {
   problem_.n = spec.n;
   problem_.complex = spec.complex;
-  if (!spec.fun.is_none()) problem_.f = functions_.slope(spec.fun, "fun(t, y)");
+  const std::size_t delays = spec.delays ? spec.delays->lags.size() : 0;
+  if (!spec.fun.is_none()) problem_.f = functions_.slope(spec.fun, delays > 0 ? "fun(t, y, z)" : "fun(t, y)", delays);
+  if (spec.delays) problem_.delays = make_delays(*spec.delays, functions_);
   if (spec.series) problem_.series.emplace().solution = functions_.series(*spec.series);
   if (spec.series && spec.conditions) {
     problem_.series->conditions = functions_.series(*spec.conditions);
@@ -273,6 +287,7 @@ int ProblemSpec::visit(visitproc visit, void* arg) const {
   int stop = visit_all(visit, arg, {fun, args, callback});
   if (stop == 0 && linear) stop = linear->visit(visit, arg);
   if (stop == 0 && variations) stop = variations->visit(visit, arg);
+  if (stop == 0 && delays) stop = delays->visit(visit, arg);
   for (const std::optional<SeriesSpec>* one : {&series, &conditions})
     if (stop == 0 && *one) stop = (*one)->visit(visit, arg);
   const auto visit_each = [&](const auto& specs) {
@@ -415,6 +430,23 @@ void define_variations(nb::module_& module) {
       .def_ro("error_test", &VariationsSpec::error_test);
 }
 
+void define_delays(nb::module_& module) {
+  nb::class_<DelaysSpec>(module, "Delays", nb::type_slots(slots<DelaysSpec>), "Constant delays, for the core.")
+      .def(
+          "__init__",
+          [](DelaysSpec* self, std::vector<double> lags, std::vector<std::int64_t> parameters,
+             std::vector<double> constant, nb::object history, std::vector<double> jumps, std::vector<double> rates) {
+            new (self) DelaysSpec{std::move(lags),    std::move(parameters), std::move(constant),
+                                  std::move(history), std::move(jumps),      std::move(rates)};
+          },
+          nb::arg("lags"), nb::arg("parameters"), nb::arg("constant"), nb::arg("history").none(), nb::arg("jumps"),
+          nb::arg("rates"),
+          "lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if "
+          "it "
+          "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. "
+          "rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.");
+}
+
 void define_description(nb::module_& module) {
   nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
                           "Problem to be solved, except its initial value. n: reals in a state.")
@@ -425,7 +457,8 @@ void define_description(nb::module_& module) {
              std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, LandingsSpec landings,
              nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value,
              const OptionalVector& lower, const OptionalVector& upper, std::optional<VariationsSpec> variations,
-             std::optional<SeriesSpec> series, std::optional<SeriesSpec> conditions, std::size_t condition_count) {
+             std::optional<SeriesSpec> series, std::optional<SeriesSpec> conditions, std::size_t condition_count,
+             std::optional<DelaysSpec> delays) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -444,7 +477,8 @@ void define_description(nb::module_& module) {
                                    std::move(variations),
                                    std::move(series),
                                    std::move(conditions),
-                                   condition_count};
+                                   condition_count,
+                                   std::move(delays)};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
@@ -452,6 +486,7 @@ void define_description(nb::module_& module) {
           nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
           nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
+          nb::arg("delays") = nb::none(),
           "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
           "condition_count values along a polynomial, of which one changes its sign where f changes its "
           "branch.");
@@ -574,6 +609,7 @@ void define_problem(nb::module_& module) {
   define_functions(module);
   define_linear(module);
   define_variations(module);
+  define_delays(module);
   define_description(module);
   define_settings(module);
 }

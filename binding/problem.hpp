@@ -103,6 +103,19 @@ struct VariationsSpec {
   int visit(visitproc visit, void* arg) const;
 };
 
+/// Delays: their values, the numbers of those that are parameters (−1: it is none), and the history: values where it is
+/// constant, else a function (t, anything) -> y; times before t0 at which it jumps.
+struct DelaysSpec {
+  std::vector<double> lags;
+  std::vector<std::int64_t> parameters;
+  std::vector<double> constant;
+  nb::object history;
+  std::vector<double> jumps;
+  std::vector<double> rates;  // ∂τ_j/∂p, (lags, k), with sensitivities
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {history}); }
+};
+
 /// Single times, and the first times and the periods of progressions.
 using LandingsSpec = std::tuple<std::vector<double>, std::vector<double>, std::vector<double>>;
 
@@ -125,6 +138,7 @@ struct ProblemSpec {
   std::optional<SeriesSpec> series;      // of the solution
   std::optional<SeriesSpec> conditions;  // of f, along it
   std::size_t condition_count;
+  std::optional<DelaysSpec> delays;  // then fun takes (t, y, z)
 
   int visit(visitproc visit, void* arg) const;
 };

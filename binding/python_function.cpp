@@ -21,8 +21,9 @@ bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape)
 
 PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
   assert(part < 2);
-  const bool matrix = part == 0 && takes_.rows > 0;
-  const npy_intp whole[] = {matrix ? takes_.rows : part == 0 ? takes_.n : takes_.second, takes_.n};
+  const std::ptrdiff_t rows = part == 0 ? takes_.rows : takes_.second_rows;
+  const bool matrix = rows > 0;
+  const npy_intp whole[] = {matrix ? rows : part == 0 ? takes_.n : takes_.second, takes_.n};
   const std::span<const npy_intp> shape(whole, matrix ? 2 : 1);
   const npy_intp size = matrix ? whole[0] * whole[1] : whole[0];
   PyArrayObject* a = std::exchange(spare_[part], nullptr);

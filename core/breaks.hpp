@@ -9,6 +9,7 @@
 #include "aim.hpp"
 #include "archive.hpp"
 #include "callback.hpp"
+#include "delays/marks.hpp"
 #include "functions/piece.hpp"
 #include "landings.hpp"
 #include "weights.hpp"
@@ -29,7 +30,17 @@ class Breaks {
   /// `points`: in the order of integration. `piece` learns where the run is; null: no function depends on it.
   Breaks(std::vector<Breakpoint> points, Landings landings, Piece* piece, double tf, double forward);
 
-  [[nodiscard]] bool empty() const { return points_.empty() && landings_.empty(); }
+  [[nodiscard]] bool empty() const { return points_.empty() && landings_.empty() && marks_.empty(); }
+  /// A landing where nothing is known to happen but a jump of a derivative, which a delay has brought there. It is seen
+  /// from the next piece on.
+  void add(const Mark& mark) { marks_.add(mark); }
+  [[nodiscard]] std::size_t marks() const { return marks_.size(); }
+  /// The mark at t, if nothing else is there; null: there is something else, or nothing.
+  [[nodiscard]] const Mark* only_mark(double t) const;
+  /// The order of the derivative that jumps at t, if the solution goes on: that of the mark, or 1.
+  [[nodiscard]] int level(double t) const;
+  /// ∂t/∂p of the mark at t, (k,); of anything else there, whose time is fixed, zeros.
+  [[nodiscard]] std::vector<double> rates(double t, std::size_t k) const;
   /// Is the next breakpoint or landing at t, or so close to it that no step fits between?
   [[nodiscard]] bool at(double t) const { return at_breakpoint(t) || at_landing(t); }
   [[nodiscard]] bool at_breakpoint(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }
@@ -40,7 +51,7 @@ class Breaks {
   }
   /// Was the breakpoint before the next one, or the landing before it, at t?
   [[nodiscard]] bool just_passed(double t) const {
-    return (next_ > 0 && same(points_[next_ - 1].t, t)) || (margin_ == landing_margin && same(start_, t));
+    return (next_ > 0 && same(points_[next_ - 1].t, t)) || (margin_ > breakpoint_margin(start_) && same(start_, t));
   }
 
   /// The run starts at t; functions see t itself, also where a breakpoint is.
@@ -62,23 +73,26 @@ class Breaks {
   void pass() { ++next_; }
 
   void state(Archive& archive) {
-    archive(start_, margin_, next_);
+    archive(start_, margin_, next_, marks_);
     archive.require(next_ <= points_.size() && std::isfinite(start_));
-    archive.require(margin_ == 0 || margin_ == breakpoint_margin || margin_ == landing_margin);
+    archive.require(std::isfinite(margin_) && margin_ >= 0);
   }
 
  private:
-  // How many ulp from a breakpoint, or from a landing, functions are called at least. A breakpoint is a double that the
-  // user gives; where f changes its branch, as it is computed, depends on the roundoff of a few operations.
-  static constexpr double breakpoint_margin = 1, landing_margin = hmin_ulps / 2;
+  // How far from a breakpoint, or from a landing, functions are called at least. A breakpoint is a double that the user
+  // gives; where f changes its branch, as it is computed, depends on the roundoff of a few operations.
+  static double breakpoint_margin(double t) { return ulp(t); }
+  [[nodiscard]] double landing_margin(double t) const;
 
   static bool same(double breakpoint, double t) { return std::abs(breakpoint - t) < hmin_ulps * ulp(t); }
   [[nodiscard]] std::size_t first_after(double t) const;
   [[nodiscard]] double landing_after(double t) const;
+  [[nodiscard]] double landing_beyond(double t) const;
   void enter(std::size_t next);
 
   std::vector<Breakpoint> points_;
   Landings landings_;
+  Marks marks_;  // landings too
   Piece* piece_;
   double tf_, forward_;
   std::size_t next_ = 0;

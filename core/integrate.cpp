@@ -11,6 +11,12 @@ namespace {
 
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 constexpr int most_refusals = 3;         // of corrections in a step before the invariant is tested
+// An attempt that uses its own values is repeated until they change by this much of the tolerance, at most so often,
+// and as long as each change is that much smaller than the one before (measured: 1.5 to 2.5 attempts in a step).
+constexpr double agreement = 0.03;
+constexpr int most_repetitions = 12;
+constexpr double slowest_agreement = 0.9;
+constexpr std::size_t most_marks = 10000;  // that are ahead at one time
 
 }  // namespace
 
@@ -18,6 +24,10 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
                          LoopFunctions functions, Settings settings)
     : step_(std::move(step)),
       composite_(dynamic_cast<CompositeInterface*>(step_.get())),
+      delays_(functions.delays),
+      delayed_(dynamic_cast<DelayInterface*>(step_.get())),
+      history_jumps_(functions.history_jumps.begin(), functions.history_jumps.end()),
+      most_level_(functions.most_level),
       weights_(weights),
       settings_(std::move(settings)),
       bounded_slope_(functions.bounded_slope),
@@ -39,11 +49,11 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
       jumps_({events_, breaks_, manifold_, initial_checks_, report_, emitter_.output.occurrences},
-             std::move(functions.consistent), std::move(functions.consistent_tangent), extent_),
+             std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f, extent_),
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
-  looks_between_ = settings_.looks_between() || !events_.empty();
+  looks_between_ = settings_.looks_between() || !events_.empty() || delays_ != nullptr;
   const double parts = step_->parts_seen();
   gap_ = parts > 0 ? std::abs(settings_.tf - settings_.t0) / parts : std::numeric_limits<double>::infinity();
   if (!events_.empty()) event_y_.resize(n_);
@@ -80,6 +90,7 @@ State Integration::start(const double* y0) {
   if (jumps_.follow_equations(t, y) == State::interrupted) return state_ = State::interrupted;
   if (!unless_stopped(manifold_.start(t, y))) return state_;
   emitter_.begin(reached_);
+  if (delays_ != nullptr && !begin_past(y)) return state_;
   const bool breaks = breaks_.at(t);
   if (breaks && !note_values()) return state_;
   begin_piece();
@@ -107,6 +118,7 @@ void Integration::move_start(double t, const double* y) {
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
   memory_outdated_ = false;
+  if (delays_ != nullptr) delays_->restart();
   discontinuities_.restart();
   aim_.start();
   std::vector<double> at_rest;  // without what iterations have left in the sensitivities of components that rested
@@ -194,6 +206,7 @@ bool Integration::begin_step() {
   if (composite_ != nullptr && discontinuities_.sticks_since()) composite_->stay_explicit();
   if (composite_ != nullptr && composite_->hand_over(aim_.span(t)) == Outcome::stop) return end(State::interrupted);
   move_start(t, step_->y());
+  if (delays_ != nullptr) delays_->begin_step(t, step_->y(), step_->slope(), delayed_->stages_on_extension());
   attempt_ = {};
   aim_.begin(t, step_->h());
   return true;
@@ -210,7 +223,8 @@ bool Integration::meet_bounds() {
 
 Integration::Verdict Integration::attempt() {
   assert(aim_.defined());
-  Step::Attempt proposal = step_->attempt(aim_.h(), aim_.t1());
+  Step::Attempt proposal = propose();
+  if (attempt_.disagrees) return reject(Cause::overlap);
   if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   if (looks_between_ && std::abs(aim_.h()) > aim_.hmin()) {  // in the shortest step there is no time to be wrong at
     proposal = step_->inspect_extension(proposal);
@@ -233,6 +247,30 @@ Integration::Verdict Integration::attempt() {
   }
   assert(step_->t() == aim_.t1());
   return Verdict::accepted;
+}
+
+/// An attempt. If it depends on its own values, by delays shorter than h, it is repeated until it agrees with them.
+Step::Attempt Integration::propose() {
+  if (delays_ == nullptr) return step_->attempt(aim_.h(), aim_.t1());
+  const auto sound = [](const Step::Attempt& one) {
+    return one.outcome == Outcome::ok && one.converged && std::isfinite(one.error);
+  };
+  attempt_.disagrees = false;
+  delays_->begin_attempt(aim_.t1() - t0_);
+  Step::Attempt proposal = step_->attempt(aim_.h(), aim_.t1());
+  double last_change = std::numeric_limits<double>::infinity();
+  for (int repeated = 0; delays_->looked_ahead() && sound(proposal); ++repeated) {
+    std::size_t size = 0;
+    if (delayed_->extension_of_attempt(delays_->room(step_->max_extension_size()), size) == Status::stop)
+      return {Outcome::stop, proposal.error, proposal.y};
+    const double change = delays_->agree(size, proposal.y, weights_);
+    if (change <= agreement * weights_.rtol()) break;
+    attempt_.disagrees = repeated == most_repetitions || !(change < slowest_agreement * last_change);
+    if (attempt_.disagrees) break;
+    last_change = change;
+    proposal = step_->attempt(aim_.h(), aim_.t1());
+  }
+  return proposal;
 }
 
 /// The error test.
@@ -467,6 +505,11 @@ bool Integration::record() {
                               .error = attempt_.error / weights_.rtol(),
                               .correction = manifold_.correction() / weights_.rtol(),
                               .member = static_cast<double>(composite_ != nullptr ? composite_->member() : 0)});
+  if (delays_ != nullptr) {
+    const Segment segment = interpolant_.segment();
+    if (!segment.data) return end(State::interrupted);
+    delays_->add(segment, reached_.t, reached_.y);
+  }
   return unless_stopped(emitter_.add_segment(reached_));
 }
 
@@ -485,7 +528,10 @@ bool Integration::conclude() {
     return unless_stopped(emitter_.emit_times(reached_, false)) && end(State::stopped_by_callback);
   if (keeps_last_ && !keep_step_before_jump()) return false;
   const bool breaks = aim_.lands() && breaks_.at(t);
-  if ((events_.acts() || breaks) && !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()}))
+  const bool smooth = breaks && !events_.acts() && goes_smoothly_on(t);
+  if (smooth && !pass_mark()) return false;
+  if (!smooth && (events_.acts() || breaks) &&
+      !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()}))
     return false;
   return !aim_.lands() || t != settings_.tf || end(State::reached_end);
 }
@@ -538,11 +584,17 @@ bool Integration::land(const Landing& at) {
   limits_.look_soon();
   State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
   bool jumps = at.acts, varies = false;
+  const int level = breaks_.level(t);
+  const std::vector<double> rates = delays_ == nullptr ? std::vector<double>() : breaks_.rates(t, extent_.k);
   if (at.breaks && state == State::running) {
     if (!at.noted && !note_values()) return take_back();
     varies = breaks_.landing_jump() && breaks_.at_landing(t);
+    const bool moves = level <= 1 && std::ranges::any_of(rates, [](double one) { return one != 0; });
+    if (moves && jumps_.note_slope(t, Y) == Status::stop) return end(State::interrupted);
     begin_piece();
     if (varies) state = jumps_.at_landing(t, Y);
+    if (moves && jumps_.at_moving_mark(t, rates, Y) == Status::stop) return end(State::interrupted);
+    varies = varies || moves;
     if (state == State::running) state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
     jumps = jumps || jumps_.acted() || jumps_.moved();
   }
@@ -554,9 +606,54 @@ bool Integration::land(const Landing& at) {
     end(state);
     return take_back();
   }
+  if (delays_ != nullptr) {
+    if (!mark_images(t, jumps ? 0 : level, rates)) return take_back();
+    begin_piece();  // again, since it may end at one of them
+  }
   if (jumps || (varies && !jumps_.others())) return go_on_from_jump();
   if (jumps_.others() && !hold_other_values()) return take_back();
   if (t != settings_.tf && !start_memory(t, Y)) return false;
+  return unless_stopped(emitter_.emit_times(reached_, false));
+}
+
+/// The past begins: the history, and the marks that it brings.
+bool Integration::begin_past(const double* y) {
+  bool jumps = false;
+  if (!unless_stopped(delays_->begin(no_steps(), y, jumps))) return false;
+  const std::vector<double> fixed(extent_.k);
+  for (const double t : history_jumps_)
+    if (!mark_images(t, 0, fixed)) return false;
+  return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
+}
+
+/// A derivative of the solution jumps at t: where that comes back by a delay, the next one does.
+bool Integration::mark_images(double t, int level, const std::vector<double>& rates) {
+  if (level >= most_level_ + (extent_.k > 0 ? 1 : 0)) return true;  // a derivative of S jumps one order earlier
+  for (std::size_t j = 0; j < delays_->lags().size(); ++j) {
+    const double tau = delays_->lags()[j];
+    Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = rates};
+    mark.spacing = std::max({ulp(t), ulp(tau), ulp(mark.t)});
+    for (std::size_t i = 0; i < mark.rates.size() && !delays_->rates(j).empty(); ++i)
+      mark.rates[i] += delays_->rates(j)[i];
+    if (mark.t >= settings_.t0 - mark.spacing) breaks_.add(mark);
+  }
+  if (breaks_.marks() <= most_marks) return true;
+  report_.t = t;
+  return end(State::marks_endless);
+}
+
+/// Returns whether the mark at t, where nothing else is, is of a derivative so high that the method can go on.
+bool Integration::goes_smoothly_on(double t) const {
+  if (delays_ == nullptr) return false;
+  const Mark* mark = breaks_.only_mark(t);
+  if (mark == nullptr || mark->level < (extent_.k > 0 ? 3 : 2)) return false;
+  return !delayed_->remembers_slopes() || mark->level > step_->order() + 1;
+}
+
+/// Goes on through a mark: only the branch of the past changes.
+bool Integration::pass_mark() {
+  if (!mark_images(reached_.t, breaks_.level(reached_.t), breaks_.rates(reached_.t, extent_.k))) return false;
+  begin_piece();
   return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
@@ -595,6 +692,7 @@ bool Integration::hold_other_values() {
 /// The output goes on from the start of the next step, with the values of the invariants there.
 void Integration::begin_output() {
   emitter_.begin({reached_.t, y0_.data()});
+  if (delays_ != nullptr) delays_->jump(reached_.t, y0_.data());
   const Invariants* invariants = manifold_.invariants();
   emitter_.jump(reached_.t, invariants != nullptr ? invariants->value() : std::vector<double>{});
 }

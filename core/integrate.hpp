@@ -7,11 +7,14 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "aim.hpp"
 #include "breaks.hpp"
 #include "composite_interface.hpp"
+#include "delay_interface.hpp"
+#include "delays/delays.hpp"
 #include "detect/discontinuity.hpp"
 #include "detect/stiffness.hpp"
 #include "implicit_interface.hpp"
@@ -40,6 +43,9 @@ struct LoopFunctions {
   std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;
   Landings landings;
+  Delays* delays = nullptr;  ///< which f takes; null: none
+  std::span<const double> history_jumps;
+  int most_level = 0;      ///< of marks: of higher derivatives that jump the method sees nothing
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations. An empty function if M is regular.
   std::function<Consistency(double t, double* y)> consistent;
@@ -107,6 +113,7 @@ class Integration {
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
     bool reconciled = false;     // its start has been moved onto the algebraic equations
+    bool disagrees = false;      // the last one does not agree with its own delayed values
   };
 
   /// A point where the solution may jump.
@@ -129,6 +136,7 @@ class Integration {
   bool begin_step();
   bool meet_bounds();
   Verdict attempt();
+  Step::Attempt propose();
   Verdict test(const Step::Attempt& proposal);
   Verdict pass_jump(const double* candidate);
   Verdict place(StepEnds& ends);
@@ -145,6 +153,10 @@ class Integration {
   bool find_discontinuities();
   bool find_events();
   bool record();
+  bool begin_past(const double* y);
+  bool mark_images(double t, int level, const std::vector<double>& rates);
+  [[nodiscard]] bool goes_smoothly_on(double t) const;
+  bool pass_mark();
   bool emit(bool jumps_here);
   [[nodiscard]] bool jumps_here() const;
   bool conclude();
@@ -167,6 +179,10 @@ class Integration {
 
   std::unique_ptr<Step> step_;
   CompositeInterface* composite_;  // null: the method is one
+  Delays* delays_;                 // null: f takes no earlier values
+  DelayInterface* delayed_;        // the method as one that takes such an f
+  std::vector<double> history_jumps_;
+  int most_level_;
   const Weights& weights_;
   const Settings settings_;
   BoundedSlope* bounded_slope_;

@@ -42,6 +42,12 @@ void Integration::state(Archive& archive) {
     archive.require(ahead > -hmin_ulps * ulp(reached_.t));
     in_step_ = in_step_ && target == aim_.target();
   }
+  if (delays_ != nullptr) {
+    bool jumps = false;  // which was seen when the run began
+    const bool begins = archive.reading() || !delays_->begun();
+    if (begins && delays_->begin(no_steps(), y0_.data(), jumps) == Status::stop) archive.stop();
+    delays_->state(archive);
+  }
   step_->state(archive);
   archive.require(anew_ || n_ == 0 || step_->h() > 0);
   manifold_.state(archive);

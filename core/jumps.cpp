@@ -15,10 +15,11 @@ constexpr int listed_from = 50;  // of these: the events that occur by them go r
 }  // namespace
 
 Jumps::Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
-             std::function<Status(double t, double* Y)> consistent_tangent, Extent extent)
+             std::function<Status(double t, double* Y)> consistent_tangent, Callback f, Extent extent)
     : parts_(parts),
       consistent_(std::move(consistent)),
       consistent_tangent_(std::move(consistent_tangent)),
+      f_(f),
       extent_(extent),
       raw_(extent.n) {}
 
@@ -34,6 +35,19 @@ State Jumps::at_events(double t, double* Y, bool inside) {
 State Jumps::at_landing(double t, double* Y) {
   before_.assign(Y, Y + extent_.size());
   return follow(parts_.breaks.landing_jump(), t, Y);
+}
+
+Status Jumps::note_slope(double t, const double* y) {
+  slope_.resize(extent_.n);
+  slope_behind_.resize(extent_.n);
+  return f_(t, y, slope_.data());
+}
+
+Status Jumps::at_moving_mark(double t, std::span<const double> rates, double* Y) {
+  if (f_(t, Y, slope_behind_.data()) == Status::stop) return Status::stop;
+  for (std::size_t j = 0; j < extent_.k; ++j)
+    for (std::size_t i = 0; i < extent_.n; ++i) Y[(1 + j) * extent_.n + i] += (slope_[i] - slope_behind_[i]) * rates[j];
+  return Status::ok;
 }
 
 State Jumps::at_breakpoints(double t, double* Y, bool inside) {

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <span>
 #include <vector>
 
 #include "breaks.hpp"
@@ -38,7 +39,7 @@ class Jumps {
     std::vector<Trajectory>& occurrences;  ///< of each event, those of the run
   };
   Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
-        std::function<Status(double t, double* Y)> consistent_tangent, Extent extent);
+        std::function<Status(double t, double* Y)> consistent_tangent, Callback f, Extent extent);
 
   /// The actions of the events of the last search that occurred at t. `inside`: t is not the end of that step.
   [[nodiscard]] State at_events(double t, double* Y, bool inside);
@@ -46,6 +47,9 @@ class Jumps {
   [[nodiscard]] State at_breakpoints(double t, double* Y, bool inside);
   /// The sensitivities behind a landing, whose time depends on parameters; y goes on.
   [[nodiscard]] State at_landing(double t, double* Y);
+  /// f before a mark whose time depends on parameters, and then the sensitivities behind it: S⁺ = S⁻ + (f⁻ − f⁺) ∂t/∂p.
+  [[nodiscard]] Status note_slope(double t, const double* y);
+  [[nodiscard]] Status at_moving_mark(double t, std::span<const double> rates, double* Y);
   /// Only moves Y onto the algebraic equations; only S onto their tangent.
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
@@ -80,6 +84,8 @@ class Jumps {
   Parts parts_;
   std::function<Consistency(double t, double* y)> consistent_;
   std::function<Status(double t, double* Y)> consistent_tangent_;
+  Callback f_;
+  std::vector<double> slope_, slope_behind_;  // f before a mark, and behind it
   Extent extent_;
   std::vector<Due> due_;
   std::vector<Occurrence> crossed_;

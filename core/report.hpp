@@ -31,7 +31,8 @@ enum class State {
   start_out_of_bounds,   ///< y0 is outside the bounds by more than the tolerance
   start_contradicts,     ///< there is no point near y0 within the bounds on which the invariants have their values
   action_out_of_bounds,  ///< an action returned a point outside the bounds by more than the tolerance
-  events_endless         ///< actions at one time set each other off; see `Report::circle`
+  events_endless,        ///< actions at one time set each other off; see `Report::circle`
+  marks_endless          ///< delays bring discontinuities to too many times
 };
 
 /// The limits that may stop a run early (settings.hpp).

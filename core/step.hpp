@@ -18,7 +18,8 @@ namespace invariode {
 
 /// Why an attempt was rejected.
 /// `bounds`: the candidate is outside of them. `spacing`: none was made; f changes within less than the spacing of t.
-enum class Cause { error, newton, projection, not_finite, bounds, spacing };
+/// `overlap`: it does not agree with its own delayed values.
+enum class Cause { error, newton, projection, not_finite, bounds, spacing, overlap };
 
 /// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at some θ ∈ [0, 1], into out
 /// (count of θ, n). A plain function of the data alone, so that a step can be interpolated long after the method has
@@ -66,7 +67,8 @@ class Step : public StepReport, public Archived {
   /// Builds the memory at (t, y), also after a jump: evaluates f there and chooses the first |h|.
   virtual Outcome start(double t, const double* y, const Span& span) = 0;
 
-  /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
+  /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly. Where f
+  /// has changed it may be called again with the same h and t1, before anything else (`DelayInterface`).
   virtual Attempt attempt(double h, double t1) = 0;
 
   /// The attempt, which has passed the error test, with the larger one of its error and of that of its continuous

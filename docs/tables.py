@@ -55,10 +55,14 @@ def takers(name: str) -> list[str]:
 
 def methods() -> Iterator[str]:
     """A table of all methods, and what is particular to each."""
-    yield "| name | SciPy's name | order | for | mass matrix |\n|---|---|---|---|---|"
+    yield "| name | SciPy's name | order | for | mass matrix | delays |\n|---|---|---|---|---|---|"
     for method in METHODS.values():
         scipy = f"`{method.scipy_name}`" if method.scipy_name else ""
-        yield f"| [`{method.name}`](#{method.name}) | {scipy} | {orders(method)} | {method.summary} | {method.mass} |"
+        delays = "yes" if method.delays else ""
+        yield (
+            f"| [`{method.name}`](#{method.name}) | {scipy} | {orders(method)} | {method.summary} | {method.mass} | "
+            f"{delays} |"
+        )
     yield ""
     for method in METHODS.values():
         yield f"## {method.name}\n"

@@ -1,5 +1,6 @@
 """Models in SBML: a sample of the test suite, and laws of models that are written here."""
 
+import math
 import pickle
 import tarfile
 import tempfile
@@ -304,13 +305,37 @@ def test_ten_thousand_events():
 
 
 # ----------------------------------------------------------------------------------------------------------------------
+# Delays
+
+
+def test_delays_are_numbers_parameters_and_sums_and_columns_show_delayed_values():
+    """x' = -x(t - tau), x = 1 before 0: the polynomials of the method of steps; w = delay(delay(x, tau), 1)."""
+    rules = (
+        f'<rateRule variable="x">{formula("-delay(x, tau)")}</rateRule>'
+        f'<assignmentRule variable="w">{formula("delay(delay(x, tau), 1)")}</assignmentRule>'
+    )
+    symbols = parameter("x", 1, "false") + parameter("w", 0, "false") + parameter("tau", 1)
+    made = sbml.load(model("", symbols, rules))
+    table = made.simulate(0, 4, 9, ["time", "x", "w"])
+
+    def exact(t):
+        return sum((-1) ** k * (t - k + 1) ** k / math.factorial(k) for k in range(int(t) + 2)) if t >= 0 else 1.0
+
+    np.testing.assert_allclose(table["x"], [exact(t) for t in table["time"]], atol=1e-7)
+    np.testing.assert_allclose(table["w"], [exact(t - 2) for t in table["time"]], atol=1e-7)
+    slower = made.problem((0, 4), tau=2.0).solve("dop853", rtol=1e-9)
+    assert abs(slower.y[0, -1] - (1 - 4 + (4 - 2) ** 2 / 2)) < 1e-7
+
+
+# ----------------------------------------------------------------------------------------------------------------------
 # What is refused
 
 
 @pytest.mark.parametrize(
     ("text", "feature"),
     [
-        (model("", parameter("x", 1, "false"), CLOCK.replace(formula("1"), formula("-delay(x, 1)"))), "delay"),
+        (model("", parameter("x", 1, "false"), CLOCK.replace(formula("1"), formula("-delay(x, x)"))), "delay"),
+        (clocked(event("a", "delay(x, 1) > 1", {"n": "7"})), "delay"),
         (
             ENZYME.replace('level="3" version="2"', 'level="3" version="1"')
             .replace("level3/version2", "level3/version1")

@@ -25,8 +25,8 @@ class Piece {
   Piece(const Piece&) = delete;
   Piece& operator=(const Piece&) = delete;
 
-  /// From now on the piece between the times `from` and `to`. Functions are called so many ulp from these, at least; at
-  /// 0 an end bounds nothing.
+  /// From now on the piece between the times `from` and `to`. Functions are called so far from these, at least, and one
+  /// double in any case; at 0 an end bounds nothing.
   void enter(double from, double margin_from, double to, double margin_to) {
     assert(!std::isnan(from) && !std::isnan(to));
     constexpr double infinity = std::numeric_limits<double>::infinity();
@@ -67,9 +67,9 @@ class Piece {
     Function function;
   };
 
-  /// The double that is `margin` ulp beyond `end`, seen in the direction of `towards`.
+  /// The double that is `margin` beyond `end`, seen in the direction of `towards`.
   static double inside(double end, double margin, double towards) {
-    return margin <= 1 ? std::nextafter(end, towards) : end + std::copysign(margin * ulp(end), towards);
+    return margin <= ulp(end) ? std::nextafter(end, towards) : end + std::copysign(margin, towards);
   }
   [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
 

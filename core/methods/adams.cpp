@@ -79,9 +79,14 @@ Step::Attempt Adams::attempt(double h, double t1) {
   signed_h_ = h;
   h_ = std::abs(h);
   t1_ = t1;
-  weights_.fill(y(), weight_);
-  update_coefficients();
-  predict();
+  if (predicted_) {  // the attempt is repeated: back to p
+    const double weight = g_[static_cast<std::size_t>(order_) + 1];
+    for (std::size_t i = 0; i < n(); ++i) candidate_[i] -= h * (weight * defect_[i]);
+  } else {
+    weights_.fill(y(), weight_);
+    update_coefficients();
+    predict();
+  }
   const Outcome outcome = evaluate(t1, candidate_, defect_);
   if (outcome != Outcome::ok) {
     lower_ = order_;
@@ -323,21 +328,35 @@ Status Adams::extension(double* data) {
   return Status::ok;
 }
 
+/// The polynomial of the attempt, through (t₁, y*), with the differences that the step would leave if f were at y* what
+/// it is at p. `difference`: room for n numbers.
+void Adams::extend_attempt(double* difference, double* data) const {
+  const auto k = static_cast<std::size_t>(order_);
+  std::copy(candidate_, candidate_ + n(), data);
+  integrate_differences(
+      k + 1, signed_h_,
+      [&](std::size_t j) -> const double* {
+        if (j == k) return defect_;
+        for (std::size_t i = 0; i < n(); ++i) difference[i] = phi(static_cast<int>(j) + 1)[i] + defect_[i];
+        return difference;
+      },
+      data);
+}
+
+Status Adams::extension_of_attempt(double* data, std::size_t& size) {
+  size = (static_cast<std::size_t>(order_) + 2) * n();
+  inside_.resize((max_degree() + 4) * n());
+  extend_attempt(inside_.data(), data);
+  return Status::ok;
+}
+
 /// The attempt's polynomial has f(t₁, p) and the k values of f before it as slopes. The slope that f has at a point of
 /// it, less its own, is d of a step that ends there: the same test.
 Step::Attempt Adams::inspect_inside(const Attempt& attempt, double gap) {
   const auto k = static_cast<std::size_t>(order_), terms = k + 1;
   inside_.resize((max_degree() + 4) * n());
   double *difference = inside_.data(), *point = difference + n(), *slope = point + n(), *powers = slope + n();
-  std::copy(candidate_, candidate_ + n(), powers);
-  integrate_differences(
-      terms, signed_h_,
-      [&](std::size_t j) -> const double* {
-        if (j == k) return defect_;
-        for (std::size_t i = 0; i < n(); ++i) difference[i] = phi(static_cast<int>(j) + 1)[i] + defect_[i];
-        return difference;
-      },
-      powers);
+  extend_attempt(difference, powers);
   const int pieces = static_cast<int>(std::ceil(h_ / gap));
   double error = attempt.error;
   for (int piece = 1; piece < pieces; ++piece) {

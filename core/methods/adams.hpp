@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/initial_step.hpp"
 #include "step.hpp"
 
@@ -15,7 +16,7 @@ namespace invariode {
 /// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
 /// of the projected solution. Its continuous extension is the polynomial of [SG] 'INTRP', the integral of the
 /// polynomial that interpolates f at t₁ and at the k points before it, in powers of θ.
-class Adams final : public Step {
+class Adams final : public Step, public DelayInterface {
  public:
   static constexpr int highest_order = 12;
 
@@ -40,6 +41,8 @@ class Adams final : public Step {
   [[nodiscard]] int degree() const override { return previous_order_ + 1; }
   [[nodiscard]] int max_degree() const override { return max_order_ + 1; }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool remembers_slopes() const override { return true; }
 
   [[nodiscard]] int order() const override { return previous_order_; }
   [[nodiscard]] double stability() const override;
@@ -67,6 +70,7 @@ class Adams final : public Step {
   void restore();
   double compare_orders();
   void choose_order_and_step();
+  void extend_attempt(double* difference, double* data) const;
   template <class Difference>
   void integrate_differences(std::size_t terms, double h, Difference difference, double* data) const;
   [[nodiscard]] double norm(const double* v) const;

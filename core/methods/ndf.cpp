@@ -247,6 +247,19 @@ Interpolate Ndf::interpolate() const { return in_turn<newton_backward>; }
 std::size_t Ndf::extension_size() const { return static_cast<std::size_t>(memory_order_ + 1) * n(); }
 std::size_t Ndf::max_extension_size() const { return static_cast<std::size_t>(options_.max_order + 1) * n(); }
 
+/// The differences that the step would leave.
+Status Ndf::extension_of_attempt(double* data, std::size_t& size) {
+  size = static_cast<std::size_t>(order_ + 1) * n();
+  std::copy(candidate_.begin(), candidate_.end(), data);
+  const double* later = d_.data();
+  for (int j = order_; j >= 1; --j) {
+    double* difference = data + static_cast<std::size_t>(j) * n();
+    for (std::size_t i = 0; i < n(); ++i) difference[i] = D(j)[i] + later[i];
+    later = difference;
+  }
+  return Status::ok;
+}
+
 Status Ndf::extension(double* data) {
   data = std::copy(y_.begin(), y_.end(), data);
   std::copy(D(1), D(memory_order_ + 1), data);

@@ -5,6 +5,7 @@
 #include <cassert>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/implicit_base.hpp"
 
 namespace invariode {
@@ -13,7 +14,7 @@ namespace invariode {
 void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// The code ode15s, for M y' = f(t, y).
-class Ndf final : public ImplicitBase<Newton> {
+class Ndf final : public ImplicitBase<Newton>, public DelayInterface {
  public:
   static constexpr int highest_order = 5;
 
@@ -40,6 +41,9 @@ class Ndf final : public ImplicitBase<Newton> {
   [[nodiscard]] int degree() const override { return memory_order_; }
   [[nodiscard]] int max_degree() const override { return options_.max_order; }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool stages_on_extension() const override { return true; }
+  [[nodiscard]] bool remembers_slopes() const override { return true; }
 
   [[nodiscard]] int order() const override { return memory_order_; }
 

@@ -486,4 +486,11 @@ Status Radau::extension(double* data) {
   return Status::ok;
 }
 
+Status Radau::extension_of_attempt(double* data, std::size_t& size) {
+  size = (stages() + 1) * n();
+  data = std::copy(y_.begin(), y_.end(), data);
+  formula_->transform(formula_->coefficients, n(), increments_.data(), data);
+  return Status::ok;
+}
+
 }  // namespace invariode

@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/implicit_base.hpp"
 #include "methods/radau_formula.hpp"
 #include "methods/radau_systems.hpp"
@@ -19,7 +20,7 @@ namespace invariode {
 /// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
 /// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n: that takes one J
 /// for all stages, and matrix-free it is that at (t, y), all through the step.
-class Radau final : public ImplicitBase<RadauSystems> {
+class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
  public:
   static constexpr int lowest_order = 5;
   static constexpr int highest_order = 13;
@@ -45,6 +46,8 @@ class Radau final : public ImplicitBase<RadauSystems> {
   [[nodiscard]] int degree() const override { return static_cast<int>(accepted_->stages); }
   [[nodiscard]] int max_degree() const override { return static_cast<int>(highest_->stages); }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool stages_on_extension() const override { return true; }
 
   [[nodiscard]] int order() const override { return accepted_->order(); }
   [[nodiscard]] const double* slope() const override { return slope_.empty() ? f_.data() : slope_.data(); }

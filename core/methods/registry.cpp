@@ -121,6 +121,7 @@ constexpr Method row() {
   Method method = of_pair<T>("explicit Runge-Kutta pair", make_pair<I>);
   method.scipy_name = T.scipy_name;
   method.refine = T.refine;
+  method.delays = true;
   return method;
 }
 
@@ -142,6 +143,7 @@ constexpr Method others[] = {
      .order = Adams::highest_order,
      .extension_order = Adams::highest_order,
      .options = {"max_order"},
+     .delays = true,
      .make = make_adams},
     {.name = "ode15s",
      .summary = "NDFs of order 1 to 5, for stiff problems and M y' = f",
@@ -154,6 +156,7 @@ constexpr Method others[] = {
      .extension_order = Ndf::highest_order,
      .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate", "linear_solver"},
      .mass = MassMatrices::any,
+     .delays = true,
      .make = make_ndf},
     {.name = "ode23s",
      .summary = "modified Rosenbrock formulas (2,3), for stiff problems at crude tolerances",
@@ -175,6 +178,7 @@ constexpr Method others[] = {
      .extension_order = Trapezoidal::formula_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
+     .delays = true,
      .make = make_implicit<Trapezoidal>},
     {.name = "ode23tb",
      .summary = "TR-BDF2 of order 2, for stiff problems at crude tolerances and M y' = f",
@@ -186,6 +190,7 @@ constexpr Method others[] = {
      .extension_order = TrBdf2::formula_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
+     .delays = true,
      .make = make_implicit<TrBdf2>},
     {.name = "radau",
      .summary = "Radau IIA formulas of order 5, 9 and 13, for stiff problems at tight tolerances and M y' = f",
@@ -198,6 +203,7 @@ constexpr Method others[] = {
      .extension_order = Radau::highest_extension_order,
      .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
+     .delays = true,
      .make = make_radau},
     {.name = "taylor",
      .summary = "Taylor series of any order, for tight tolerances and f that is an expression graph",
@@ -221,6 +227,7 @@ constexpr Method others[] = {
      .extension_order = Adams::highest_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer", "linear_solver"},
      .mass = MassMatrices::any,
+     .delays = true,
      .make = make_switching},
 };
 

@@ -58,6 +58,7 @@ struct Method {
   std::array<const char*, most_options> options{};  ///< those that not every method takes, and this one does
   MassMatrices mass = MassMatrices::none;
   Equations equations = Equations::any;
+  bool delays = false;  ///< f may take values of the solution at earlier times
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
                                 const LinearAlgebra& linear, SystemSeries* series);
 

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
@@ -19,7 +20,7 @@ inline constexpr double indistinct = 1000 * eps;
 
 /// A step of the pair T. `Small`: compiled for small systems, without vector instructions, by runge_kutta_small.cpp.
 template <const auto& T, bool Small>
-class RungeKuttaStep final : public Step {
+class RungeKuttaStep final : public Step, public DelayInterface {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
@@ -139,20 +140,12 @@ class RungeKuttaStep final : public Step {
   [[nodiscard]] Interpolate interpolate() const override { return in_turn<nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] int degree() const override { return T.degree; }
-  Status extension(double* data) override {
-    bool sound = true;
-    if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
-      further_.resize(extra * n());
-      for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
-    }
-    if constexpr (extra > 0)
-      if (further_stages(sound) == Status::stop) return Status::stop;
-    data = std::copy(start_, start_ + n(), data);
-    if (sound)
-      Kernel::coefficients(purified_, k_, n(), data);
-    else
-      cubic(data);
-    return Status::ok;
+  Status extension(double* data) override { return extend(start_, y_.data(), data); }
+  Status extension_of_attempt(double* data, std::size_t& size) override {
+    size = extension_size();
+    if constexpr (!T.last_in_error())
+      if (evaluate(t1_, candidate_, last) == Outcome::stop) return Status::stop;
+    return extend(y_.data(), candidate_, data);
   }
 
   [[nodiscard]] int order() const override { return T.order; }
@@ -215,12 +208,29 @@ class RungeKuttaStep final : public Step {
     return sum == 0;
   }
 
+  /// The coefficients of the extension of the step from `start` to `end`.
+  Status extend(const double* start, const double* end, double* data) {
+    bool sound = true;
+    if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
+      further_.resize(extra * n());
+      for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
+    }
+    if constexpr (extra > 0)
+      if (further_stages(start, end, sound) == Status::stop) return Status::stop;
+    data = std::copy(start, start + n(), data);
+    if (sound)
+      Kernel::coefficients(purified_, k_, n(), data);
+    else
+      cubic(start, data);
+    return Status::ok;
+  }
+
   /// Evaluates the stages of the extension; their slopes may turn out not to be finite, or too large.
-  Status further_stages(bool& sound) {
-    const auto weight = weight_of_step();
+  Status further_stages(const double* start, const double* end, bool& sound) {
+    const auto weight = [&](std::size_t i) { return weights_.at(i, start[i], end[i]); };
     const double most = Kernel::largest_of_extension(k_, n(), weight);
     Status status = Status::ok;
-    Kernel::further_stages(t1_, start_, purified_, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
+    Kernel::further_stages(t1_, start, purified_, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
       sound = all_finite(y, n());
       if (!sound) return false;
       status = f_(t, y, k_[k]);
@@ -242,10 +252,10 @@ class RungeKuttaStep final : public Step {
   }
 
   /// The cubic Hermite interpolant, where f is not sound at a stage of the extension.
-  void cubic(double* data) const {
+  void cubic(const double* start, double* data) const {
     std::fill(data, data + T.degree * n(), 0);
     for (std::size_t i = 0; i < n(); ++i) {
-      const double rise = candidate_[i] - start_[i], k0 = purified_ * k_[0][i], k1 = purified_ * k_[last][i];
+      const double rise = candidate_[i] - start[i], k0 = purified_ * k_[0][i], k1 = purified_ * k_[last][i];
       data[i] = rise;
       data[n() + i] = k0 - rise;
       data[2 * n() + i] = 2 * rise - k0 - k1;

@@ -70,6 +70,13 @@ Status Switching::extension(double* data) {
   return active_->extension(data + 1);
 }
 
+Status Switching::extension_of_attempt(double* data, std::size_t& size) {
+  data[0] = number_of_extension(active_->interpolate());
+  const Status status = delayed().extension_of_attempt(data + 1, size);
+  ++size;
+  return status;
+}
+
 /// After a jump the active member goes on.
 Outcome Switching::start(double t, const double* y, const Span& span) {
   const Outcome outcome = active_->start(t, y, span);

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "composite_interface.hpp"
+#include "delay_interface.hpp"
 #include "implicit_interface.hpp"
 #include "methods/extensions.hpp"
 
@@ -21,7 +22,7 @@ namespace invariode {
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit
 /// member hands back when the explicit one, with the longest step that is stable for the Jacobian at hand, would be
 /// cheaper. A turn that was no faster than the steps before it makes the next one harder to begin.
-class Switching final : public Step, public ImplicitInterface, public CompositeInterface {
+class Switching final : public Step, public ImplicitInterface, public CompositeInterface, public DelayInterface {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
   /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
@@ -57,6 +58,9 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   [[nodiscard]] int degree() const override { return active_->degree(); }
   [[nodiscard]] int max_degree() const override;
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool stages_on_extension() const override { return delayed().stages_on_extension(); }
+  [[nodiscard]] bool remembers_slopes() const override { return true; }
 
   [[nodiscard]] int order() const override { return active_->order(); }
   [[nodiscard]] double stability() const override { return implicit_ ? 0 : explicit_->stability(); }
@@ -88,6 +92,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
     if (!implicit_) return of(*explicit_);
     return explicit_ ? std::max(of(*explicit_), of(*implicit_)) : of(*implicit_);
   }
+  [[nodiscard]] DelayInterface& delayed() const { return dynamic_cast<DelayInterface&>(*active_); }
   [[nodiscard]] std::int64_t cost() const;
   void begin_turn();
   void watch_explicit(double calls);

@@ -127,14 +127,24 @@ void Trapezoidal::state(Archive& archive) {
 Interpolate Trapezoidal::interpolate() const { return in_turn<runge_kutta::nested_polynomial>; }
 
 /// The cubic Hermite interpolant, y + θ (Δ + (1 − θ) (z₀ − Δ + θ (2Δ − z₀ − z₁))) with Δ = y* − y.
-Status Trapezoidal::extension(double* data) {
-  data = std::copy(last_y_.begin(), last_y_.end(), data);
+void Trapezoidal::cubic(const double* start, const double* rise, double* data) const {
+  data = std::copy(start, start + n(), data);
   for (std::size_t i = 0; i < n(); ++i) {
-    const double rise = rise_[0][i];
-    data[i] = rise;
-    data[n() + i] = z0_[i] - rise;
-    data[2 * n() + i] = 2 * rise - z0_[i] - z1_[i];
+    data[i] = rise[i];
+    data[n() + i] = z0_[i] - rise[i];
+    data[2 * n() + i] = 2 * rise[i] - z0_[i] - z1_[i];
   }
+}
+
+Status Trapezoidal::extension(double* data) {
+  cubic(last_y_.data(), rise_[0].data(), data);
+  return Status::ok;
+}
+
+Status Trapezoidal::extension_of_attempt(double* data, std::size_t& size) {
+  size = extension_size();
+  for (std::size_t i = 0; i < n(); ++i) base_[i] = candidate_[i] - y_[i];
+  cubic(y_.data(), base_.data(), data);
   return Status::ok;
 }
 

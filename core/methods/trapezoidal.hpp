@@ -6,13 +6,14 @@
 #include <array>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/order_two.hpp"
 
 namespace invariode {
 
 /// The code ode23t, for M y' = f(t, y): A-stable, and without damping on the imaginary axis. Stiff components, and
 /// those that M leaves undetermined, would ring: their part of the stored y' is smoothed.
-class Trapezoidal final : public OrderTwo {
+class Trapezoidal final : public OrderTwo, public DelayInterface {
  public:
   Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear);
 
@@ -25,8 +26,12 @@ class Trapezoidal final : public OrderTwo {
   [[nodiscard]] std::size_t extension_size() const override { return 4 * n(); }
   [[nodiscard]] int degree() const override { return 3; }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool stages_on_extension() const override { return true; }
+  [[nodiscard]] bool remembers_slopes() const override { return true; }
 
  private:
+  void cubic(const double* start, const double* rise, double* data) const;
   Newton::Result stages() override;
   void estimate(double* error) override;
   Status extend(double theta, double* P, double* rise) override;

@@ -90,9 +90,19 @@ std::size_t TrBdf2::directions(const double** vectors) const {
   return 3;
 }
 
-Status TrBdf2::extension(double* data) {
-  for (const std::vector<double>* row : {&last_y_, &z0_, &middle_, &z1_, &candidate_, &z2_})
+void TrBdf2::cubics(const std::vector<double>& start, double* data) const {
+  for (const std::vector<double>* row : {&start, &z0_, &middle_, &z1_, &candidate_, &z2_})
     data = std::copy(row->begin(), row->end(), data);
+}
+
+Status TrBdf2::extension(double* data) {
+  cubics(last_y_, data);
+  return Status::ok;
+}
+
+Status TrBdf2::extension_of_attempt(double* data, std::size_t& size) {
+  size = extension_size();
+  cubics(y_, data);
   return Status::ok;
 }
 

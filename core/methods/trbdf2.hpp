@@ -5,6 +5,7 @@
 #include <numbers>
 #include <vector>
 
+#include "delay_interface.hpp"
 #include "methods/order_two.hpp"
 
 namespace invariode {
@@ -13,7 +14,7 @@ namespace invariode {
 void two_hermite_cubics(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// The code ode23tb, for M y' = f(t, y): L-stable.
-class TrBdf2 final : public OrderTwo {
+class TrBdf2 final : public OrderTwo, public DelayInterface {
  public:
   static constexpr double gamma = 2 - std::numbers::sqrt2;  ///< where the first part of a step ends
 
@@ -27,8 +28,11 @@ class TrBdf2 final : public OrderTwo {
   [[nodiscard]] std::size_t extension_size() const override { return extension_rows * n(); }
   [[nodiscard]] int degree() const override { return 6; }  // 3 in each part
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
+  [[nodiscard]] bool stages_on_extension() const override { return true; }
 
  private:
+  void cubics(const std::vector<double>& start, double* data) const;
   Newton::Result stages() override;
   void estimate(double* error) override;
   Status extend(double theta, double* P, double* rise) override;

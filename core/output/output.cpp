@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
+
+#include "methods/extensions.hpp"
 
 namespace invariode {
 
@@ -54,6 +57,42 @@ std::size_t DenseOutput::step_near(std::size_t k) const {
   for (std::size_t s = k + 1; s < end_.size(); ++s)
     if (is_step(s)) return s;
   return end_.size();
+}
+
+std::optional<Segment> DenseOutput::segment_at(double t, std::size_t& near) const {
+  const Buffer<double>& knots = knots_.t;
+  near = std::min(near, knots.size() - 1);
+  while (near + 1 < knots.size() && knots[near + 1] <= t) ++near;
+  while (near > 0 && knots[near] > t) --near;
+  const std::size_t s = step_near(near);
+  if (s == end_.size()) return {};
+  const std::size_t stop = s + 1 < offset_.size() ? offset_[s + 1] : data_.size();
+  return Segment{knots[s], end_[s], data_.data() + offset_[s], stop - offset_[s]};
+}
+
+void DenseOutput::state(Archive& archive) {
+  std::vector<double> t = knots_.t.copy(), y = knots_.y.copy(), data = data_.copy();
+  for (std::vector<double>* one : {&t, &y, &end_, &data}) archive.resizable(*one);
+  archive.resizable(offset_);
+  if (!archive.reading()) return;
+  const std::size_t segments = end_.size(),
+                    overhead = Interpolant(extent_, m_, mode_, raw_, nullptr, nullptr, nullptr).overhead();
+  archive.require(t.size() == segments + 1 && y.size() == t.size() * n_ && offset_.size() == segments);
+  const NamedExtension& kind = find_extension(raw_);
+  for (std::size_t s = 0; s < segments; ++s) {
+    const std::size_t stop = s + 1 < segments ? offset_[s + 1] : data.size();
+    archive.require(std::isfinite(t[s]) && t[s] <= t[s + 1] && t[s] <= end_[s] && offset_[s] <= stop &&
+                    stop <= data.size());
+    if (end_[s] == t[s]) continue;  // a jump
+    archive.require(stop - offset_[s] >= overhead &&
+                    kind.fits(data.data() + offset_[s], stop - offset_[s] - overhead, n_));
+  }
+  archive.require(std::isfinite(t.back()));
+  knots_.clear();
+  data_.clear();
+  knots_.t.append(t.data(), t.size());
+  knots_.y.append(y.data(), y.size());
+  data_.append(data.data(), data.size());
 }
 
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector,

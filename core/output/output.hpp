@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "archive.hpp"
 #include "buffer.hpp"
 #include "output/interpolant.hpp"
 
@@ -69,6 +70,12 @@ class DenseOutput {
   [[nodiscard]] std::size_t size() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
   [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
+
+  /// The segment of the step in which t lies, or the nearest one, of a function that goes forward in t. `near`: the
+  /// knot from which it is looked for, and then the one before t. Nothing: no segment is a step.
+  [[nodiscard]] std::optional<Segment> segment_at(double t, std::size_t& near) const;
+  /// All of it, of a function of the same kind.
+  void state(Archive& archive);
 
   [[nodiscard]] std::size_t bytes() const {
     return knots_.bytes() + data_.size() * sizeof(double) + end_.size() * (sizeof(double) + sizeof(std::size_t));

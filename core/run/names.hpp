@@ -42,11 +42,13 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"start_out_of_bounds", State::start_out_of_bounds},
                                                {"start_contradicts", State::start_contradicts},
                                                {"action_out_of_bounds", State::action_out_of_bounds},
-                                               {"events_endless", State::events_endless}};
+                                               {"events_endless", State::events_endless},
+                                               {"marks_endless", State::marks_endless}};
 
 inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},           {"newton", Cause::newton},
                                                {"projection", Cause::projection}, {"not_finite", Cause::not_finite},
-                                               {"bounds", Cause::bounds},         {"spacing", Cause::spacing}};
+                                               {"bounds", Cause::bounds},         {"spacing", Cause::spacing},
+                                               {"overlap", Cause::overlap}};
 
 inline constexpr Named<Unsolved> unsolved_names[] = {{"none", Unsolved::none},
                                                      {"slow", Unsolved::slow},

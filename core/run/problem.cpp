@@ -99,6 +99,8 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   const Method& implicit_one = method_.switches() ? members(options_).implicit_one : method_;
   require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
           std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
+  require(!problem_.delays || (method_.delays && settings_.tf >= settings_.t0),
+          std::string(method_.name) + " takes no delays, or the run goes backwards");
   require(method_.equations != Equations::second_order || (problem_.n % 2 == 0 && !problem_.bounds),
           std::string(method_.name) + " takes a state of positions and velocities, without bounds");
   options_.state = problem_.n;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "delays/delays.hpp"
 #include "integrate.hpp"
 #include "landings.hpp"
 #include "linear/jacobian.hpp"
@@ -45,6 +46,7 @@ struct Problem {
   std::vector<RootVector> vectors;      ///< of which some events are components
   std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   Landings landings;                    ///< where f changes its branch with t alone
+  std::optional<DelayTerms> delays;     ///< then f takes (y, z_1, …, z_k): y, and y at earlier times
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;

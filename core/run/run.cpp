@@ -47,7 +47,17 @@ Run::Run(const Solver& solver) : solver_(solver) {
 /// series are expanded at accepted points, which are within.
 void Run::wrap_functions() {
   const Problem& all = solver_.problem();
-  if (!all.breakpoints.empty() || !all.landings.empty()) wrap_in_pieces(wrapped_.emplace(all));
+  if (all.delays) {
+    delays_.emplace(*all.delays, all.parameters, all.extent(), all.bounds ? &*all.bounds : nullptr,
+                    solver_.settings().t0);
+    Problem& delayed = wrapped_.emplace(all);
+    delayed.f = delays_->within(all.f);
+    if (delayed.variations) delayed.variations->slope = delays_->augmented_within(all.variations->slope);
+  }
+  if (delays_ || !all.breakpoints.empty() || !all.landings.empty()) {
+    if (!wrapped_) wrapped_.emplace(all);
+    wrap_in_pieces(*wrapped_);
+  }
   if (all.bounds) wrap_in_bounds(wrapped_ ? *wrapped_ : wrapped_.emplace(all));
 }
 
@@ -218,10 +228,14 @@ void Run::start_loop() {
                           .vectors = all.vectors,
                           .breakpoints = all.breakpoints,
                           .landings = all.landings,
+                          .delays = delays_ ? &*delays_ : nullptr,
+                          .history_jumps = {},
+                          .most_level = solver_.method().order + 1,
                           .piece = &piece_,
                           .consistent = {},
                           .consistent_tangent = {},
                           .callback = all.callback};
+  if (all.delays) functions.history_jumps = all.delays->jumps;
   if (mass_ && mass_->singular())
     functions.consistent = [this](double t, double* y) {
       Callback uncounted = f_;  // nfev is what the method evaluates

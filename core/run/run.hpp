@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "delays/delays.hpp"
 #include "functions/confined.hpp"
 #include "functions/piece.hpp"
 #include "integrate.hpp"
@@ -143,6 +144,7 @@ class Run {
 
   const Solver& solver_;
   Piece piece_;
+  std::optional<Delays> delays_;
   std::optional<Confined> confined_;
   std::optional<Problem> wrapped_;
   Callback users_f_;  // within bounds: f before it is confined to them

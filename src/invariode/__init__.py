@@ -43,6 +43,7 @@ if _typing.TYPE_CHECKING:
     from ._functions.graph.stored_code import code_cache
     from ._mechanics.system import MechanicalSystem
     from ._results.citations import cite
+    from ._solve.delays import dde23
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
     from ._studies.fit.experiment import Experiment
@@ -113,6 +114,7 @@ __all__ = [
     "code_cache",
     "compile",
     "complex_ode",
+    "dde23",
     "decic",
     "find_invariants",
     "fit",
@@ -135,6 +137,7 @@ _LATER = {
     "Dae": "._dae.dae",
     "Start": "._dae.dae",
     "DaeSolution": "._dae.solution",
+    "dde23": "._solve.delays",
     "decic": "._dae.solve",
     "ode15i": "._dae.solve",
     "solve_dae": "._dae.solve",

@@ -177,10 +177,18 @@ class Variations:
     @property
     def error_test(self) -> bool: ...
 
+class Delays:
+    """Constant delays, for the core."""
+
+    def __init__(self, lags: Sequence[float], parameters: Sequence[int], constant: Sequence[float], history: object | None, jumps: Sequence[float], rates: Sequence[float]) -> None:
+        """
+        lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if it is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.
+        """
+
 class Problem:
     """Problem to be solved, except its initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0) -> None:
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0, delays: Delays | None = None) -> None:
         """
         landings: single times in increasing order, and the first times and periods of progressions. conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
         """
@@ -740,7 +748,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 10
+MEMORY_VERSION: int = 11
 
 STATES: list = ...
 
@@ -946,6 +954,10 @@ class Method:
         """
         Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.
         """
+
+    @property
+    def delays(self) -> bool:
+        """True if f may take values of the solution at earlier times."""
 
     @property
     def options(self) -> tuple: ...

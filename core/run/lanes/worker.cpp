@@ -136,6 +136,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (problem.series && !problem.events.empty()) return "events are searched along Taylor polynomials";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
+  if (problem.delays) return "there are delays";
   if (problem.variations && problem.series) return "sensitivities are expanded in series";
   if (problem.variations && !problem.events.empty()) return "there are events and sensitivities";
   for (const EventFunction& event : problem.events) {

@@ -254,7 +254,7 @@ def _layout(run: _Parted) -> Layout:
     times = plan.course.times
     names = {
         "component": plan.called.components,
-        "parameter": parameter_names(problem.fun, args, len(problem.inputs)),
+        "parameter": parameter_names(problem.fun, args, len(problem.before_args)),
         "invariant": plan.names[: len(plan.bound)],
         "event": plan.called.events,
         "sensitivity": [] if plan.varied is None else plan.varied.names,

@@ -216,6 +216,8 @@ def _codes(problem: Problem, options: Mapping[str, Any]) -> dict[str, str]:
         functions |= {f"event {i}": event.fun, f"the action of event {i}": event.action}
         if isinstance(event, RootOf):
             functions |= {f"event {i}": event.roots.fun, f"the action of event {i}": event.roots.on_roots}
+    if problem.delays is not None:
+        functions["history"] = problem.delays.history
     given = [] if breakpoints is None else to_breakpoints("breakpoints", breakpoints)
     for point in [*problem.breakpoints, *given]:
         functions[f"the action at t = {point.t!r}"] = point.action
@@ -241,6 +243,8 @@ def _described(problem: Problem) -> Any:
         "sensitivities": None if problem.sensitivities is None else [one.name for one in problem.parameter_names()],
         **vars(problem.matrices),
     }
+    if problem.delays is not None:
+        about |= {"delays": problem.delays.given, "history": problem.delays.history_as_data()}
     return in_words(about, code=False)
 
 

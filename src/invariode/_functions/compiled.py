@@ -182,6 +182,7 @@ class CompiledFunction:
         self._captured = Captured(getattr(self.fun, "fun", self.fun))  # of the form of first order, the accelerations
         self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
+        self.delayed_forms: dict[tuple[int, int, bool], CompiledFunction] = {}  # with delays: of one vector
         self.prepared: dict[Any, Any] = {}  # plans with this code, by the kinds of their problems
         self._jitted: Any = None
         self._jitted_complex: Any = None

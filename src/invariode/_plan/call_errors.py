@@ -48,7 +48,7 @@ def require_taken(problem: Problem, args: Any) -> None:
     if is_native(problem.fun):
         return
     row = args if isinstance(args, tuple) else args[0] if len(args) else ()
-    if takes(problem.fun, [*problem.inputs, *row]):
+    if takes(problem.fun, [*problem.before_args, *row]):
         return
     what = "args has" if isinstance(args, tuple) else "rows of args have"
     raise TypeError(
@@ -59,7 +59,7 @@ def require_taken(problem: Problem, args: Any) -> None:
 
 def _one_array(problem: Problem) -> str:
     """Return a note on a list of numbers that was meant as one argument; empty if f does not take one argument."""
-    if len(problem.args) < 2 or not takes(problem.fun, [*problem.inputs, None]):
+    if len(problem.args) < 2 or not takes(problem.fun, [*problem.before_args, None]):
         return ""
     return f"args are the arguments one by one, here {len(problem.args)}: pass one array or list as args=(p,)"
 
@@ -108,7 +108,7 @@ def _not_taking(problem: Problem) -> list[str]:
     return [
         name
         for name, fun in _functions(problem)
-        if not takes(fun, [*(problem.inputs if name in _FED else ()), *problem.args])
+        if not takes(fun, [*(problem.before_args if name in _FED else ()), *problem.args])
     ]
 
 

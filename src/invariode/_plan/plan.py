@@ -40,6 +40,7 @@ from .._functions.layout import Parameters, count_of, undefined_arguments
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
+from .._problem.delays import Undelayed, depends_on_args
 from .._problem.events import EventSpec, RootOf, VectorSpec, event_spec, titled, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
@@ -133,6 +134,7 @@ class Functions(NamedTuple):
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
     bounds: Bounds | None  # of y
+    delays: _core.Delays | None = None
 
 
 class Choice(NamedTuple):
@@ -317,6 +319,7 @@ def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Sol
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
         variations=quadratures if plan.varied is None else plan.varied.for_core,
+        delays=functions.delays,
         **({} if plan.expansion is None else plan.expansion.for_core()),
     )
     settings = _core.Settings((*plan.course, *plan.settings))
@@ -344,11 +347,9 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     """The plan of a problem for the method and the options."""
     chosen, options, settings = choice
     renew(_called(problem, [], options["linear_solver"]))
+    _require_delays(problem, chosen, options)
     by_series = chosen.equations == "graph"
-    if by_series:
-        from .._taylor.expansion import on_graph
-
-        problem = on_graph(problem, chosen)
+    problem = _on_graph(problem, chosen) if by_series else problem
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
@@ -359,8 +360,8 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     renew(point.action for point in breakpoints)
     traced = problem.fun if by_series else _with_graph(problem, chosen)
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
-    if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
-        parameters = Parameters.of(problem.args)
+    if (problem.sensitivities is not None or problem.delays is not None) and not len(parameters):
+        parameters = Parameters.of(problem.args)  # the equations of sensitivities are machine code
     schedule = schedule_of(problem, parameters)
     system = _system(problem, parameters, schedule) if by_series else None
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
@@ -377,7 +378,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     plan = Plan(
         course=course,
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, watch or options["callback"], breakpoints),
+        functions=_functions(problem, fun, parameters, linear, bound, watch, breakpoints, options),
         y0=y0,
         bound=bound,
         called=names_of(problem, event_names),
@@ -414,6 +415,41 @@ def _require_fitting(problem: Problem, method: Method) -> None:
         require_second_order(problem, method)
     if method.equations != "graph" and any(event.touching for event in problem.events):
         warn(f"touching=True has no effect with {method.name}: only the steps of taylor are polynomials that can tell")
+
+
+def _require_delays(problem: Problem, method: Method, options: Options) -> None:
+    """If there are delays, the method takes them, and so does what else there is to the problem."""
+    if problem.delays is None:
+        return
+    members = [method] if options["prefer"] is None else [find_method(one)[0] for one in options["prefer"]]
+    if not all(one.delays for one in members):
+        others = ", ".join(name for name, about in METHODS.items() if about.delays)
+        name = next(one.name for one in members if not one.delays)
+        raise ValueError(f"method {name!r} takes no delays: use one of {others}")
+    if options["adjoint"]:
+        raise ValueError("adjoint with delays: the adjoint equations look ahead. Use differences of solutions")
+    if options["linear_solver"] != "direct":
+        raise ValueError("linear_solver with delays must be 'direct', with jac_sparsity or bands where n is large")
+    if problem.matrices.jac not in (None, "differences"):
+        raise ValueError(
+            "jac with delays: Newton's matrix has derivatives with respect to delayed values too, where these are "
+            "within the step. It is formed by differences: leave out jac, or give jac_sparsity or bands"
+        )
+    if problem.sensitivities is not None:
+        _require_variable(problem)
+
+
+def _require_variable(problem: Problem) -> None:
+    """A problem with delays is one whose sensitivities are supported."""
+    obstacles = {
+        "events": problem.events,
+        "a mass matrix": problem.matrices.mass is not None,
+        "a complex y0": problem.y0.dtype.kind == "c",
+        "a history that depends on args": problem.delays and depends_on_args(problem.delays.history, problem.args),
+    }
+    for what, there in obstacles.items():
+        if there:
+            raise ValueError(f"sensitivities of a problem with delays and {what} are not supported")
 
 
 def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoint]) -> Plan:
@@ -552,6 +588,15 @@ def ordered_breakpoints(problem: Problem, given: Any) -> list[Breakpoint]:
     return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
+def _delays(problem: Problem, parameters: Array, given: Any) -> _core.Delays | None:
+    """The delays for the core, with the breakpoints of the problem and of the run that lie before the start."""
+    if problem.delays is None:
+        return None
+    before = {point.t for point in (*problem.breakpoints, *(given or ())) if point.t < problem.t_span[0]}
+    varied = problem.parameter_names()
+    return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before), varied)
+
+
 def _with_graph(problem: Problem, method: Method) -> Any:
     """Return f as Jacobians are made of it: traced, if that was chosen; and if that is possible, where sensitivities
     have to satisfy algebraic equations, whose derivatives by finite differences would be off by up to 1e-6."""
@@ -602,8 +647,9 @@ def _functions(
     parameters: Array,
     linear: _core.Linear | None,
     bound: BoundInvariants,
-    callback: Any,
+    watch: Watch | None,
     breakpoints: list[Breakpoint],
+    options: Options,
 ) -> Functions:
     n = reals(problem.y0)
     return Functions(
@@ -621,11 +667,19 @@ def _functions(
             else point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
             for point in breakpoints
         ],
-        callback=callback,
+        callback=watch or options["callback"],
         invariants=bound.specs,
         value=bound.value,
         bounds=problem.bounds,
+        delays=_delays(problem, parameters, options["breakpoints"]),
     )
+
+
+def _on_graph(problem: Problem, method: Method) -> Problem:
+    """Return the problem with f as its graph; the module for series is imported only when it is used."""
+    from .._taylor.expansion import on_graph
+
+    return on_graph(problem, method)
 
 
 def _system(problem: Problem, parameters: Array, schedule: Schedule | None) -> System:
@@ -657,22 +711,20 @@ def _linear_algebra(
     from .._linear.matrices import Start, prepare, too_large_to_be_dense
 
     t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
+    jac = jac if problem.delays is None else "differences"
     matrices = replace(problem.matrices, jac=jac or fed(problem.matrices.jac, problem.inputs))
     direct = options["linear_solver"] == "direct"
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
     inside = y0 if bounds is None else bounds.nearest(y0)
-    traced = fed(traced, problem.inputs)
-    if problem.matrices.jac is None and not isinstance(problem.fun, OnGraph):
-        try:
-            derived(traced, len(y0), len(y0), count_of(parameters))
-        except TypeError:  # it was traced for sensitivities, and cannot be
-            traced = fed(problem.fun, problem.inputs)
-    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, bounds, compiled, traced)
+    fun_of_y, traced = _of_state(problem, traced, parameters)
+    start = Start(fun_of_y, t0, inside, problem.args, parameters, bounds, compiled, traced)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], start))
     if not linear.algebraic:
         return linear, y0
+    if problem.delays is not None:
+        raise ValueError("delays with a singular mass matrix are not supported: solve the algebraic equations in fun")
     if not direct:
         raise ValueError(
             "GMRES cannot be used with a singular mass matrix, whose algebraic equations need the Jacobian as a "
@@ -696,6 +748,21 @@ def _linear_algebra(
     if verdict in ("index_too_high", "undetermined", "not_found"):
         raise ValueError(inconsistent_start(verdict, t0))
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
+
+
+def _of_state(problem: Problem, traced: Any, parameters: Array) -> tuple[Any, Any]:
+    """Return f of (t, y) as it is evaluated for its Jacobian, and as it is differentiated."""
+    if problem.delays is not None:
+        undelayed = Undelayed(problem.slope.fun, problem.delays.count)
+        return undelayed, undelayed
+    traced = fed(traced, problem.inputs)
+    if problem.matrices.jac is None and not isinstance(problem.fun, OnGraph):
+        n = len(problem.y0)
+        try:
+            derived(traced, n, n, count_of(parameters))
+        except TypeError:  # it was traced for sensitivities, and cannot be
+            traced = fed(problem.fun, problem.inputs)
+    return problem.slope.fun, traced
 
 
 def _require_linear_solver(method: Method, chosen: object) -> None:

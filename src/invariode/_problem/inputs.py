@@ -134,15 +134,16 @@ def to_inputs(inputs: InputsLike | None, t_span: tuple[float, float]) -> list[In
     return listed
 
 
-def fed(fun: Any, inputs: Sequence[Input]) -> Any:
-    """A function of (t, y, *inputs, *args) as one of (t, y, *args), native if the function is."""
+def fed(fun: Any, inputs: Sequence[Input], after: int = 0) -> Any:
+    """A function of (t, y, *inputs, *args) as one of (t, y, *args), native if the function is. `after`: arguments
+    between y and the inputs."""
     if not inputs or not (callable(fun) or is_native(fun)):
         return fun
     if isinstance(fun, SecondOrder):
         return SecondOrder(fed(fun.fun, inputs))
     if is_native(fun):
         return with_tables(fun, inputs)
-    return _Fed(fun, inputs)
+    return _Fed(fun, inputs, after)
 
 
 def with_tables(fun: Any, inputs: Sequence[Input]) -> NativeWithInputs:
@@ -151,8 +152,8 @@ def with_tables(fun: Any, inputs: Sequence[Input]) -> NativeWithInputs:
 
 
 class _Fed:
-    def __init__(self, fun: Callable[..., Any], inputs: Sequence[Input]) -> None:
-        self.fun, self.inputs = fun, inputs
+    def __init__(self, fun: Callable[..., Any], inputs: Sequence[Input], after: int) -> None:
+        self.fun, self.inputs, self.after = fun, inputs, after
 
     def __call__(self, t: float, y: Array, *args: Any) -> Any:
-        return self.fun(t, y, *(u(t) for u in self.inputs), *args)
+        return self.fun(t, y, *args[: self.after], *(u(t) for u in self.inputs), *args[self.after :])

@@ -51,6 +51,8 @@ class Method:
     equations : str
         What it takes for f: 'any' function of (t, y), one whose expression 'graph' is known, or f of a 'second-order'
         system y'' = f(t, y).
+    delays : bool
+        Whether f may take values of the solution at earlier times: see `delays` of `solve_ivp`.
     options : tuple of str
         Options that this method can use and others cannot.
     source : str
@@ -71,6 +73,7 @@ class Method:
     source: str
     mass: str
     equations: str
+    delays: bool
     options: tuple[str, ...]
     scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 

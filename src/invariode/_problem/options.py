@@ -45,6 +45,7 @@ from .._base.types import (
     Span,
 )
 from .breakpoints import to_breakpoints
+from .delays import DelaysLike, HistoryLike
 from .grouped import CheckpointLike, Limits, LinearSolver, to_checkpoint, to_limits, to_linear_solver
 from .inputs import InputsLike
 from .invariants import InvariantsLike
@@ -527,6 +528,26 @@ class DescribingOptions(TypedDict, total=False):
         ),
     ]
 
+    delays: Annotated[
+        DelaysLike | None,
+        Option(
+            None,
+            "number, str, or list of these",
+            "Constant delays tau_j > 0: numbers, or names of parameters of f. f is then ``fun(t, y, z, *args)`` with "
+            "``z[j]`` = y(t - tau_j), of shape (k, n) for k delays. Steps end where a discontinuity comes back by a "
+            "delay. See the how-to on delays.",
+        ),
+    ]
+    history: Annotated[
+        HistoryLike | None,
+        Option(
+            None,
+            "callable, array_like of shape (n,), or Solution",
+            "With `delays`: y before t0, as a function of t, or of ``(t, *args)``; a constant; or an earlier Solution "
+            "with dense output. If it differs from y0 at t0, y jumps there. `breakpoints` before t0 are times at which "
+            "the history jumps.",
+        ),
+    ]
     sensitivities: Annotated[
         SensitivitiesLike | None,
         Option(
@@ -705,6 +726,8 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "second_order",
         "inplace",
         "breakpoints",
+        "delays",
+        "history",
     ),
     "the Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
     "parameters": ("sensitivities",),
@@ -752,7 +775,7 @@ _ELSEWHERE: Mapping[str, str] = {
     "solver": "pass method=",
     "stats": "every solution has them, as sol.stats",
     "dense": "pass dense_output=True",
-    "lags": "delays are not options: see the how-to on delays",
+    "lags": "pass delays= and history=, see the how-to on delays",
     "time_limit": "pass limits=invariode.Limits(time=)",
     "max_points": "pass limits=invariode.Limits(points=)",
     "krylov_dimension": "pass linear_solver=invariode.GMRES(dimension=)",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Never, Self, Unpack, overload
 
@@ -39,6 +39,7 @@ from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints
+from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
 from .docstrings import documented
 from .events import Event, direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
@@ -73,7 +74,7 @@ _NOTHING_GIVEN: Mapping[str, Any] = dict.fromkeys(
 #: The attributes of a problem that has nothing besides f, y0, t_span and args.
 _NOTHING_ELSE: Mapping[str, Any] = {
     **dict.fromkeys(("invariants", "events", "inputs", "breakpoints"), ()),
-    **dict.fromkeys(("bounds", "sensitivities", "_title", "_labels"), None),
+    **dict.fromkeys(("bounds", "delays", "sensitivities", "_title", "_labels"), None),
     **dict.fromkeys(("records_events", "second_order"), False),
     "matrices": NO_MATRICES,
     "_as_given": _NOTHING_GIVEN,
@@ -155,6 +156,7 @@ class Problem:
     inputs: Sequence[Input]
     breakpoints: Sequence[Breakpoint]
     bounds: Bounds | None
+    delays: Delays | None
     sensitivities: Sensitivities | None
     records_events: bool
     second_order: bool
@@ -184,13 +186,16 @@ class Problem:
         sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
         breakpoints: BreakpointsLike | None = None,
+        delays: DelaysLike | None = None,
+        history: HistoryLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
         **unknown: Never,
     ) -> None:
         if unknown or by_position:
             raise _no_such_argument(unknown, by_position)
-        self._pose(_filled(fun, inplace), t_span, y0, _args_or(parameters, args))
+        args = _args_or(parameters, args)
+        self._pose(_filled(fun, inplace, delays is not None), t_span, start_of(y0, history, t_span, args), args)
         called, start, described = self.fun, self.y0, self.__dict__
         given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
         if any(one is not None for one in given.values()):
@@ -210,6 +215,7 @@ class Problem:
             described["inputs"] = to_inputs(inputs, self.t_span)
         if breakpoints is not None:
             described["breakpoints"] = to_breakpoints("breakpoints", breakpoints)
+        described["delays"] = to_delays(delays, history, self)
         if name is not None:
             described["_title"] = _named(name)
         if second_order is not False or type(called) is not FunctionType:
@@ -278,14 +284,14 @@ class Problem:
     def inplace(self) -> bool:
         """f is given as a function that fills its third argument."""
         fun = self.fun.fun if isinstance(self.fun, SecondOrder) else self.fun
-        return isinstance(fun, Filling)
+        return isinstance(fun, (Filling, FillingOfPast))
 
     @cached_property
     def _parameters(self) -> tuple[ParameterName, ...]:
         if self.sensitivities is None:
             return ()
         named = self.sensitivities.names
-        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.inputs))
+        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.before_args))
 
     def __setattr__(self, name: str, value: Any) -> None:
         argument = name in ProblemArguments.__annotations__
@@ -303,7 +309,22 @@ class Problem:
     @property
     def slope(self) -> Slope:
         """f as runs call it."""
-        return Slope(self.fun, self.inputs, self.args)
+        return Slope(self.fun, self.inputs, self.args, self.delays)
+
+    @property
+    def before_args(self) -> list[Any]:
+        """The arguments of f between y and `args`: delayed values, of which nothing is known here, and inputs."""
+        return [*([] if self.delays is None else [None]), *self.inputs]
+
+    @property
+    def history(self) -> Callable[[float], Array] | None:
+        """y before the start as a function of t, of a problem with delays."""
+        return None if self.delays is None else partial(self.delays.before, args=self.args)
+
+    def require_no_delays(self, what: str) -> None:
+        """Raise an error if the problem has delays; `what` is not defined for them."""
+        if self.delays is not None:
+            raise ValueError(f"{what} is for problems without delays: here f depends on the past of y")
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A copy of this problem with some arguments changed.
@@ -342,6 +363,8 @@ class Problem:
             "sensitivities": self.sensitivities,
             "inputs": self.inputs or None,
             "breakpoints": self.breakpoints or None,
+            "delays": None if self.delays is None else self.delays.given,
+            "history": None if self.delays is None else self.delays.history,
             "name": self._title,
             "labels": self._labels,
         }
@@ -585,10 +608,12 @@ def _as_called(fun: Any, y0: Array) -> Any:
     return called.of_complex() if y0.dtype.kind == "c" and isinstance(called, TracedFunction) else called
 
 
-def _filled(fun: Any, inplace: bool) -> Any:
+def _filled(fun: Any, inplace: bool, delayed: bool = False) -> Any:
     """Return f as a function that returns its values, if it is given as one that fills an array."""
     if not flag("inplace", inplace):
         return fun
+    if delayed and callable(fun) and not is_native(fun):
+        return fun if isinstance(fun, FillingOfPast) else FillingOfPast(fun)
     if isinstance(fun, SecondOrder):
         return SecondOrder(_filled(fun.fun, inplace))
     if isinstance(fun, Filling) or (isinstance(fun, CompiledFunction) and fun.inplace):

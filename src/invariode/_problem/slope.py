@@ -9,6 +9,7 @@ import numpy as np
 
 from .._base.arguments import Array, numbers, real_numbers, reals
 from .._functions.compiled import CoreFunction, NativeWithInputs, as_python, is_native, native_parameters, to_native
+from .delays import Delays
 from .inputs import Input, fed
 
 
@@ -18,22 +19,30 @@ class Slope(NamedTuple):
     given: Any  # as users write it
     inputs: Sequence[Input]
     args: tuple[Any, ...]
+    delays: Delays | None = None
 
     @property
     def fun(self) -> Any:
-        """Function f of (t, y, *args), with the values of the inputs filled in; native if f is."""
-        return fed(self.given, self.inputs)
+        """Function f of (t, y, *args), with the values of the inputs filled in; native if f is. With delays f takes z
+        behind y."""
+        return fed(self.given, self.inputs, after=0 if self.delays is None else 1)
 
     def for_core(self, y0: Array, parameters: Array) -> Any:
         """Return f as the core calls it, with the parameters that native functions of the problem have."""
+        if self.delays is not None:
+            return self.delays.called_by_core(self.fun, y0, parameters)
         n = reals(y0)
         return to_native("fun", self.fun, n, n, parameters)
 
     def __call__(self, t: Array, y: Array) -> Array:
-        """The values at points y (n, n_t), one for each t."""
+        """The values at points y (n, n_t), one for each t. Delayed values are those of the history."""
         rows = np.ascontiguousarray(y.T)
         values = np.empty_like(rows)
         fun = self.fun
+        if self.delays is not None:
+            for value, at, state in zip(values, t.tolist(), rows, strict=True):
+                value[:] = checked_slope(self.delays.at_start(fun, at, state.copy(), self.args), state)
+            return values.T
         if isinstance(fun, CoreFunction) or not is_native(fun):
             for value, at, state in zip(values, t.tolist(), rows, strict=True):
                 value[:] = checked_slope(fun(at, state.copy(), *self.args), state)

@@ -170,6 +170,11 @@ def _ended(run: Run, laws: Laws, stated: Stated) -> tuple[int, str]:
             f"No consistent values of the algebraic variables were found behind the breakpoint or action at t = "
             f"{run.t!r}. Give it an action that returns a state near the consistent one."
         )
+    if run.state == "marks_endless":
+        return -3, (
+            f"Delays bring discontinuities of derivatives to more than 10000 times behind t = {run.t!r}: a method of "
+            "lower order follows fewer of them."
+        )
     return -1, _step_failed(run, laws.names, stated)
 
 
@@ -209,6 +214,13 @@ def _without_series(run: Run, pairs: bool) -> str:
     )
 
 
+#: What is said of a step longer than a delay.
+_OVERLAP = (
+    "The step does not agree with its own delayed values, however short it is: try radau, or a max_step below the "
+    "shortest delay"
+)
+
+
 def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
     pairs, labels = stated.pairs, stated.labels
     if run.cause == "spacing":
@@ -217,6 +229,8 @@ def _step_failed(run: Run, names: list[str], stated: Stated) -> str:
             f"{math.ulp(run.t):.2g} apart: measure t from {run.t:.6g}, so that the start is at t = 0. If fun should "
             "not change so fast, check its units and y0."
         )
+    if run.cause == "overlap":
+        return f"{_OVERLAP} (t = {run.t!r})."
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
     if run.cause == "not_finite" and run.coefficient is not None:
         return f"{_without_series(run, pairs)} {where}. {_OTHER_METHODS}"

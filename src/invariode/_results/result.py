@@ -317,7 +317,8 @@ class DenseSolution:
 
     ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
     values; between them the option `interpolation` decides. Outside [t_min, t_max] it extrapolates the outermost step,
-    as SciPy does; ``sol(t, extrapolate=False)`` raises a ValueError instead.
+    as SciPy does; ``sol(t, extrapolate=False)`` raises a ValueError instead. With delays sol(t) is the history before
+    t_min.
 
     Attributes
     ----------
@@ -339,9 +340,15 @@ class DenseSolution:
         self.ts: Array = dense.knots()
         self.t_min = float(min(self.ts[0], self.ts[-1]))
         self.t_max = float(max(self.ts[0], self.ts[-1]))
+        self._history: Callable[[float], Any] | None = None  # y before the start, of a problem with delays
+
+    def after(self, history: Callable[[float], Any] | None) -> DenseSolution:
+        """Return this solution, with y before its start as a function of t."""
+        self._history = history
+        return self
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_dense": self._dense.parts()}
+        return {**self.__dict__, "_dense": self._dense.parts(), "_history": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
@@ -358,6 +365,9 @@ class DenseSolution:
         if self._imposed is not None and y.shape[1]:
             pieces = g.pieces_at(np.atleast_1d(times), "right")
             y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
+        if self._history is not None:
+            for i in np.flatnonzero(np.atleast_1d(times) < self.t_min):
+                y[:, i] = self._history(float(np.atleast_1d(times)[i]))
         return y[:, 0] if times.ndim == 0 else y
 
     def sensitivities(self, t: ArrayLike) -> Array:
@@ -391,7 +401,8 @@ class DenseSolution:
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
         """Return the continuous solution with its values projected to roundoff."""
-        return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+        made = DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+        return made.after(self._history)
 
 
 def require_inside(times: Array, t_min: float, t_max: float) -> None:

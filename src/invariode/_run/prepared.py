@@ -276,7 +276,7 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
         return None
     if problem.inputs or problem.breakpoints or problem.sensitivities is not None or problem.second_order:
         return None
-    if problem.matrices is not NO_MATRICES:
+    if problem.matrices is not NO_MATRICES or problem.delays is not None:
         return None
     bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
     laws = tuple(map(_law, problem.invariants))

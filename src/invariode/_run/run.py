@@ -100,6 +100,12 @@ class Solved:
             self._problem = self._problem()
         return self._problem
 
+    @property
+    def history(self) -> Callable[[float], Array] | None:
+        """y before the start, of a problem with delays."""
+        known = self._problem  # one that has yet to be made has none
+        return known.history if isinstance(known, Problem) else None
+
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
@@ -144,6 +150,8 @@ class RunOrigin:
         """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
         equation."""
         problem, options = self.source.problem, self.source.options
+        if problem.delays is not None:
+            return None
         known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
         if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
             return None
@@ -198,7 +206,7 @@ class RunOrigin:
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
         problem = self.source.problem
-        if problem.matrices.mass is not None:
+        if problem.matrices.mass is not None or problem.delays is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
@@ -527,7 +535,7 @@ def _solution(finished: Finished) -> Solution:
     items["status"], items["message"], items["success"] = status, message, status >= 0
     items["stats"] = Stats.when_needed(finished.stats)
     if dense is not None:
-        items["sol"] = DenseSolution(dense, y.dtype, finished.bound)
+        items["sol"] = DenseSolution(dense, y.dtype, finished.bound).after(finished.source.history)
     if happened is not None:
         items["t_events"] = [times for times, _ in happened]
         items["y_events"] = [points.view(y.dtype) for _, points in happened]
@@ -678,6 +686,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     sol = None
     if old.sol is not None and new.sol is not None:
         sol = DenseSolution(old.sol._dense.joined(new.sol._dense), old.y.dtype, bound, old.sol._imposed)
+        sol.after(old.sol._history)
     t_events = y_events = None
     if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
         t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]

@@ -67,6 +67,8 @@ def schedule_of(problem: Problem, parameters: Array, graph: Sequence[Node] | Non
     graph : sequence of Node, optional
         Graph of f, if f has been traced for its derivatives.
     """
+    if problem.delays is not None:  # users pass their breakpoints
+        return None
     from .._functions.graph.landings import landings, timed
 
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))

@@ -162,7 +162,8 @@ class Variations:
         """A warning if complex steps, which were tested at the start, are wrong in the middle or at the last output."""
         rows = np.ascontiguousarray(y.T).view(float)
         points = [Point(float(t[i]), rows[i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
-        wrong = [one.called for one in self.derivatives_of if not all(map(one.takes_complex_at, points))]
+        own = [one for one in self.derivatives_of if one.n == rows.shape[1]]  # others take delayed values too
+        wrong = [one.called for one in own if not all(map(one.takes_complex_at, points))]
         if wrong:
             warn(
                 f"sensitivities: complex steps through {', '.join(wrong)} do not give its derivatives everywhere in "
@@ -183,7 +184,7 @@ class Variations:
     def _undefined(self, t: float, y: Array, i: int, name: str) -> str:
         """Return the message that f has no derivative at a point, from which a run cannot continue."""
         slope = self.derivatives_of[0]
-        where = slope.singular_at(t, y)
+        where = slope.singular_at(t, y) if len(y) == slope.n else None
         expression = "" if where is None else f": {where} has none"
         return (
             f"fun is finite at t = {t}, but its derivative in the equation of the sensitivity of component {i} to "
@@ -251,14 +252,14 @@ def make_variations(
     mass = about.of_mass(problem, rate)
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
     jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
-    switches = followed(slope, about.of, problem, about.log)
+    switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
     schedule = schedule or schedule_of(problem, Parameters.of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
     at_start = (t0, np.vstack([y0, start]))
     tangents = [form(law.for_core(*at_start), complex_values=False) for law in about.of_laws(problem, specs)]
-    slope_for_core = slope.for_core(*at_start)
+    slope_for_core = slope.for_core(t0, _with_past(problem, *at_start))
     for_core = _core.Variations(
         k=len(names),
         slope=form(slope_for_core if mass is None else WithMass(slope, mass)),
@@ -291,6 +292,14 @@ def make_variations(
     )
 
 
+def _with_past(problem: Problem, t: float, Y: Array) -> Array:
+    """(y, S) as the slope of S takes them: with delays, each row has the delayed values behind it."""
+    if problem.delays is None:
+        return Y
+    past = np.zeros((len(Y), Y.shape[1] * problem.delays.count))
+    return np.vstack([problem.delays.stacked_at_start(t, Y[0], problem.args), np.hstack([Y, past])[1:]])
+
+
 def _as_it_is(function: Any, complex_values: bool = True) -> Any:
     return function
 
@@ -317,8 +326,25 @@ class _Derivatives:
     def of_fun(self, problem: Problem, atol: float | Array) -> tuple[Directional, Rate]:
         """Return the derivatives of f along directions of y and the parameters, and its rate along the solution."""
         fun, given = given_derivatives(problem, self._names)
+        if problem.delays is not None:
+            return self._of_past(problem, fun, given), Rate(problem, atol, lambda: self.of(fun, "fun", m=self._n))
         slope = self.of(fun, "fun", m=self._n, given=given)
         return slope, Rate(problem, atol, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
+
+    def _of_past(self, problem: Problem, fun: Any, given: Given) -> Directional:
+        """Return the derivatives of f of (t, x), where x is y and its delayed values."""
+        assert problem.delays is not None
+        n, x = self._n, problem.delays.stacked_at_start(self.at.t, self.at.y, self._args)
+        of_x = problem.delays.in_one_vector(fun, n)
+        at = Point(self.at.t, x)
+        slope = self._note(Directional(of_x, self._args, self._names, len(x), given, at=at, m=n, called="fun"))
+        if slope.switches(at):
+            warn(
+                "sensitivities: fun jumps at conditions, which are not followed in problems with delays: sensitivities "
+                "may be wrong behind them. Pass the times of those on t alone as breakpoints",
+                AccuracyWarning,
+            )
+        return slope
 
     def _note(self, made: Directional) -> Directional:
         self.how[made.called] = made.how

@@ -133,7 +133,8 @@ def load(
     imposed = {"rtol": solution._rtol, "atol": solution._atol} if fields["imposed"] else None
     projects = fields["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0
     kind_of_sol = _Unprojected if (imposed or projects) and not listed else DenseSolution
-    return solution.changed(sol=kind_of_sol(dense, solution.y.dtype, solution._invariants, imposed))
+    sol = kind_of_sol(dense, solution.y.dtype, solution._invariants, imposed)
+    return solution.changed(sol=sol.after(None if problem is None else problem.history))
 
 
 def _invariants_of(

@@ -166,6 +166,7 @@ def check_invariants(
 
 def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool) -> CheckReport:
     """Return the report on the invariants of a problem at a point."""
+    given.require_no_delays("a check of invariants at a point")
     extra, listed = given.args, given.invariants
     weights = weights_of(rtol, atol, point)
     bound = bind(listed, at, point, extra, weights.threshold)

@@ -212,6 +212,7 @@ def steady_state(
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"steady_state needs an invariode.Problem, got {shown(problem)}")
+    problem.require_no_delays("steady_state")
     names = problem.parameter_names()
     S0 = None if problem.sensitivities is None else problem.sensitivities.start(names, problem.args, len(problem.y0))
     states = SteadyStates(problem, names, method or "ode15s", totals, positive("tol", tol))

@@ -88,8 +88,11 @@ class Equations:
         self._rates: dict[str, Node | None] = {}
         self._starts: dict[str, Node | None] = {}
         graph = self.graph
-        self._now = Translator(graph, self.value, self.rate, graph.t)
-        self._then = Translator(graph, self.start, self._rate_at_start, graph.node(0.0))
+        self.delays: list[Node] = []
+        self._now = Translator(graph, self.value, self.rate, graph.t, self._delayed)
+        self._then = Translator(
+            graph, self.start, self._rate_at_start, graph.node(0.0), lambda one, value, delay: value
+        )
         for name in (*contents.rules, *contents.initial):  # a cycle is an error, even if nobody asks for its values
             self.value(name)
             self.start(name)
@@ -233,6 +236,41 @@ class Equations:
         if self.is_concentration(name) and self._changes(self.volume(name)):
             return self.start(name) * self.start(self.volume(name)) / self.value(self.volume(name))
         return self.start(name)
+
+    def _delayed(self, formula: Expression, value: Node, delay: Node) -> Node:
+        """Return a value at t - delay: of states behind y, those of the first delay, of the second, and so on."""
+        if self._has_rates(formula, set()):
+            raise UnsupportedError("delay", "a formula uses delay() of a rateOf, which jumps at the start")
+        if any(part.op == "time" for initial in self.contents.initial.values() for part in initial.parts()):
+            raise UnsupportedError("delay", "values before the start are an initial assignment that depends on time")
+        if used([delay], "y") or any(one.op == "t" for one in in_order([delay])):
+            raise UnsupportedError("delay", "a formula uses delay() with a delay that changes")
+        if delay.op == "number" and delay.value == 0:
+            return value
+        n, graph = len(self.states) or 1, self.graph
+        earlier: dict[Node, Node] = {}
+        for one in in_order([value]):
+            if one.op == "t":
+                earlier[one] = graph.t - delay
+            elif one.op == "y":
+                before, i = divmod(one.value, n)
+                whole = delay if before == 0 else self.delays[before - 1] + delay
+                earlier[one] = graph.y(n * (1 + self._number_of(whole)) + i)
+        return replaced([value], earlier)[0] if earlier else value
+
+    def _has_rates(self, one: Expression, seen: set[str]) -> bool:
+        """Return whether an expression depends on rates of change, with assignment rules followed."""
+        if any(part.op == "rate_of" for part in one.parts()):
+            return True
+        names = one.names() - seen
+        seen |= names
+        rules = self.contents.rules
+        return any(self._has_rates(rules[name], seen) for name in names if name in rules)
+
+    def _number_of(self, delay: Node) -> int:
+        if delay not in self.delays:
+            self.delays.append(delay)
+        return self.delays.index(delay)
 
     def _changes(self, name: str) -> bool:
         return name in self.place or name in self.contents.rules

@@ -21,6 +21,7 @@ from .._functions.graph.nodes import Node, in_order
 from .._problem.events import Roots
 from .equations import Equations, used
 from .expressions import Expression
+from .library import UnsupportedError
 from .reading import EventRule
 
 #: Whether a comparison holds, by the sign of the difference of its sides.
@@ -86,6 +87,8 @@ class EventCode:
         differences = [one.difference for one in self.comparisons]
         self.differences = differences
         self.nodes += differences
+        if max(used(self.nodes, "y"), default=-1) >= (len(equations.states) or 1):
+            raise UnsupportedError("delay", "an event uses delay(): values of the past")
         self.roots = ArrayFunction(differences)
         self.slopes = ArrayFunction([self._along(one) for one in differences])
         self.has_delays = any(one.delay is not None for one in self.events)

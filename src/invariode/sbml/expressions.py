@@ -29,6 +29,7 @@ _PLAIN = {
     **{name.upper(): name for name in ("plus", "times", "minus", "divide", "power")},
     "FUNCTION_LOG": "log_of_base",
     "FUNCTION_RATE_OF": "rate_of",
+    "FUNCTION_DELAY": "delay",
     "CONSTANT_TRUE": "true",
     "CONSTANT_FALSE": "false",
     "NAME_TIME": "time",
@@ -99,7 +100,7 @@ def read(node: Any) -> Expression:
     Raises
     ------
     UnsupportedError
-        It uses what there is no equation for, such as delays.
+        It uses what there is no equation for.
     """
     L = libsbml()
     kind = node.getType()
@@ -111,8 +112,6 @@ def read(node: Any) -> Expression:
         return number(math.e if kind == L.AST_CONSTANT_E else math.pi)
     if kind == L.AST_NAME_AVOGADRO:
         return number(AVOGADRO)
-    if kind == L.AST_FUNCTION_DELAY:
-        raise UnsupportedError("delay", "a formula uses delay(): values of the past")
     op = _operations().get(kind)
     if op is None:
         raise UnsupportedError("formula", f"there is no equation for {node.getName() or f'MathML of type {kind}'}")
@@ -159,10 +158,19 @@ class Translator:
         The node of a symbol, and that of its time derivative.
     time : Node
         The time.
+    delay : function, optional
+        The node of a value at an earlier time, of its expression, its node and the delay.
     """
 
-    def __init__(self, graph: Graph, value: Callable[[str], Node], rate: Callable[[str], Node], time: Node) -> None:
-        self.graph, self._value, self._rate, self._time = graph, value, rate, time
+    def __init__(
+        self,
+        graph: Graph,
+        value: Callable[[str], Node],
+        rate: Callable[[str], Node],
+        time: Node,
+        delay: Callable[[Expression, Node, Node], Node] | None = None,
+    ) -> None:
+        self.graph, self._value, self._rate, self._time, self._delay = graph, value, rate, time, delay
 
     def number(self, one: Expression) -> Node:
         """Return the value as a number: 1 for true, 0 for false."""
@@ -183,6 +191,10 @@ class Translator:
             return self._value(one.value) if op == "name" else self._rate(one.value)
         if op == "time":
             return self._time
+        if op == "delay":
+            if self._delay is None:
+                raise UnsupportedError("delay", "a formula uses delay(): values of the past")
+            return self._delay(a[0], self.number(a[0]), self.number(a[1]))
         if op in _LOGICAL:
             return self._condition(op, a)
         if op == "piecewise":

@@ -18,6 +18,7 @@ from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
+from .._problem.delays import GraphOfPast
 from .._problem.invariants import Invariants
 from .._problem.methods import METHODS
 from .._problem.problem import Problem
@@ -144,11 +145,23 @@ class Model:
     def fun(self) -> Any:
         """f(t, y, p), compiled if llvmlite is installed."""
         slopes, n = self._equations.slopes, len(self.states)
-        return self._function("f", slopes or [self._equations.graph.node(0.0)], n or 1)
+        made = self._function("f", slopes or [self._equations.graph.node(0.0)], n or 1)
+        if not self._equations.delays:
+            return made
+        if isinstance(made, GraphFunction):
+            return GraphOfPast(made.fun)
+        return lambda t, y, z, *args: made(t, np.concatenate([y, z.ravel()]), *args)
 
     def _function(self, name: str, outputs: Sequence[Node], size: int) -> Any:
         formula = Formula(name, lambda: outputs, (size,))
         return GraphFunction(formula) if has_llvm() else formula
+
+    def _delays(self, p: Array) -> list[float | str]:
+        """Return the delays: the names of those that are parameters, and the numbers of others."""
+        e = self._equations
+        numbers = ArrayFunction(e.delays).at(0.0, np.zeros(0), p).tolist()
+        names = [self._names[one.value] if one.op == "p" else None for one in e.delays]
+        return [number if name is None else name for name, number in zip(names, numbers, strict=True)]
 
     @cached_property
     def _events(self) -> EventCode:
@@ -234,7 +247,7 @@ class Model:
         self, t_span: tuple[float, float], p: Array, y0: Array, moieties: bool, explicit: bool = False, **more: Any
     ) -> Problem:
         """Return the model as a problem. `explicit`: with algebraic rules differentiated, and imposed."""
-        e = self._equations
+        e, fun = self._equations, self.fun
         explicit = explicit and e.differentiated is not None
         named = dict(zip(self._names, p.tolist(), strict=False))
         options: dict[str, Any] = {"name": self.name, **more}
@@ -250,7 +263,9 @@ class Model:
         if named:
             options["parameters"] = named
         options["breakpoints"] = self._times(p, *map(float, t_span)) or None
-        return Problem(self._differentiated if explicit else self.fun, t_span, y0, **options)
+        if e.delays:
+            options |= {"delays": self._delays(p), "history": self._consistent(float(t_span[0]), e.initial_state(p), p)}
+        return Problem(self._differentiated if explicit else fun, t_span, y0, **options)
 
     @cached_property
     def _differentiated(self) -> Any:
@@ -381,18 +396,21 @@ class Model:
             y = machine.start(start, y, p)
             more["events"] = machine.functions(self._differences, once=True)
         if end == start or (not self.states and not self.events):
-            return np.repeat(y[:, None], len(times), axis=1)
+            return np.repeat(np.tile(y, 1 + len(self._equations.delays))[:, None], len(times), axis=1)
         known = next((one for one in METHODS.values() if method in (one.name, one.scipy_name)), None)
         explicit = self._equations.mass is not None and known is not None and known.mass == "none"
         problem = self._problem((start, end), p, y, moieties, explicit, **more)
         if problem.matrices.mass is not None and method == "auto":
             method = "ode15s"
+        delays = [] if problem.delays is None else problem.delays.values(problem.args, problem.y0)
+        if delays:
+            options["dense_output"] = True
         sol = problem.solve(method, t_eval=times, on_failure="return", **options)
         if sol.status < 0:
             raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}")
-        Y = np.array(sol.y)
+        Y = np.vstack([sol.y, *(sol.sol(times - one) for one in delays)])
         for t, behind in machine.behind if self.events else []:
-            Y[:, np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]
+            Y[: len(y), np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]
         return Y
 
     def _default_columns(self) -> list[str]:

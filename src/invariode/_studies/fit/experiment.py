@@ -305,7 +305,7 @@ class _Where:
     def found(self, wanted: Any, option: str = "parameters") -> tuple[ParameterName, ...]:
         """Return the parameters of f and initial values that a name stands for, or several names."""
         problem = self.problem
-        first, n = 2 + len(problem.inputs), len(problem.y0)
+        first, n = 2 + len(problem.before_args), len(problem.y0)
         return parameter_names(problem.fun, problem.args, problem._labels, n, wanted, first=first, option=option)
 
     @cached_property
