@@ -111,7 +111,8 @@ def test_counts(method):
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_a_preconditioner_saves_more_than_half_of_the_iterations(method):
     plain, preconditioned = solve(method, rtol=1e-3), solve(method, rtol=1e-3, preconditioner=diffusive)
-    assert 2 * preconditioned.stats.linear_iterations < plain.stats.linear_iterations
+    beyond_first = [sol.stats.linear_iterations - sol.stats.nsolve for sol in (plain, preconditioned)]
+    assert 2 * beyond_first[1] < beyond_first[0]  # each solve takes one at least, also those of radau inside long steps
     assert 0 < preconditioned.stats.nlu < preconditioned.stats.steps
 
 

@@ -205,12 +205,13 @@ def _of_any_args(problem: Problem, plan: Plan) -> bool:
     on them."""
     if plan.schedule is not None and plan.schedule.depends_on_args:
         return False
+    if not fits_any_args(problem, plan.method.name):
+        return False
     p = plan.functions.parameters
     if not len(p):
         return True
     arguments = count_of(p)
-    vary = not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.functions, p))
-    return vary and fits_any_args(problem, plan.method.name)
+    return not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.functions, p))
 
 
 def _of_any_span(problem: Problem, plan: Plan) -> bool:

@@ -112,7 +112,7 @@ def kinds_of(sol: Result) -> list[str]:
 def groups_of(kinds: Sequence[str], y: Array, chosen: list[int]) -> list[list[int]]:
     """Return components of one kind and of similar sizes, in the order of their first ones."""
     those = [[k for k in chosen if kinds[k] == kind] for kind in dict.fromkeys(kinds[k] for k in chosen)]
-    return [group for one in those for group in _groups_of_scale(y, one)]
+    return [group for one in those for group in _groups_of_scale(y, one)] or [[]]
 
 
 def _groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
