@@ -160,9 +160,9 @@ Status DiscontinuityDetector::passes(double t0, const double* y0, double t1, con
   const double h = std::abs(t1 - t0), harmless = most_of_jump * weights_.rtol();
   if ((!bent && !series_.suspicious(h)) || !may_pass(attempts, evaluations_passing_)) return Status::ok;
   if (!search_) search_.emplace(f_, weights_);
-  std::vector<double> end(weights_.size());  // stages may lead beyond the jump though y1 does not
-  for (std::size_t i = 0; i < end.size(); ++i) end[i] = y1[i] + overshoot * (y1[i] - y0[i]);
-  const JumpSearch::Result result = search_->bracket(t0, y0, t1, end.data(), harmless);
+  ahead_.resize(weights_.size());  // stages may lead beyond the jump though y1 does not
+  for (std::size_t i = 0; i < ahead_.size(); ++i) ahead_[i] = y1[i] + overshoot * (y1[i] - y0[i]);
+  const JumpSearch::Result result = search_->bracket(t0, y0, t1, ahead_.data(), harmless);
   evaluations_passing_ += search_->evaluations();
   if (result == JumpSearch::Result::stop) return Status::stop;
   if (result == JumpSearch::Result::found && h * search_->jump() > harmless)

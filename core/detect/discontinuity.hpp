@@ -134,6 +134,7 @@ class DiscontinuityDetector {
   const Weights& weights_;
   FailedSeries<void> series_;
   std::optional<JumpSearch> search_;   // once there was one
+  std::vector<double> ahead_;          // a point that stages may reach
   std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
   std::vector<double> found_;
   double pace_t_ = 0, fastest_ = 0;  // where the latest call of `watch_pace` was, and the longest way between two

@@ -47,8 +47,8 @@ using namespace invariode::test;
 namespace {
 
 /// The search for jumps of f makes these vectors once, when attempts first fail one after the other: two points of the
-/// series, and weights and three points with f there.
-constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2;
+/// series, weights and three points with f there, and a point ahead.
+constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2 + 1;
 
 /// Allocations from the end of the first step to the end of the run, without that room.
 std::int64_t allocations_of(Run& run) {

@@ -224,11 +224,11 @@ TEST(a_resumed_run_has_the_bits_of_one_that_was_not_interrupted) {
 }
 
 TEST(coefficients_that_are_not_finite_are_named_where_f_is) {
-  System root = clock(8);  // y' = √y, which is 0 at 0, where its derivative is not finite
-  root.f = [](double, const double* y, double* out) { out[0] = std::sqrt(y[0]); };
+  System root = clock(8);  // y' = 1 + √y, whose derivative is not finite at 0
+  root.f = [](double, const double* y, double* out) { out[0] = 1 + std::sqrt(y[0]); };
   root.series = [](double, double unit, const double* y, double* out) {
     std::fill(out, out + 9, test::infinity);
-    out[0] = y[0], out[1] = unit * std::sqrt(y[0]);
+    out[0] = y[0], out[1] = unit * (1 + std::sqrt(y[0]));
   };
   const RunResult result = Bench(std::move(root), 1e-6).solve();
   CHECK(result.state == State::start_undefined && result.report.component == 0 && result.report.coefficient == 2);
