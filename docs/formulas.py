@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 #: The pages with formulas as text.
-PAGES = ("algorithms", "benchmarks/stiff")
+PAGES = (
+    "algorithms",
+    "benchmarks/stiff",
+    *(f"algorithms/{page.stem}" for page in sorted((Path(__file__).parent / "algorithms").glob("*.md"))),
+)
 
 #: What stays as it is: code, formulas in dollars, targets of links.
 KEPT = re.compile(r"(`[^`]*`|\$[^$]*\$|\]\([^)]*\))")

@@ -277,3 +277,27 @@ def test_pages_use_the_words_of_the_table():
     ]
     assert found == []
     assert re.search(REPLACED, "The run goes on.")
+
+
+def test_rules_and_code_are_found_from_each_other():
+    """Comments name sections that exist; pages of algorithms name files that exist, and every method has a page."""
+    pages = [ROOT / "docs/algorithms.md", *sorted((ROOT / "docs/algorithms").glob("*.md"))]
+    texts = {page: page.read_text(encoding="utf-8") for page in pages}
+    headings = {name.strip("`") for text in texts.values() for name in re.findall(r"^#{2,3} (.+)$", text, re.MULTILINE)}
+    named = {}
+    for path in [*(ROOT / "core").rglob("*.?pp"), *PACKAGE.rglob("*.py")]:
+        comments = re.sub(r"\s*\n\s*(?://+|#)?\s*", " ", path.read_text(encoding="utf-8"))
+        for name in re.findall(r"docs/algorithms\.md, '([^']+)'", comments):
+            named.setdefault(name.replace("Runge-Kutta", "Runge–Kutta"), path.name)
+    assert len(named) > 20
+    whole = "\n".join(texts.values())
+    assert [
+        one for one in named.items() if one[0] not in headings and not re.search(rf"\*{re.escape(one[0])}", whole)
+    ] == []
+    code = {file for text in texts.values() for file in re.findall(r"`((?:core|src|paper)/[^`]*)`", text)}
+    assert [file for file in sorted(code) if not (ROOT / file).exists()] == []
+    steps = {
+        path for path in (ROOT / "core/methods").glob("*.hpp") if re.search(r"docs/algorithms\.md, '", path.read_text())
+    }
+    assert len(steps) > 10
+    assert [path.name for path in sorted(steps) if str(path.relative_to(ROOT)) not in code] == []

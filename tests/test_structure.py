@@ -126,13 +126,15 @@ def room_of(name):
 
 def words_of_the_map():
     """The words of each entry of CONTRIBUTING's map: of folders, and of the files beside them under "."."""
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Where things are")[2].split("```")[1]
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Where things are")[2].split("\n## ")[0]
     words = {}
     for line in text.strip().splitlines():
-        if top := re.match(r"\S+/", line):
-            base, entry = top[0], "."
-        elif inner := re.match(r"  (\S+)", line):
-            entry = inner[1] if inner[1].endswith("/") else "."
+        if top := re.match(r"\*\*`(\S+/)`\*\*", line):
+            base, entry = top[1], "."
+        elif inner := re.match(r"- `([^`]+)`", line):
+            entry = inner[1] if re.fullmatch(r"\S+/", inner[1]) else "."
+        else:
+            continue
         words.setdefault((base, entry), set()).update(re.findall(r"\w+", line))
     return words
 
