@@ -120,18 +120,17 @@ Status DiscontinuityDetector::watch_pace(double t, const double* y, const double
   if (sticks_since_ || !slow || pause_-- > 0 || !may_search(attempts, evaluations_ahead_)) return Status::ok;
   pause_ = 0;
   const double length = std::copysign(std::min(way, rest), target - t);
-  std::vector<double> y1(weights_.size()), f(weights_.size());
-  if (!search_) search_.emplace(f_, weights_);
+  make_room();
   const std::int64_t before = search_->calls();
   JumpSearch::Result result = JumpSearch::Result::none;
-  for (const double* direction : {slope, static_cast<const double*>(f.data())}) {
-    if (direction == f.data()) {  // to an implicit method the solution lies between the sides, and y' is not f
+  for (const double* direction : {slope, static_cast<const double*>(slope_.data())}) {
+    if (direction == slope_.data()) {  // to an implicit method the solution lies between the sides, and y' is not f
       ++evaluations_ahead_;
-      if (f_(t, y, f.data()) == Status::stop) return Status::stop;
+      if (f_(t, y, slope_.data()) == Status::stop) return Status::stop;
     }
-    for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = y[i] + length * direction[i];
-    if (!all_finite(y1.data(), y1.size())) break;
-    result = search_->search(t, y, t + length, y1.data(), std::abs(length));
+    for (std::size_t i = 0; i < ahead_.size(); ++i) ahead_[i] = y[i] + length * direction[i];
+    if (!all_finite(ahead_.data(), ahead_.size())) break;
+    result = search_->search(t, y, t + length, ahead_.data(), std::abs(length));
     if (result == JumpSearch::Result::found) result = search_->decided_by_y(t);
     if (result != JumpSearch::Result::none) break;
   }
@@ -159,9 +158,9 @@ Status DiscontinuityDetector::passes(double t0, const double* y0, double t1, con
                                      std::int64_t attempts, double& longest) {
   const double h = std::abs(t1 - t0), harmless = most_of_jump * weights_.rtol();
   if ((!bent && !series_.suspicious(h)) || !may_pass(attempts, evaluations_passing_)) return Status::ok;
-  if (!search_) search_.emplace(f_, weights_);
-  ahead_.resize(weights_.size());  // stages may lead beyond the jump though y1 does not
-  for (std::size_t i = 0; i < ahead_.size(); ++i) ahead_[i] = y1[i] + overshoot * (y1[i] - y0[i]);
+  make_room();
+  for (std::size_t i = 0; i < ahead_.size(); ++i)  // stages may lead beyond the jump though y1 does not
+    ahead_[i] = y1[i] + overshoot * (y1[i] - y0[i]);
   const JumpSearch::Result result = search_->bracket(t0, y0, t1, ahead_.data(), harmless);
   evaluations_passing_ += search_->evaluations();
   if (result == JumpSearch::Result::stop) return Status::stop;
@@ -184,9 +183,17 @@ Status DiscontinuityDetector::gave_up(double t0, const double* y0, const double*
   return Status::ok;
 }
 
+/// Most runs never search.
+void DiscontinuityDetector::make_room() {
+  if (search_) return;
+  search_.emplace(f_, weights_);
+  ahead_.resize(weights_.size());
+  slope_.resize(weights_.size());
+}
+
 Status DiscontinuityDetector::search(double t0, const double* y0, double t1, const double* y1, double resolved) {
   if (found_.size() >= most) return Status::ok;
-  if (!search_) search_.emplace(f_, weights_);
+  make_room();
   const JumpSearch::Result result = search_->search(t0, y0, t1, y1, resolved);
   evaluations_ += search_->evaluations();
   if (result == JumpSearch::Result::found) found_.push_back(search_->t());

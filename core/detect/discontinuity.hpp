@@ -127,6 +127,7 @@ class DiscontinuityDetector {
   }
 
  private:
+  void make_room();
   Status look(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts);
   Status search(double t0, const double* y0, double t1, const double* y1, double resolved);
 
@@ -134,7 +135,7 @@ class DiscontinuityDetector {
   const Weights& weights_;
   FailedSeries<void> series_;
   std::optional<JumpSearch> search_;   // once there was one
-  std::vector<double> ahead_;          // a point that stages may reach
+  std::vector<double> ahead_, slope_;  // a point that is looked at, and f
   std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
   std::vector<double> found_;
   double pace_t_ = 0, fastest_ = 0;  // where the latest call of `watch_pace` was, and the longest way between two
