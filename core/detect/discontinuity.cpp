@@ -33,13 +33,15 @@ JumpSearch::Result JumpSearch::bracket(double t0, const double* y0, double t1, c
   if (!begin(t0, y0, t1, y1)) return stopped_ ? Result::stop : Result::none;
   double whole = jump(), width = std::abs(t1 - t0);
   const double narrowest = ulp(std::max(std::abs(t0), std::abs(t1)));
-  for (int k = 0; width > narrowest && (k < fewest_halvings || width * whole > most);
-       ++k, width = std::abs(b_.t - a_.t)) {
+  int halvings = 0;
+  while (width > narrowest && (halvings < fewest_halvings || width * whole > most)) {
     if (!halve()) return stopped_ ? Result::stop : Result::none;
     const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
     whole = std::max(whole, larger);  // two jumps may cancel
     if (larger < kept * whole) return Result::none;
     std::swap(before > after ? b_ : a_, middle_);
+    width = std::abs(b_.t - a_.t);
+    ++halvings;
   }
   return Result::found;
 }

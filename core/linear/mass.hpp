@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "callback.hpp"
@@ -147,7 +148,7 @@ class AlgebraicConstraints {
 class DifferentialRate {
  public:
   /// `lapack` may be null.
-  DifferentialRate(const Mass& mass, const Lapack* lapack) : mass_(mass), lapack_(lapack) {}
+  DifferentialRate(Mass mass, const Lapack* lapack) : mass_(std::move(mass)), lapack_(lapack) {}
 
   /// Takes M at t, for what follows. `told`: y' follows from M alone there.
   Status enter(double t, bool& told);

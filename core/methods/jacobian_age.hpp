@@ -68,7 +68,7 @@ class JacobianAge {
       case Taken::here:
       case Taken::beside: break;
     }
-    if (!too_large_ || !renewable || !(adapted || taken_ == Taken::beside)) return false;
+    if (!too_large_ || !renewable || (!adapted && taken_ != Taken::beside)) return false;
     taken_ = Taken::plainly;
     return renew();
   }

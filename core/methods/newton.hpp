@@ -108,7 +108,7 @@ class AgingJacobian {
   void state(Archive& archive, Factor&& factor);
 
   /// J is no longer that of the point reached.
-  void step_accepted();
+  virtual void step_accepted();
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.
   bool renew() { return age_.renew(renewable()); }
   /// J at (t, y), an iterate of the step in work, where f is `slope`: once in a step.
@@ -292,7 +292,7 @@ class Newton : public AgingJacobian {
   /// Memory as it is before any step.
   void restart();
   /// Forgets what was decided for one step.
-  void step_accepted();
+  void step_accepted() override;
   /// The iteration has failed in the shortest step: until one is accepted each iterate has a J of its own. False: that
   /// has failed too, or would change nothing.
   bool iterate_fully();

@@ -286,7 +286,7 @@ bool factor_panel(const Columns& a, Range columns, std::size_t* exchanged_with) 
     exchanged_with[k] = row_of_pivot<complex>(a, k);
     exchange_rows<complex>(a, exchanged_with, {k, k + 1}, columns);
     const double size = size_of<complex>(a, k * a.height + k);
-    if (!(size > 0 && size <= std::numeric_limits<double>::max())) return false;
+    if (!(size > 0) || !std::isfinite(size)) return false;
     divide_by_pivot<complex>(a, k);
     for (std::size_t j = k + 1; j < columns.last; ++j)
       subtract_below<complex>(a, k, a.n, a.re + j * a.height, complex ? a.im + j * a.height : nullptr);
