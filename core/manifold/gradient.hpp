@@ -102,7 +102,9 @@ struct Directional {
 /// Returns whether a rate of change counts, in a step or in the whole interval. `tolerated`: rtol ‖J W‖.
 template <class Real>
 auto drifts(const Real& rate, const Real& h, double interval, const Real& tolerated) {
-  return (suspicious_drift * tolerated < absolute(h * rate)) | (harmful_drift * tolerated < absolute(interval * rate));
+  const auto in_step = suspicious_drift * tolerated < absolute(h * rate);
+  const auto in_interval = harmful_drift * tolerated < absolute(interval * rate);
+  return in_step | in_interval;
 }
 
 }  // namespace invariode

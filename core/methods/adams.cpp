@@ -345,7 +345,7 @@ void Adams::extend_attempt(double* difference, double* data) const {
 
 Status Adams::extension_of_attempt(double* data, std::size_t& size) {
   size = (static_cast<std::size_t>(order_) + 2) * n();
-  inside_.resize((max_degree() + 4) * n());
+  inside_.resize(static_cast<std::size_t>(max_degree() + 4) * n());
   extend_attempt(inside_.data(), data);
   return Status::ok;
 }
@@ -354,7 +354,7 @@ Status Adams::extension_of_attempt(double* data, std::size_t& size) {
 /// it, less its own, is d of a step that ends there: the same test.
 Step::Attempt Adams::inspect_inside(const Attempt& attempt, double gap) {
   const auto k = static_cast<std::size_t>(order_), terms = k + 1;
-  inside_.resize((max_degree() + 4) * n());
+  inside_.resize(static_cast<std::size_t>(max_degree() + 4) * n());
   double *difference = inside_.data(), *point = difference + n(), *slope = point + n(), *powers = slope + n();
   extend_attempt(difference, powers);
   const int pieces = static_cast<int>(std::ceil(h_ / gap));

@@ -82,10 +82,13 @@ class LanePair {
   /// (`RungeKuttaStep::trust`).
   static constexpr bool may_miss_jumps = true;
   M bends(const LaneStep<W>& step, const P* candidate, double nearly) {
-    if constexpr (!T.watches_bends()) return no_lane<W>();
-    const auto [bend, low] = Kernel::bends(k_, job_.all, weight(thresholds_, y_, candidate));
-    return (P(nearly * runge_kutta::harmless_bend * job_.rtol) <= absolute(step.purified) * bend) &
-           (nearly * runge_kutta::bend_of_jump * low <= bend);
+    if constexpr (T.watches_bends()) {
+      const auto [bend, low] = Kernel::bends(k_, job_.all, weight(thresholds_, y_, candidate));
+      return (P(nearly * runge_kutta::harmless_bend * job_.rtol) <= absolute(step.purified) * bend) &
+             (nearly * runge_kutta::bend_of_jump * low <= bend);
+    } else {
+      return no_lane<W>();
+    }
   }
 
   /// Evaluates the rest at the ends of steps. Returns where that is not defined.
