@@ -223,7 +223,7 @@ def _require_constants(task: Task, p: Array, rows: Array) -> None:
     if not isinstance(arguments, Arguments):
         return
     others = [] if isinstance(task.args, np.ndarray) else map(arguments_of, task.args)
-    objection = arguments.objection(rows, constants(task.problem.functions, p))
+    objection = arguments.objection(rows, constants(task.problem.called_functions, p))
     if objection is None and any(one.fixed(TRUTHS) != arguments.fixed(TRUTHS) for one in others):
         objection = "arguments that are no numbers, or their shapes, differ from row to row"
     if objection is not None:

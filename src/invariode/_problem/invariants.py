@@ -45,7 +45,7 @@ class Invariants:
         roundoff, n evaluations of g at complex y; by central differences, 2n evaluations; by forward differences,
         n + 1. Default: for a compiled g, and for one in Python with 16 components of y or more whose code only
         calculates, exact derivatives of its expressions; otherwise complex steps where g takes complex y and they
-        agree with a difference at the start, else central differences. `stats.derivatives` says which.
+        agree with a difference at the start, else central differences. ``stats.derivatives`` says which.
     value : float or array_like of shape (m,), optional
         The value to hold; 0 for constraints. Default: the value of g at the initial point.
     names : str or sequence of m str, optional

@@ -227,8 +227,8 @@ class Problem:
 
     @classmethod
     def plain(cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> Self:
-        """Return the problem y' = fun(t, y, *args) with nothing else, which takes less time than to see that every
-        other argument is missing."""
+        """Return the problem ``y' = fun(t, y, *args)`` with nothing else, which takes less time than to see that
+        every other argument is missing."""
         problem = cls.__new__(cls)
         problem._pose(fun, t_span, y0, args)
         if type(problem.fun) is not FunctionType and states_second_order(problem.fun):
@@ -302,7 +302,7 @@ class Problem:
         raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
 
     @property
-    def functions(self) -> list[Any]:
+    def called_functions(self) -> list[Any]:
         """f, the functions of the invariants, and those of the events."""
         return [self.fun, *(one.fun for one in self.invariants), *(one.fun for one in self.events)]
 

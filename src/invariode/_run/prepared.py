@@ -137,7 +137,7 @@ class Prepared:
             )
             if run is not None or not self._parameters:  # otherwise args are not only floats
                 break
-            parameters = native_parameters(args, problem.functions)
+            parameters = native_parameters(args, problem.called_functions)
         self._idle.append(core)  # but not after an exception
         return run
 
@@ -211,7 +211,7 @@ def _of_any_args(problem: Problem, plan: Plan) -> bool:
     if not len(p):
         return True
     arguments = count_of(p)
-    return not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.functions, p))
+    return not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.called_functions, p))
 
 
 def _of_any_span(problem: Problem, plan: Plan) -> bool:
