@@ -103,8 +103,8 @@ struct VariationsSpec {
   int visit(visitproc visit, void* arg) const;
 };
 
-/// Delays: their values, the numbers of those that are parameters (−1: it is none), and the history: values where it is
-/// constant, else a function (t, anything) -> y; times before t0 at which it jumps.
+/// Delays: their values; the index of each among the parameters, or −1 for a constant; the history, which is an array
+/// if it is constant, otherwise a function (t, anything) -> y; and the times before t0 at which the history jumps.
 struct DelaysSpec {
   std::vector<double> lags;
   std::vector<std::int64_t> parameters;

@@ -234,7 +234,6 @@ Integration::Verdict Integration::attempt() {
     proposal = step_->inspect_inside(proposal, gap_);
     if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   }
-
   if (const Verdict verdict = pass_jump(proposal.y); verdict != Verdict::accepted) return verdict;
 
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};

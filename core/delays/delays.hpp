@@ -35,8 +35,8 @@ struct DelayTerms {
 ///
 /// The past is the history φ before t0, and behind it the continuous solution over the accepted steps, corrected so
 /// that it meets their ends, and within bounds. In a step that is longer than a delay, arguments lie beyond the last
-/// accepted step: they are values of what is known of the attempt. That is at first the step before, continued, or the
-/// tangent where there is none; then, from attempt to attempt, the extension of the attempt before (`agree`).
+/// accepted step, and are taken from a guess of the attempt. The first guess continues the polynomial of the previous
+/// step, or the tangent at the start of the run; each further guess is the extension of the previous attempt (`agree`).
 ///
 /// A method whose stages are values of the extension Q gets, for delays that are short beside h,
 ///
@@ -90,7 +90,7 @@ class Delays {
   void state(Archive& archive);
 
  private:
-  /// What is beyond the point reached.
+  /// The function that stands for the solution beyond the point reached.
   enum class Ahead { constant, tangent, continued, attempt };
   struct Delayed {
     Delayed(Delays& delays_, const Callback& function_) : delays(delays_), function(function_) {}

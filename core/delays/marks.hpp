@@ -27,9 +27,9 @@ class Marks {
 
   [[nodiscard]] bool empty() const { return all_.empty(); }
   [[nodiscard]] std::size_t size() const { return all_.size(); }
-  /// The first mark beyond t; infinite if there is none.
+  /// Returns the time of the first mark beyond t, or infinity.
   [[nodiscard]] double beyond(double t) const;
-  /// The first mark within `tolerance` of t; null if there is none.
+  /// Returns the first mark within `tolerance` of t, or null.
   [[nodiscard]] const Mark* at(double t, double tolerance) const;
 
   void state(Archive& archive);

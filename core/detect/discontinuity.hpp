@@ -102,7 +102,8 @@ class DiscontinuityDetector {
   /// Looks for a component y_i below 0 of which f is not finite, as √y_i and log y_i are, where attempts fail since f
   /// is undefined: the sign of y_i decides whether f is finite at (t, y). y_i is below 0, or goes there along y' =
   /// `slope` and would be at 0 within `reach`; `lower`: bounds, which keep it from that where they are 0 or more;
-  /// empty: none. At most 8 are tried, the nearest to 0 first. `component`: −1 if there is none.
+  /// empty if y is not bounded. At most 8 components are tried, the nearest to 0 first. `component` becomes −1 if none
+  /// of them decides.
   Status undefined_below_zero(double t, const double* y, const double* slope, double forward, double reach,
                               const std::vector<double>& lower, int& component);
 
@@ -121,7 +122,8 @@ class DiscontinuityDetector {
     return evaluations <= 256 + attempts / 4;
   }
 
-  /// The same for what keeps steps over jumps accurate, which is worth a part of the attempt itself.
+  /// Returns whether f may be evaluated again to keep a step over a jump accurate. That is worth one evaluation for
+  /// each attempt, beside a first allowance.
   static constexpr bool may_pass(std::int64_t attempts, std::int64_t evaluations) {
     return evaluations <= 1024 + attempts;
   }
@@ -135,7 +137,7 @@ class DiscontinuityDetector {
   const Weights& weights_;
   FailedSeries<void> series_;
   std::optional<JumpSearch> search_;   // once there was one
-  std::vector<double> ahead_, slope_;  // a point that is looked at, and f
+  std::vector<double> ahead_, slope_;  // a trial point, and f there
   std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
   std::vector<double> found_;
   double pace_t_ = 0, fastest_ = 0;  // where the latest call of `watch_pace` was, and the longest way between two

@@ -85,8 +85,8 @@ class BoundedSlope {
 
   /// The components whose slope the last evaluation set to 0.
   [[nodiscard]] const std::vector<std::size_t>& held() const { return held_; }
-  /// What rested in a step ends it at its bound: moves held components of the candidate that iterations have left
-  /// beside it, by less than the tolerance. Explicit methods leave none. Returns the largest move, in units of thr.
+  /// Moves the held components of a candidate back to their bounds, from which iterations have moved them by less than
+  /// the tolerance. Explicit methods leave none. Returns the largest move, in units of thr.
   double settle_held(const Weights& weights, double* y) const;
   /// Components at (t, y), behind a jump, that are not at a bound do not rest.
   void release(const double* y);

@@ -37,7 +37,7 @@ class JacobianAudit {
   Outcome evaluate(double t, const double* y, double* out);
 
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  /// Of a J that is given.
+  /// Where a given Jacobian was found to differ from that of f.
   [[nodiscard]] const std::optional<Misfit>& misfit() const { return misfit_; }
   void state(Archive& archive);
 

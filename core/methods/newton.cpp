@@ -410,15 +410,25 @@ bool Newton::iterate_fully() {
   return fully_ = renew();
 }
 
+double Newton::norm_in_attempt(const double* v) const {
+  return max_norm(extent().n, [v, w = place_.w](std::size_t i) { return v[i] / w[i]; });
+}
+
+/// The iteration begins at the prediction, y = p and d = 0. Returns the size of an increment that is roundoff.
+double Newton::begin_iteration(const double* p, double* d, double* y) {
+  std::fill(d, d + extent().n, 0);
+  std::copy(p, p + extent().n, y);
+  const double roundoff = Convergence::roundoff_units * eps * norm_in_attempt(p);
+  convergence_.begin(weights_.rtol(), roundoff, careful());
+  return roundoff;
+}
+
 /// Newton's iteration as it is in the books. What it converges to from p is a solution however J changes between.
 Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d, double* y) {
   const auto [c, t1, place_y, w] = place_;
   const std::size_t n = extent().n;
-  const auto norm = [&](const double* v) { return max_norm(n, [v, w = w](std::size_t i) { return v[i] / w[i]; }); };
-  std::fill(d, d + n, 0);
-  std::copy(p, p + n, y);
-  const double roundoff = Convergence::roundoff_units * eps * norm(p);
-  convergence_.begin(weights_.rtol(), roundoff, careful());
+  const auto norm = [&](const double* v) { return norm_in_attempt(v); };
+  const double roundoff = begin_iteration(p, d, y);
   for (int k = 0; k < most_full_iterations; ++k) {
     Result result = newton_result(evaluate_state(t1, y, f_value_.data()));
     if (result == Result::converged && take_in_place(t1, y, f_value_.data()) == Status::stop) result = Result::stop;
@@ -440,11 +450,8 @@ Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d
 Newton::Result Newton::solve_state(const double* p, const double* psi, double* d, double* y) {
   const auto [c, t1, place_y, w] = place_;
   const std::size_t n = extent().n;
-  const auto norm = [&](const double* v) { return max_norm(n, [v, w = w](std::size_t i) { return v[i] / w[i]; }); };
-  std::fill(d, d + n, 0);
-  std::copy(p, p + n, y);
-  const double roundoff = Convergence::roundoff_units * eps * norm(p);
-  convergence_.begin(weights_.rtol(), roundoff, careful());
+  const auto norm = [&](const double* v) { return norm_in_attempt(v); };
+  const double roundoff = begin_iteration(p, d, y);
   double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   for (;;) {

@@ -318,6 +318,8 @@ class Newton : public AgingJacobian {
     const double *y, *w;
   };
 
+  [[nodiscard]] double norm_in_attempt(const double* v) const;
+  double begin_iteration(const double* p, double* d, double* y);
   Result solve_fully(const double* p, const double* psi, double* d, double* y);
   Result solve_state(const double* p, const double* psi, double* d, double* y);
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);

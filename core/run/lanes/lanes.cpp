@@ -3,17 +3,16 @@
 #include <algorithm>
 #include <vector>
 
+#include "instruction_sets.hpp"
+
 namespace invariode::lanes {
 namespace {
 
 std::vector<const Instructions*> of_this_processor() {
   std::vector<const Instructions*> found;
 #if defined(INVARIODE_X86_LANES)
-  __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512f") != 0 && __builtin_cpu_supports("avx512dq") != 0 &&
-      __builtin_cpu_supports("avx512vl") != 0)
-    found.push_back(&of_avx512);
-  if (__builtin_cpu_supports("avx2") != 0) found.push_back(&of_avx2);
+  if (processor_has_avx512()) found.push_back(&of_avx512);
+  if (processor_has_avx2()) found.push_back(&of_avx2);
 #endif
   found.push_back(&of_baseline);
   return found;

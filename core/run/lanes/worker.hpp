@@ -19,7 +19,7 @@
 
 namespace invariode {
 
-/// Returns the reason why trajectories of this solver cannot be integrated in lanes, in words; null: there is none.
+/// Returns the reason why trajectories of this solver cannot be integrated in lanes, in words, or null if they can.
 [[nodiscard]] const char* obstacle_to_lanes(const Solver& solver);
 
 /// Takes trajectories from a queue and integrates them in lanes, on a thread that has the solver to itself. What the
