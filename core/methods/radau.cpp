@@ -256,32 +256,33 @@ Newton::Result Radau::estimate() {
   }
   Mass* mass = solver_.mass();
   if (mass && !mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
-  multiply_by_mass(scratch_, error_vector_);
+  if (const Matrix* M = solver_.mass_matrix())
+    solver_.multiply_mass(*M, scratch_.data(), error_vector_.data());
+  else
+    error_vector_ = scratch_;
   const double c = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] += c * f_[i];
-  const Newton::Result first = damp_error();
+  const Newton::Result first = damp(error_vector_.data());
+  error_ = norm(error_vector_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
   // HW take f at y + e in place of f(y). Where f is linear, that is (M − c J)⁻¹ M e; where f jumps between these
   // points, it is what stages beyond the jump agree with, and they alone: the estimate would be blind.
-  scratch_ = error_vector_;
-  multiply_by_mass(scratch_, error_vector_);
-  return damp_error();
-}
-
-void Radau::multiply_by_mass(const std::vector<double>& v, std::vector<double>& out) {
-  if (const Matrix* M = solver_.mass_matrix())
-    solver_.multiply_mass(*M, v.data(), out.data());
-  else
-    out = v;
-}
-
-/// e ← (M − c J)⁻¹ e.
-Newton::Result Radau::damp_error() {
-  const double tolerance = linear_part * weights_.rtol();
-  const Newton::Result result = solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), tolerance, t_,
-                                                   y(), f_.data(), error_vector_.data());
+  const Newton::Result second = damp_again(error_vector_.data());
   error_ = norm(error_vector_.data());
-  return result;
+  return second;
+}
+
+/// v ← (M − c J)⁻¹ v.
+Newton::Result Radau::damp(double* v) {
+  return solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), linear_part * weights_.rtol(), t_, y(),
+                            f_.data(), v);
+}
+
+/// v ← (M − c J)⁻¹ M v.
+Newton::Result Radau::damp_again(double* v) {
+  std::copy_n(v, n(), scratch_.begin());
+  if (const Matrix* M = solver_.mass_matrix()) solver_.multiply_mass(*M, scratch_.data(), v);
+  return damp(v);
 }
 
 Step::Attempt Radau::inspect_extension(const Attempt&) {
@@ -325,7 +326,8 @@ Step::Attempt Radau::inspect_inside(const Attempt&, double gap) {
         scratch_[i] = y_[i] + value;
         gap_[i] = slope / formula_->mu;
       }
-      const Newton::Result result = filter_defect(theta, defect);
+      Newton::Result result = filter_defect(theta, defect);
+      if (result == Newton::Result::converged && norm(defect) > error_) result = damp_again(defect);
       if (result != Newton::Result::converged) return proposal(result);
       error_ = std::max(error_, norm(defect));
     }
@@ -348,8 +350,7 @@ Newton::Result Radau::filter_defect(double theta, double* defect) {
     rate = scratch_.data();
   }
   for (std::size_t i = 0; i < n(); ++i) defect[i] = c * residuals_[i] - rate[i];
-  return solver_.solve_real(mass(), weight_.data(), sensitivity_weight_.data(), linear_part * weights_.rtol(), t_, y(),
-                            f_.data(), defect);
+  return damp(defect);
 }
 
 std::size_t Radau::directions(const double** vectors) const {

@@ -77,8 +77,8 @@ class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
   double update_stages();
   void weigh_first_update();
   Newton::Result estimate();
-  void multiply_by_mass(const std::vector<double>& v, std::vector<double>& out);
-  Newton::Result damp_error();
+  Newton::Result damp(double* v);
+  Newton::Result damp_again(double* v);
   Newton::Result filter_defect(double theta, double* defect);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
