@@ -79,6 +79,66 @@ def test_singular_equations_are_combined_with_numbers_and_with_expressions():
     assert "(...)" in repair
 
 
+def _within_functions():
+    """Equations that no linear combination repairs, with solutions: derivatives occur together within functions."""
+
+    def nedialkov(t, y, yp, ypp):  # Tan, Nedialkov and Pryce's example: only the substitution x + y y' is allowed
+        x, dx, v, dv, ddv = np.sin(t), np.cos(t), np.cos(t) + 2, -np.sin(t), -np.cos(t)
+        return [
+            y[0] + np.exp(-yp[0] - y[1] * ypp[1]) - x - np.exp(-dx - v * ddv),
+            y[0] + y[1] * yp[1] + y[1] ** 2 - x - v * dv - v**2,
+        ]
+
+    def rates(t, y, yp, k):  # a sum with a factor that depends on t; k makes them a family
+        sum_, exact = yp[0] + k * t * yp[1], np.cos(t) - t * np.sin(t)
+        return [np.exp(sum_) - np.exp(exact), sum_ + y[0] - y[1] - exact - np.sin(t) + np.cos(t)]
+
+    def three(t, y, yp):  # three derivatives in one sum, and two of them in another
+        total, exact = yp[0] + yp[1] + yp[2], np.cos(t) - np.sin(t) + 1
+        return [
+            np.sinh(total) + y[0] - np.sinh(exact) - np.sin(t),
+            yp[1] - 2 * yp[2] + y[2] + np.sin(t) + 2 - t,
+            total**3 + y[1] - exact**3 - np.cos(t),
+        ]
+
+    return {
+        "substitution of x + y y'": (nedialkov, [0, 3], [1, 0], (), 2, lambda t: [np.sin(t), np.cos(t) + 2], 1),
+        "a factor of t": (rates, [0, 1], [1, 0], (1.0,), 1, lambda t: [np.sin(t), np.cos(t)], 1),
+        "three derivatives": (three, [0, 1, 0], [1, 0, 1], (), 1, lambda t: [np.sin(t), np.cos(t), t], 2),
+    }
+
+
+def test_expressions_in_which_derivatives_occur_together_become_unknowns():
+    """Where no combination is allowed: the unknowns of F have the known solutions, by explicit and implicit methods."""
+    for name, (F, y0, yp0, args, order, exact, freedom) in _within_functions().items():
+        dae = iv.Dae(F, 0, y0, yp0, args=args, order=order)
+        assert dae.freedom == freedom, name
+        assert any(re.search(r"w1 = .* is a new unknown", one) for one in dae.repairs), name
+        for method in ("dop853", "radau") if order == 2 else ("dop853",):
+            sol = dae.solve((0, 1), method, fixed=[0], rtol=1e-9, atol=[1e-11] * len(y0), dense_output=True)
+            assert sol.success
+            np.testing.assert_allclose(sol.y, np.array(np.broadcast_arrays(*exact(sol.t))), atol=1e-7)
+            np.testing.assert_allclose(sol.sol(0.7), exact(0.7), atol=1e-6)
+
+
+def test_substituted_unknowns_follow_actions_and_parameters():
+    """After an action the new unknowns are those of the changed values; derivatives are those of differences."""
+    F, y0, yp0, args, *_ = _within_functions()["a factor of t"]
+
+    def kick(t, y, k):
+        return [y[0] + 0.125, y[1] + 0.125]  # the equations determine y[0] - y[1]
+
+    half = iv.Event(lambda t, y, k: t - 0.5, action=kick)
+    given = {"rtol": 1e-10, "atol": 1e-12, "method": "dop853"}
+    sol = iv.solve_dae(F, (0, 0.5), y0, yp0, args=args, **given)
+    moved = iv.solve_dae(F, (0, 1), y0, yp0, args=args, events=half, **given)
+    after = iv.solve_dae(F, (0.5, 1), np.array(sol.y_end) + 0.125, sol.yp[:, -1], args=args, **given)
+    np.testing.assert_allclose(moved.y_end, after.y_end, atol=1e-9)
+    sensitive = iv.solve_dae(F, (0, 1), y0, yp0, args=args, sensitivities=True, **given)
+    more, less = (iv.solve_dae(F, (0, 1), y0, yp0, args=(1 + d,), **given).y_end for d in (1e-5, -1e-5))
+    np.testing.assert_allclose(sensitive.sensitivities[:, 0, -1], (more - less) / 2e-5, atol=1e-6)
+
+
 def test_a_term_that_cancels_exactly_is_absent():
     dae = iv.Dae(lambda t, y, yp: [yp[0] + 0.0 * yp[1] + y[1], y[0] - np.sin(t) + 0 * yp[0] * yp[1]], 0, [0, 0])
     assert dae.freedom == 0
@@ -166,7 +226,7 @@ def _wrong():
             "F returns 3 residuals for 4 unknowns",
         ),
         "terms that cancel in a function": (
-            lambda t, y, yp: [np.sin(yp[0] + yp[1]) + y[1] - np.sin(1.0), (yp[0] + yp[1]) ** 3 + y[0] - 1],
+            lambda t, y, yp: [np.sin(yp[0] * yp[1]) + y[1] - np.sin(1.0), (yp[0] * yp[1]) ** 3 + y[0] - 1],
             {"y0": [0.1, 0.1], "yp0": [0.4, 0.3]},
             r"F\[0\], F\[1\] do not determine y\[.\]', y\[.\]'.*introduce a new unknown",
         ),

@@ -136,11 +136,13 @@ class Dae:
         The degrees of freedom: how many initial values can be chosen.
     offsets : tuple of ndarray of int, (n,)
         c and d of Pryce's method: equation i is differentiated c_i times, and determines the derivative of order d_j of
-        the unknown j on its place of the transversal. Unknowns that only rename others, as in u = x', are left out.
+        the unknown j on its place of the transversal. Unknowns that only rename others, as in u = x', are left out;
+        those that repairs introduced are last.
     blocks : list of (list of str, list of str)
         Equations and the derivatives that they determine together, in the order in which they are solved.
     repairs : list of str
-        Equations that were replaced by combinations in which terms cancel.
+        Equations that were replaced by combinations in which terms cancel, and new unknowns w1, w2, ... for expressions
+        in which unknowns occur together.
 
     Raises
     ------
@@ -215,11 +217,10 @@ class Dae:
             b, more, sign = self._of[u]
             leaf = graph.y((order + more) * m + b)
             mapping[graph.y(one)] = leaf if sign > 0 else graph.negative(leaf)
-        self._given = substituted([one for i, one in enumerate(outputs) if i not in gone], mapping)
         self._kept = kept
-        guess, self._known_levels = self._guess(self.y0, self.yp0)
+        guess, _ = self._guess(self.y0, self.yp0)
         self._structure = Structure(
-            self._given,
+            substituted([one for i, one in enumerate(outputs) if i not in gone], mapping),
             GenericPoints(self.t0, guess),
             self._p,
             [self.names[j] for j in kept],
@@ -359,8 +360,9 @@ class Dae:
     def _start(self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None) -> Array:
         """Return the consistent x_j^(l), l <= d_j, nearest to y and yp."""
         guess, known = self._guess(y, yp)
+        guess, levels = self._structure.completed(t, guess), self._structure.known(np.full(len(self._kept), known))
         held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
-        return starts.nearest(Point(t, guess), known, held)
+        return starts.nearest(Point(t, guess), levels, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
         """Return the order and the number of an unknown that is named with primes, or given by its index."""
@@ -485,7 +487,7 @@ class Dae:
             slopes = reduction.slopes or [reduction.graph.node(1.0)]
             levels = [self._function(f"level{k}", level.in_states) for k, level in enumerate(reduction.levels)]
             self._made[reduction] = _Functions(
-                self._function(self.name, slopes), levels, Unknowns(self._of, self._given, reduction)
+                self._function(self.name, slopes), levels, Unknowns(self._of, self._structure.given, reduction)
             )
         return self._made[reduction]
 
@@ -570,8 +572,9 @@ class Dae:
         x = point_of(reduction, t, state, p).x
         (before, _), (after, _) = self._guess(*old), self._guess(*new)
         levels = min(len(x), len(after))
-        x[:levels] += after[:levels] - before[:levels]
-        found = starts.nearest(Point(t, x), len(x), ())
+        x[:levels, : len(self._kept)] += after[:levels] - before[:levels]
+        x = self._structure.completed(t, x, p)
+        found = starts.nearest(Point(t, x), np.full(x.shape[1], len(x)), ())
         return np.array([found[one] for one in reduction.states])
 
     def _atol(self, reduction: Reduction, options: Options) -> Array | None:
@@ -586,6 +589,8 @@ class Dae:
                 f"atol must be a number or have one value per unknown, {len(self.names)}, got {shown(given)}"
             )
         own = {(one.order, one.j): each[u] for u, one in enumerate(self._of)}
+        for j, definition in enumerate(self._structure.definitions, len(self._kept)):
+            own[0, j] = min(own[0, place % self._structure.n] for place in leaves([definition]))
         found = np.array([own.get((order, j), own[0, j]) for order, j in reduction.states] or [1.0])
         options["atol"] = found
         return found if (found > 0).all() else None

@@ -72,6 +72,41 @@ _MADE: dict[str, Callable[..., Node]] = {
 }
 
 
+def in_lowest_terms(node: Node) -> Node:
+    """Return a quotient without the factors that its numerator and its denominator share."""
+    powers: dict[Node, int] = {}
+    number, waiting = 1.0, [(node, 1)]
+    while waiting:
+        one, power = waiting.pop()
+        a = one.arguments
+        if one.op == "negate":
+            number = -number
+            waiting.append((a[0], power))
+        elif one.op in ("multiply", "divide"):
+            waiting += [(a[1], power if one.op == "multiply" else -power), (a[0], power)]
+        elif one.op == "number" and one.value != 0:
+            number = number * one.value if power > 0 else number / one.value
+        else:
+            powers[one] = powers.get(one, 0) + power
+    above, below = node.graph.node(number), node.graph.node(1.0)
+    for one, power in powers.items():
+        for _ in range(power):
+            above = above * one
+        for _ in range(-power):
+            below = below * one
+    return substituted([above / below], {})[0]
+
+
+def _is_sum(node: Node) -> bool:
+    """Return whether normal forms take the node apart: a linear combination."""
+    a = node.arguments
+    return (
+        node.op in ("add", "subtract", "negate")
+        or (node.op == "multiply" and "number" in (a[0].op, a[1].op))
+        or (node.op == "divide" and a[1].op == "number" and a[1].value != 0)
+    )
+
+
 class Sums:
     """Linear combinations in normal form: Σ c_k u_k with numbers c_k and different u_k that are no sums.
 
@@ -91,6 +126,16 @@ class Sums:
             if abs(x) > _CANCELLED * size:
                 total = total + node * x
         return substituted([total], {})[0]
+
+    def everywhere(self, node: Node) -> Node:
+        """Return the node with all sums in it in normal form, those inside functions too."""
+        made: dict[Node, Node] = {}
+        for one in in_order([node]):
+            a = [made[k] for k in one.arguments]
+            if not _is_sum(one):
+                a = [self([(1.0, k)]) if _is_sum(k) else k for k in a]
+            made[one] = _simplified(one, a)
+        return self([(1.0, made[node])])
 
     def terms(self, parts: Sequence[tuple[float, Node]]) -> dict[Node, tuple[float, float]]:
         """Return the u_k with their c_k, and with Σ |c| over the terms that were put together."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,10 @@ from .expressions import substituted
 _SAFE = 0.1
 #: Blocks of more rows are tested by sparse factors instead of singular values.
 _LARGE = 120
+#: Smallest over largest singular value of an equilibrated matrix below which it is singular.
+SINGULAR = 1e-11
+#: Entries of an echelon form below the first number are 0, of a null vector below the second part of the largest.
+_ROUNDOFF, _NEGLIGIBLE = 1e-9, 1e-7
 #: Iterations of the scaling of rows and columns, which converges by a factor of 4 each.
 _SCALINGS = 4
 
@@ -142,3 +146,40 @@ def _by_growth(A: Any) -> float:
         return 0.0
     largest = float(np.abs(probe).max())
     return 1 / largest if np.isfinite(largest) and largest > 0 else 0.0
+
+
+def nullity(sizes: Array) -> int:
+    """Return how many of the singular values, the largest first, are 0."""
+    return int((sizes <= SINGULAR * sizes[0]).sum())
+
+
+def null_vectors(matrices: Mapping[int, Array]) -> Iterable[tuple[Array, list[int]]]:
+    """Return vectors v with A v = 0 at the first of the matrices, and where they are not 0 at one of them: the rows of
+    the reduced echelon form of the null space, those with the fewest entries first."""
+    lost = min(nullity(np.linalg.svd(A, compute_uv=False)) for A in matrices.values())
+    spaces = [np.linalg.svd(A)[2][len(A) - lost :] for A in matrices.values()]
+    pivots: list[int] = []
+    forms = [_echelon_form(space, pivots) for space in spaces]
+    first = forms[0]
+    for r in sorted(range(len(first)), key=lambda r: int(np.count_nonzero(first[r]))):
+        rows = np.array([form[r] for form in forms])
+        present = np.abs(rows) > _NEGLIGIBLE * np.abs(rows).max(axis=1, keepdims=True)
+        yield first[r], np.flatnonzero(present.any(axis=0)).tolist()
+
+
+def _echelon_form(space: Array, pivots: list[int]) -> Array:
+    """Return the reduced echelon form of a space, given by rows, with these pivots; if there are none yet, the largest
+    entries become pivots."""
+    N = space.copy()
+    for r in range(len(N)):
+        if r == len(pivots):
+            pivots.append(int(np.argmax(np.abs(N[r:]).max(axis=0))))
+        column = pivots[r]
+        below = int(np.argmax(np.abs(N[r:, column])))
+        N[[r, r + below]] = N[[r + below, r]]
+        N[r] /= N[r, column]
+        for other in range(len(N)):
+            if other != r:
+                N[other] -= N[other, column] * N[r]
+    N[np.abs(N) < _ROUNDOFF] = 0
+    return N

@@ -28,9 +28,8 @@ from .._problem.options import Options
 from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import concluded
-from .linear_systems import condition
+from .linear_systems import SINGULAR, condition
 from .solution import in_unknowns
-from .structure import SINGULAR
 from .through import Through
 
 #: Where ∂F/∂y' is formed: distances from the start in units of 1 + |y|.

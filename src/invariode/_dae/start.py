@@ -17,10 +17,10 @@ from .._functions.graph.derivatives import jacobian
 from .._functions.graph.nodes import Node
 from .._functions.graph.rounding import bounds
 from .expressions import Values, is_zero, leaves, primed, substituted
-from .linear_systems import condition, equilibrated
+from .linear_systems import SINGULAR, condition, equilibrated
 from .offsets import Block
 from .reduction import Reduction, Variable
-from .structure import SINGULAR, filled
+from .structure import filled
 
 #: Newton's iteration ends when changes are this part of the values, or decrease no more below the second number.
 _SETTLED, _STAGNATES = 1e-13, 1e-10
@@ -94,15 +94,15 @@ class Starts:
         stages.append((last, [(int(d[j]), j) for j in range(reduction.n)], names))
         self._stages = [_Stage(*one, reduction.n, parameters) for one in stages]
 
-    def nearest(self, guess: Point, known: int, fixed: Collection[Variable]) -> Array:
+    def nearest(self, guess: Point, known: Array, fixed: Collection[Variable]) -> Array:
         """Return the consistent x_j^(l), l <= d_j, (levels, n), nearest to a guess.
 
         Parameters
         ----------
         guess : Point
             The guess.
-        known : int
-            Its levels that were given: the others are free to move.
+        known : ndarray of int, (n,)
+            How many levels of each unknown were given: the others are free to move.
         fixed : collection of Variable
             What may not move.
 
@@ -113,13 +113,14 @@ class Starts:
         """
         if self._first is not None:
             guess = Point(guess.t, self._first.nearest(guess, known, fixed))
-            known = len(guess.x)
+            known = np.full(len(known), len(guess.x))
         n, top = self._reduction.n, int(self._reduction.arrangement.offsets.d.max(initial=0))
         x = np.zeros((top + 1, n))
         levels = min(len(guess.x), top + 1)
         x[:levels] = guess.x[:levels]
         w = np.maximum(np.abs(x), _SMALL)
-        w[known:] = np.maximum(w[known:], _UNKNOWN)
+        is_guess = np.arange(top + 1)[:, None] >= known
+        w[is_guess] = np.maximum(w[is_guess], _UNKNOWN)
         try:
             found = x.copy()
             for stage in self._stages:

@@ -4,8 +4,9 @@
     J_ij = ∂f_i/∂x_j^(σ_ij) where d_j - c_i = σ_ij, else 0.
 
 The method succeeds where J is regular: then f_i^(c_i) = 0 determine all x_j^(d_j). Where J is singular everywhere, one
-equation is replaced by a combination in which its highest derivatives cancel, and the value of the transversal
-decreases (G. Tan, N. S. Nedialkov, J. D. Pryce, Conversion methods for improving structural analysis of
+equation is replaced by a combination in which its highest derivatives cancel (with u, uᵀ J = 0); where that is not
+possible, expressions in which unknowns occur together become new unknowns (with v, J v = 0). Both decrease the value of
+the transversal (G. Tan, N. S. Nedialkov, J. D. Pryce, Conversion methods for improving structural analysis of
 differential-algebraic equation systems, BIT 57 (2017) 845-865).
 
 An unknown is absent from an equation only if that follows from exact identities. A derivative that vanishes at sampled
@@ -14,20 +15,28 @@ points may still be there: of a saturated tanh, say, or of a branch that is not 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.graph.nodes import Node
+from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.rounding import bounds
-from .expressions import Sums, TimeDerivatives, Values, is_zero, leaves, primed, row_of, substituted
-from .linear_systems import condition, equilibrated, solution
+from .expressions import (
+    Sums,
+    TimeDerivatives,
+    Values,
+    in_lowest_terms,
+    is_zero,
+    leaves,
+    primed,
+    row_of,
+    substituted,
+)
+from .linear_systems import SINGULAR, condition, equilibrated, null_vectors, nullity, solution
 from .offsets import ABSENT, Block, Offsets, blocks, offsets, surplus
 
-#: Smallest over largest singular value of an equilibrated block below which it is singular.
-SINGULAR = 1e-11
 #: Distances of the generic points from the guess, in units of 1 + |x|: exponentials hide ranks far away from it.
 _DISTANCES = (0.01, 0.3, 0.1, 0.03, 0.003, 1e-3, 1e-4)
 _PER_DISTANCE, _SEED = 2, 7
@@ -35,8 +44,8 @@ _PER_DISTANCE, _SEED = 2, 7
 _ROUNDOFFS = 64.0
 #: Points at which the gap between zero and non-zero singular values is widest decide on null vectors.
 _CLEAREST, _AS_CLEAR = 4, 1e-3
-#: Entries of a null vector below this part of the largest are 0; numbers that differ by less are equal.
-_NEGLIGIBLE, _EQUAL = 1e-7, 1e-9
+#: Numbers that differ by less than this part of the largest are equal.
+_EQUAL = 1e-9
 
 
 class GenericPoints:
@@ -51,8 +60,8 @@ class GenericPoints:
     """
 
     def __init__(self, t0: float, guess: Array) -> None:
-        self.n = guess.shape[1]
-        self._guess = guess
+        self.t0, self.n = t0, guess.shape[1]
+        self.guess = guess
         self._distances = [s for s in _DISTANCES for _ in range(_PER_DISTANCE)]
         self._random = [np.random.default_rng([_SEED, k]) for k in range(len(self._distances))]
         self.t = [t0 + s * float(rng.uniform()) for s, rng in zip(self._distances, self._random, strict=True)]
@@ -65,7 +74,7 @@ class GenericPoints:
         """Return the first `levels` derivatives at point k, one after the other."""
         known = self._levels[k]
         while len(known) < levels:
-            at = self._guess[len(known)] if len(known) < len(self._guess) else np.zeros(self.n)
+            at = self.guess[len(known)] if len(known) < len(self.guess) else np.zeros(self.n)
             known.append(at + self._distances[k] * self._random[k].standard_normal(self.n) * (1 + np.abs(at)))
         return np.concatenate(known[:levels]) if levels else np.zeros(0)
 
@@ -125,6 +134,10 @@ class Structure:
     ----------
     equations : list of Node
         The equations after repairs.
+    given : list of Node
+        The equations before repairs.
+    definitions : list of Node
+        The last unknowns, which substitutions introduced, as expressions of the others.
     sigma : ndarray of int, (n, n)
         The signature matrix.
     arrangement : Arrangement
@@ -154,7 +167,7 @@ class Structure:
         self.derivative = TimeDerivatives(self.n)
         self.repairs: list[str] = []
         self._sums = Sums()
-        self._given = list(equations)
+        self.given, self.definitions = list(equations), list[Node]()
         self._made_of: list[dict[tuple[int, int], float | None]] = [{(i, 0): 1.0} for i in range(self.n)]
         self.equations = [self._without_cancelled(one) for one in equations]
         self.sigma = np.full((self.n, self.n), ABSENT)
@@ -166,7 +179,8 @@ class Structure:
             singular = next((block for block in self.arrangement.blocks if not self._is_regular(block)), None)
             if singular is None:
                 break
-            self._combine(singular)
+            if not (self._combine(singular) or self._substitute(singular)):
+                raise ValueError(self._numerically_singular(singular))
 
     # ------------------------------------------------------------------------------------------------------------------
     # Signature and offsets
@@ -239,71 +253,163 @@ class Structure:
     # ------------------------------------------------------------------------------------------------------------------
     # Repairs
 
-    def _combine(self, block: Block) -> None:
+    def _combine(self, block: Block) -> bool:
         """Replace an equation of a block that is singular everywhere: f_k + Σ u_i f_i^(c_i - c_k), where u solves
-        uᵀ J = 0 with u_k = 1, and c_k is the smallest offset of the equations in it."""
+        uᵀ J = 0 with u_k = 1, and c_k is the smallest offset of the equations in it. False: none can be replaced."""
         rows, columns = block.rows, block.columns
         c, d, _ = self.arrangement.offsets
-        u, support, clear = self._null_vector(block)
-        low = int(min(c[rows[a]] for a in support))
-        for a in sorted((a for a in support if c[rows[a]] == low), key=lambda a: -abs(u[a])):
-            k, others = rows[a], [rows[b] for b in support if b != a]
-            factors = self._factors(k, others, columns, clear)
-            derived = [self.derivative(self.equations[i], int(c[i]) - low) for i in others]
+        matrices = self._clearest(block)
+        for u, support in null_vectors({k: A.T for k, A in matrices.items()}):
+            low = int(min(c[rows[a]] for a in support))
             high = {j: int(d[j]) - low for j in columns}
-            numbers = [self._number(factor, clear) for factor in factors]
-            combined = self._cancelling(k, numbers, derived, high)
-            if combined is None:
-                if any(place // self.n >= d[place % self.n] - low for place in leaves(factors)):
-                    continue  # the theorem requires factors without the highest derivatives
-                total = self.equations[k]
-                for factor, one in zip(factors, derived, strict=True):
-                    total = total + factor * one
-                combined, numbers = substituted([total], {})[0], [None] * len(others)
-            self._replace(k, combined, [(i, int(c[i]) - low, x) for i, x in zip(others, numbers, strict=True)])
-            self._sign(k, high)
-            return
-        highest = [self._named(j, int(d[j])) for j in columns]
-        raise ValueError(
-            f"the equations {_list(self.names, rows)} do not determine {', '.join(highest)}: their matrix is singular "
-            "everywhere, since terms cancel, and no linear combination without these as factors shows what is left. "
-            f"Rewrite the equations: introduce a new unknown for an expression in which {' and '.join(highest)} occur "
-            "together"
-        )
+            for a in sorted((a for a in support if c[rows[a]] == low), key=lambda a: -abs(u[a])):
+                k, others = rows[a], [rows[b] for b in support if b != a]
+                factors = self._multipliers(block, a, [b for b in support if b != a], matrices, of_rows=True)
+                derived = [self.derivative(self.equations[i], int(c[i]) - low) for i in others]
+                numbers = [self._number(factor, [*matrices]) for factor in factors]
+                combined = self._cancelling(k, numbers, derived, high)
+                if combined is None:
+                    if any(place // self.n >= d[place % self.n] - low for place in leaves(factors)):
+                        continue  # the theorem requires factors without the highest derivatives
+                    total = self.equations[k]
+                    for factor, one in zip(factors, derived, strict=True):
+                        total = total + factor * one
+                    combined, numbers = substituted([total], {})[0], [None] * len(others)
+                self._replace(k, combined, [(i, int(c[i]) - low, x) for i, x in zip(others, numbers, strict=True)])
+                self._sign(k, high)
+                return True
+        return False
 
-    def _null_vector(self, block: Block) -> tuple[Array, list[int], list[int]]:
-        """Return a u with uᵀ J = 0 and few entries, where these are, and the points at which the rank is clearest."""
-        parts = []
+    def _substitute(self, block: Block) -> bool:
+        """Introduce unknowns w_j = x_j^(d_j - c) - v_j x_l^(d_l - c) in a block that is singular everywhere, where v
+        solves J v = 0 with v_l = 1, and c is the largest offset of the equations that contain these x_j^(d_j - c_i).
+        Written in terms of w_j these equations no longer contain x_l^(d_l - c_i). False: this is not possible."""
+        rows, columns = block.rows, block.columns
+        c, d, _ = self.arrangement.offsets
+        matrices = self._clearest(block)
+        for v, support in null_vectors(matrices):
+            together = [columns[b] for b in support]
+            within = [i for i in rows if any((i, j) in self.arrangement.J for j in together)]
+            high = int(max(c[i] for i in within))
+            if any(d[j] < high for j in together):
+                continue
+            # The theorem requires factors without the x_j^(d_j - c) themselves, and without higher derivatives.
+            may = {j: int(d[j]) - high - (j in together or j not in columns) for j in range(self.n)}
+            choices = []
+            for b in support:
+                others = [a for a in support if a != b]
+                factors = self._multipliers(block, b, others, matrices, of_rows=False)
+                numbers = [self._number(factor, [*matrices]) for factor in factors]
+                if (known := [self.graph.node(x) for x in numbers if x is not None]) and len(known) == len(factors):
+                    factors = known
+                if all(place // self.n <= may[place % self.n] for place in leaves(factors)):
+                    divisions = sum(node.op in ("divide", "solve") for node in in_order(factors))
+                    choices.append((divisions, -abs(v[b]), columns[b], [columns[a] for a in others], factors))
+            if choices:  # without divisions the new unknowns exist everywhere
+                _, _, left, replaced, factors = min(choices, key=lambda one: one[:2])
+                self._introduce(within, left, replaced, factors, high)
+                return True
+        return False
+
+    def _introduce(self, rows: Sequence[int], left: int, others: Sequence[int], factors: list[Node], high: int) -> None:
+        """Write x_j^(d_j - c_i) = (w_j + v_j x_l^(d_l - c))^(c - c_i) in these rows; see `_substitute`."""
+        (c, d, _), n, graph = self.arrangement.offsets, self.n, self.graph
+        self.n = n + len(others)
+        every = {*leaves([*self.equations, *self.given, *self.definitions, *factors])}
+        renumbered = {graph.y(place): graph.y(place // n * self.n + place % n) for place in every}
+        self.equations, self.given, self.definitions, factors = (
+            substituted(nodes, renumbered) for nodes in (self.equations, self.given, self.definitions, factors)
+        )
+        self.derivative = TimeDerivatives(self.n)
+        common = graph.y((int(d[left]) - high) * self.n + left)
+        whole, taken = [], {*self.unknowns}
+        for k, (j, factor) in enumerate(zip(others, factors, strict=True)):
+            name = next(name for m in range(1, self.n + 1) if (name := f"w{m}") not in taken)
+            taken.add(name)
+            old = graph.y((int(d[j]) - high) * self.n + j)
+            self.definitions.append(substituted([old - factor * common], {})[0])
+            self.equations.append(substituted([old - factor * common - graph.y(n + k)], {})[0])
+            whole.append(substituted([graph.y(n + k) + factor * common], {})[0])
+            self._made_of.append({(n + k, 0): 1.0})
+            self.repairs.append(f"{name} = {self._in_words(j, left, factor, high)} is a new unknown")
+            self.unknowns.append(name)
+            self.names.append(f"definition of {name}")
+        for i in rows:
+            by = {
+                graph.y((int(d[j]) - int(c[i])) * self.n + j): self.derivative(one, high - int(c[i]))
+                for j, one in zip(others, whole, strict=True)
+            }
+            self.equations[i] = self._sums.everywhere(substituted([self.equations[i]], by)[0])
+        self.points = GenericPoints(self.points.t0, self.completed(self.points.t0, self.points.guess))
+        self.sigma = np.full((self.n, self.n), ABSENT)
+        self._slopes = [{} for _ in range(self.n)]
+        for i in range(self.n):
+            self._sign(i, {left: int(d[left]) - int(c[i])} if i in rows else {})
+
+    def _in_words(self, j: int, left: int, factor: Node, high: int) -> str:
+        _, d, _ = self.arrangement.offsets
+        one, other = (self._named(k, int(d[k]) - high) for k in (j, left))
+        if factor.op != "number":
+            return f"{one} - (...) {other}"
+        size = "" if abs(factor.value) == 1 else f"{abs(factor.value):.6g} "
+        return f"{one} {'+' if factor.value < 0 else '-'} {size}{other}"
+
+    def completed(self, t: float, x: Array, parameters: Array | None = None) -> Array:
+        """Return the values x_j^(l), (levels, n), with those of the unknowns that substitutions introduced."""
+        levels, first = len(x), self.n - len(self.definitions)
+        found = np.zeros((levels, self.n))
+        found[:, :first] = x[:, :first]
+        for j, definition in enumerate(self.definitions, first):
+            nodes = [self.derivative(definition, order) for order in range(levels)]
+            room = np.zeros((1 + max(leaves(nodes), default=0) // self.n, self.n))
+            known = min(len(room), levels)
+            room[:known] = found[:known]
+            values = Values(nodes, self.parameters if parameters is None else parameters)(t, room.ravel())
+            found[:, j] = np.where(np.isfinite(values), values, 0.0)
+        return found
+
+    def known(self, levels: Array) -> Array:
+        """Return how many levels of each unknown are known, where those of the first unknowns are."""
+        found = np.concatenate([levels, np.zeros(len(self.definitions), dtype=int)])
+        for j, definition in enumerate(self.definitions, len(levels)):
+            found[j] = min(found[place % self.n] - place // self.n for place in leaves([definition]))
+        levels_known: Array = np.maximum(found, 0)
+        return levels_known
+
+    def _clearest(self, block: Block) -> dict[int, Array]:
+        """Return the equilibrated block at the points at which its rank is clearest."""
+        parts = {}
         for k, A in enumerate(self._matrices(block)):
             if np.isfinite(A).all():
-                U, sizes, _ = np.linalg.svd(equilibrated(A))
-                parts.append((k, U, sizes, int((sizes <= SINGULAR * sizes[0]).sum())))
+                scaled = equilibrated(A)
+                parts[k] = scaled, np.linalg.svd(scaled, compute_uv=False)
         if not parts:
             raise ValueError(f"equations {_list(self.names, block.rows)} cannot be evaluated near the start")
-        size, nullity = len(block.rows), min(part[3] for part in parts)
-        gaps = [0.0 if nullity == size else s[-1 - nullity] / max(s[0], 1e-300) for _, _, s, _ in parts]
-        best = sorted(range(len(parts)), key=lambda k: -gaps[k])[:_CLEAREST]
-        best = [k for k in best if gaps[k] >= _AS_CLEAR * gaps[best[0]]]
-        support: set[int] = set()
-        vectors = [_sparsest(parts[k][1][:, size - nullity :].T) for k in best]
-        for v in vectors:
-            support |= set(np.flatnonzero(np.abs(v) > _NEGLIGIBLE * np.abs(v).max()).tolist())
-        return vectors[0], sorted(support), [parts[k][0] for k in best]
+        size, lost = len(block.rows), min(nullity(sizes) for _, sizes in parts.values())
+        gaps = {k: 0.0 if lost == size else s[-1 - lost] / max(s[0], 1e-300) for k, (_, s) in parts.items()}
+        best = sorted(parts, key=lambda k: -gaps[k])[:_CLEAREST]
+        return {k: parts[k][0] for k in best if gaps[k] >= _AS_CLEAR * gaps[best[0]]}
 
-    def _factors(self, k: int, others: Sequence[int], columns: Sequence[int], clear: Sequence[int]) -> list[Node]:
-        """Return u_i with J[k] + Σ u_i J[i] = 0, from as many columns as there are factors, chosen by pivoting."""
+    def _multipliers(
+        self, block: Block, k: int, others: Sequence[int], matrices: Mapping[int, Array], of_rows: bool
+    ) -> list[Node]:
+        """Return u_i with J[k] + Σ u_i J[i] = 0 for rows of a block, or the same for columns, from as many equations as
+        there are factors, chosen by pivoting."""
         if not others:
             return []
         from scipy.linalg import qr
 
-        rows, J = [*others, k], self.arrangement.J
-        part = self.arrangement.part(rows, columns)
-        values = self.points.values([node for *_, node in part], self.parameters, clear[:1])[0]
-        A = filled(part, len(rows), values, len(columns))
-        pivots = [columns[b] for b in qr(equilibrated(A[:-1]), pivoting=True)[2][: len(others)]]
-        matrix = [{a: J[i, j] for a, i in enumerate(others) if (i, j) in J} for j in pivots]
-        right = [self.graph.negative(J.get((k, j), self.graph.node(0.0))) for j in pivots]
-        return solution(self.graph, matrix, right)
+        A = next(iter(matrices.values()))
+        pivots = qr((A if of_rows else A.T)[[*others]], pivoting=True)[2][: len(others)].tolist()
+        zero = self.graph.node(0.0)
+
+        def entry(along: int, across: int) -> Node:
+            a, b = (along, across) if of_rows else (across, along)
+            return self.arrangement.J.get((block.rows[a], block.columns[b]), zero)
+
+        matrix = [{m: x for m, i in enumerate(others) if not is_zero(x := entry(i, j))} for j in pivots]
+        found = solution(self.graph, matrix, [self.graph.negative(entry(k, j)) for j in pivots])
+        return [in_lowest_terms(one) for one in found]
 
     def _number(self, node: Node, clear: Sequence[int]) -> float | None:
         """Return the number that a node is at the points where the rank is clear; None: it is not the same at all."""
@@ -355,6 +461,17 @@ class Structure:
     def _named(self, j: int, order: int) -> str:
         return primed(self.unknowns[j], order)
 
+    def _numerically_singular(self, block: Block) -> str:
+        """Return the message for a block that is singular everywhere and that no repair applies to."""
+        _, d, _ = self.arrangement.offsets
+        highest = [self._named(j, int(d[j])) for j in block.columns]
+        return (
+            f"the equations {_list(self.names, block.rows)} do not determine {', '.join(highest)}: their matrix is "
+            "singular everywhere, since terms cancel, and neither a linear combination nor a substitution with factors "
+            "free of these shows what is left. Rewrite the equations: introduce a new unknown for an expression in "
+            f"which {' and '.join(highest)} occur together"
+        )
+
     def _structurally_singular(self) -> str:
         """Return the message for equations that have no transversal."""
         empty = np.flatnonzero((self.sigma == ABSENT).all(axis=1)).tolist()
@@ -399,7 +516,7 @@ class Structure:
     def _is_up_to_a_constant(self, which: Sequence[int]) -> bool:
         """Return whether the equations stay true if the same constant is added to these unknowns."""
         n, graph = self.n, self.graph
-        for one in self._given:
+        for one in self.given:
             row = row_of(one, [j for j in which if j in leaves([one])])
             total = graph.node(0.0)
             for slope in row.values():
@@ -411,18 +528,3 @@ class Structure:
 
 def _list(names: Sequence[str], which: Iterable[int]) -> str:
     return ", ".join(names[i] for i in sorted(which))
-
-
-def _sparsest(space: Array) -> Array:
-    """Return a vector of a space, given by rows, with few non-zeros: a row of its reduced echelon form."""
-    N = space.copy()
-    for r in range(len(N)):
-        below, column = divmod(int(np.argmax(np.abs(N[r:]))), N.shape[1])
-        N[[r, r + below]] = N[[r + below, r]]
-        N[r] /= N[r, column]
-        for other in range(len(N)):
-            if other != r:
-                N[other] -= N[other, column] * N[r]
-    N[np.abs(N) < _EQUAL] = 0
-    found: Array = min(N, key=np.count_nonzero)
-    return found
