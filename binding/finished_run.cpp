@@ -161,6 +161,7 @@ void define_summary_of_run(RunClass& run) {
       "Numbers, in the order of COUNTS.");
   property(run, "steps", [](const RunResult& r) { return r.counts.steps; });
   property(run, "t_end", [](const RunResult& r) { return r.t_end; });
+  property(run, "correction", [](const RunResult& r) { return r.drift.correction; });
   property(run, "nfev", [](const RunResult& r) { return r.nfev; });
   property(run, "njev", [](const RunResult& r) { return r.linear.jacobians; });
   property(run, "nlu", [](const RunResult& r) { return r.linear.factorizations; });

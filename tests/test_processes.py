@@ -154,6 +154,69 @@ def test_a_keyboard_interrupt_of_f_ends_all_whatever_the_number_of_workers(worke
         iv.solve_ensemble(interrupting, (0, 1), [1.0], args=[[k] for k in range(6)], workers=workers)
 
 
+def ending(t, y, p):
+    if p == 2:
+        os._exit(3)
+    return -y
+
+
+def plain(t, y, p):
+    return [-p * y[0]]
+
+
+def through_another(t, y, p):
+    return ending(t, y, p)
+
+
+class Method:
+    f = staticmethod(ending)
+
+    def called(self, t, y, p):
+        return ending(t, y, p)
+
+
+ENDING = {
+    "f": (ending, {}),
+    "a function that f calls": (through_another, {}),
+    "a method": (Method().called, {}),
+    "an implicit method": (ending, {"method": "radau"}),
+    "an event": (plain, {"events": lambda t, y, p: y[0] - 0.5 if p == 1 else ending(t, y, p)[0]}),
+    "an action": (plain, {"events": iv.Event(lambda t, y, p: t - 0.5, action=ending)}),
+    "a callback": (plain, {"callback": lambda t, y: os._exit(3) if y[0] < np.exp(-1.5) else None}),
+    "an argument": (plain, {"args": [[1.0], [type("Fatal", (), {"__neg__": lambda self: os._exit(3)})()], [1.0]]}),
+}
+
+
+def all_survived(connection) -> None:
+    """Send the status of the rows of each ensemble, of which the second ends its process."""
+    for fun, options in ENDING.values():
+        options = {"args": [[1.0], [2.0], [1.0]], "on_failure": "return", **options}
+        connection.send(iv.solve_ensemble(fun, (0, 1), [1.0], **options).status.tolist())
+
+
+def test_by_default_too_a_row_that_ends_its_process_does_not_end_the_caller():
+    ours, theirs = multiprocessing.get_context("fork").Pipe()
+    process = multiprocessing.get_context("fork").Process(target=all_survived, args=(theirs,))
+    process.start()
+    theirs.close()
+    for name in ENDING:
+        assert ours.poll(LIMIT), name
+        assert ours.recv() == [0, -4, 0], name
+    process.join(LIMIT)
+
+
+def test_functions_that_only_calculate_are_called_in_this_process_while_that_takes_no_longer_than_to_start_others(
+    monkeypatch,
+):
+    started = []
+    monkeypatch.setattr(worker_processes._Workers, "_start", lambda self: started.append(self))
+    out = iv.solve_ensemble(plain, (0, 1), [1.0], args=[[1.0], [2.0]], events=lambda t, y, p: y[0] - 0.5)
+    alone = [iv.solve_ivp(plain, (0, 1), [1.0], args=(p,), keep="end") for p in (1.0, 2.0)]
+    assert not started
+    assert out.y_end.tolist() == [one.y[:, -1].tolist() for one in alone]
+    assert out.stats.nfev.tolist() == [one.nfev for one in alone]
+
+
 def in_a_daemon(connection) -> None:
     with pytest.warns(UserWarning, match="daemon=False"):
         out = iv.solve_ensemble(lambda t, y: -y, (0, 1), np.ones((6, 1)), workers=2)

@@ -503,6 +503,9 @@ class Run:
     def t_end(self) -> float: ...
 
     @property
+    def correction(self) -> float: ...
+
+    @property
     def nfev(self) -> int: ...
 
     @property

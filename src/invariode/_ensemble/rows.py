@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, quietly, state, warn
+from .._base.arguments import Array, state, warn
 from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
@@ -59,8 +59,8 @@ _CODES = np.array(
     dtype=np.int8,
 )
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
-#: Seconds that rows in Python are solved in this process before others are started, which takes about as long
-#: (benchmarks/ensembles.py).
+#: Seconds that rows whose functions only calculate are solved in this process before others are started, which takes
+#: about as long (benchmarks/overhead.py). Any other function might end the process, and with it the caller's.
 _PATIENCE = 0.05
 #: Trajectories that failed, and runs that tell why they ended.
 Failures = Sequence[tuple[int, _core.Run]]
@@ -288,15 +288,22 @@ class _Outcome:
 def _solve_one(task: Task, i: int) -> _Outcome:
     """Solve one trajectory; an exception in it becomes its status."""
     try:
-        with quietly():  # the first plan has said it
-            run, plan = task.run(i)
-        exception = plan.exception(run)
-        status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
+        run, plan, own_plan = task.run(i)
+        status, message = _STATUS.get(run.state, _RAISED), ""
+        if status < 0 or plan.watch is not None:
+            plan = own_plan()
+            exception = plan.exception(run)
+            status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
+        elif plan.bound.specs:
+            plan = own_plan()
         row = _row(plan, run)
         if status == _RAISED:
             del row["y_end"]
-        n, happened = plan.functions.n, run.take_events()[: plan.own_events]
-        events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in happened]
+        events = []
+        if plan.own_events:
+            n = plan.functions.n
+            happened = run.take_events()[: plan.own_events]
+            events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in happened]
         return _Outcome(i, status, message, row, events)
     except KeyboardInterrupt:
         raise
@@ -306,15 +313,18 @@ def _solve_one(task: Task, i: int) -> _Outcome:
 
 def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     """Return the row of `Outcomes` of a trajectory, without what is as it was before the run."""
-    t, y = run.take_points()
-    y_end, counts = run.end, np.array(run.counts)
-    row: dict[str, Any] = {"t_end": run.t_end, "y_end": y_end, "counts": counts}
+    row: dict[str, Any] = {"t_end": run.t_end, "y_end": run.end, "counts": run.counts, "correction": run.correction}
+    bound, times = plan.bound, plan.course.times
     if plan.varied is not None:
         n, k = len(plan.y0), len(plan.varied.names)
-        (y, S), (row["y_end"], row["S_end"]) = (states_and_sensitivities(one, n, k) for one in (y, y_end))
-        row["S"] = _at_times(plan, S)
-    if plan.course.times is not None:
-        row["y"] = _at_times(plan, y)
+        row["y_end"], row["S_end"] = states_and_sensitivities(row["y_end"], n, k)
+    if times is not None or len(bound):
+        t, y = run.take_points()
+        if plan.varied is not None:
+            y, S = states_and_sensitivities(y, n, k)
+            row["S"] = _at_times(plan, S)
+        if times is not None:
+            row["y"] = _at_times(plan, y)
     if run.remarkable:
         row["stiff_since"] = run.stiff_since if run.stiff else np.nan
         sticks = np.nan if run.sticks_since is None else run.sticks_since
@@ -323,16 +333,15 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
         row["accumulation"] = run.accumulation[1]
     if run.clipped:
         row["clipped_amount"] = run.clipped
-    bound = plan.bound
     if len(bound):
         bound = bound.jumped(run.jumps)
+        counts = row["counts"] = np.array(run.counts)
         counts[_NG] += bound.evaluations  # before the run, as in a single run
         counts[_NGDIFF] += bound.evaluations - len(bound.specs)
         before, _, _ = run.drift
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
         after = np.abs(bound.residual(np.append(t, run.t_end), np.column_stack([y, row["y_end"]]), pieces)).max(axis=1)
         row |= {"value": bound.value, "residual_before": before[: len(bound)], "residual_after": after}
-    row["correction"] = run.drift[2]
     return row
 
 
@@ -441,9 +450,10 @@ def _here(task: Task) -> Generator[list[_Outcome]]:
 
 
 def _here_and_elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
-    """Solve rows in worker processes; what takes no longer than to start these, in this process."""
+    """Solve rows in worker processes; where functions cannot end a process, what takes no longer than to start these is
+    solved in this one."""
     first, end = 0, time.monotonic() + _PATIENCE
-    if task.first_here:
+    if task.first_here and task.only_calculates():
         for outcomes in _here(task):
             yield outcomes
             first += 1

@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array
+from .._base.arguments import Array, quietly
 from .._base.types import MethodName, OnFailure
-from .._plan.plan import Plan, make_plan, solver
+from .._functions.graph.plain import only_calculates
+from .._plan.plan import Course, Plan, make_plan, solver
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._run.prepared import Prepared, prepared_or_plan
+from .._run.prepared import Prepared, kind_of, prepared_or_plan
+
+
+#: Types of arguments that need no look at each row.
+_NUMBERS = frozenset({float, int})
+#: Types of arguments in whose arithmetic no other code runs.
+_PLAIN = (int, float, complex, str, np.number, np.bool_, type(None))
+
+
+class _Alike(NamedTuple):
+    """What the rows of a task have in common, if they have a prepared plan."""
+
+    prepared: Prepared
+    problem: Problem  # of one of the rows
+    course: Course
+    plan: Plan  # on this course, for runs that reached its end
+    limit: _core.StepLimit | None
+    types: tuple[type, ...] | None  # of their arguments, if these are numbers
 
 
 @dataclasses.dataclass
@@ -26,28 +46,75 @@ class Task:
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
-    first_here: bool = False  # functions of Python are called in this process first, and in others if that takes long
+    first_here: bool = False  # see `_ensemble.rows`
+    _alike: _Alike | None = None  # of the rows, found with the first that is run
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_alike": None}
 
     def plan(self, i: int) -> Plan:
         """Return the plan of one trajectory."""
         return make_plan(self._problem(i), self.method, self.options)
 
-    def run(self, i: int) -> tuple[_core.Run, Plan]:
-        """Return the run of one trajectory and its plan, which those of its kind have in common."""
+    def run(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
+        """Return the run of one trajectory, a plan that all of its kind have in common, and a function that returns its
+        own."""
+        args, alike = self.args_of(i), self._alike
+        if alike is not None and (args is alike.problem.args or alike.types == tuple(map(type, args))):
+            y0 = np.ascontiguousarray(self.y0[i])
+            run = alike.prepared.run(alike.problem, y0, args, alike.course, limit=alike.limit, remember=False)
+            if run is not None:
+                return run, alike.plan, partial(self._own_plan, i, run)
+        with quietly():  # the first plan has said it
+            return self._run_alone(i)
+
+    def _run_alone(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
+        """See `run`: the row is described by a problem of its own."""
         problem = self._problem(i)
         found = prepared_or_plan(problem, self.method, self.options)
         if isinstance(found, Prepared):
             solved = found.run_of(problem, self.options, remember=False)
             if solved is not None:
-                return solved[0], found.plan_of(problem, solved[1], solved[0])
+                run, course = solved
+                self._remember(found, problem, course)
+                plan = found.plan_of(problem, course, run)
+                return run, plan, lambda: plan
             found = make_plan(problem, self.method, self.options)
-        return solver(found).integrate(found.start), found
+        plan = found
+        return solver(plan).integrate(plan.start), plan, lambda: plan
+
+    def _remember(self, prepared: Prepared, problem: Problem, course: Course) -> None:
+        """Keep what the rows have in common: their kind depends on y0 and arguments by the types of these alone."""
+        if self.options.get("breakpoints") is None:
+            limit = cast("_core.StepLimit | None", self.options.get("callback"))
+            plan, types = prepared.plan._replace(course=course), tuple(map(type, problem.args))
+            numbers = types if _NUMBERS.issuperset(types) else None
+            self._alike = _Alike(prepared, problem, course, plan, limit, numbers)
+
+    def _own_plan(self, i: int, run: _core.Run) -> Plan:
+        assert self._alike is not None  # it has made the run
+        return self._alike.prepared.plan_of(self._problem(i), self._alike.course, run)
+
+    def only_calculates(self) -> bool:
+        """Return whether the functions of the rows do nothing but calculate with numbers: they cannot end a process."""
+        problem, callback = self.problem, self.options.get("callback")
+        if self.options.get("breakpoints") is not None or kind_of(problem, self.method, self.options) is None:
+            return False  # where there may be functions that are not among these
+        laws, events = problem.invariants, problem.events
+        called = [problem.fun, *(one.fun for one in laws), *(one.jac for one in laws if callable(one.jac))]
+        called += [f for event in events for f in (event.fun, event.action) if f is not None]
+        rows = [self.args] if isinstance(self.args, tuple) else self.args
+        return all(map(only_calculates, called if callback is None else [*called, callback])) and (
+            isinstance(rows, np.ndarray) or all(isinstance(one, _PLAIN) for row in rows for one in row)
+        )
+
+    def args_of(self, i: int) -> tuple[Any, ...]:
+        """Return the arguments of one trajectory."""
+        args = self.args if isinstance(self.args, tuple) else self.args[i]
+        return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
 
     def _problem(self, i: int) -> Problem:
-        args = self.args if isinstance(self.args, tuple) else self.args[i]
-        if isinstance(args, np.ndarray):
-            args = tuple(args.tolist())
-        return self.problem.replace(y0=self.y0[i], args=args)
+        return self.problem.replace(y0=self.y0[i], args=self.args_of(i))
 
 
 @dataclasses.dataclass

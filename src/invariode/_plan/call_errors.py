@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,11 @@ def takes(fun: Any, args: Iterable[Any]) -> bool:
     """Return whether a function can be called with t, y and these arguments."""
     if not callable(fun) or is_native(fun):
         return True
+    args = (*args,)
+    if type(fun) is FunctionType and not fun.__kwdefaults__ and not hasattr(fun, "__wrapped__"):
+        code, required = fun.__code__, fun.__code__.co_argcount - len(fun.__defaults__ or ())
+        if not code.co_kwonlyargcount and required <= 2 + len(args) <= code.co_argcount:
+            return True
     try:
         inspect.signature(fun).bind(None, None, *args)
     except TypeError:

@@ -603,9 +603,10 @@ class ManyOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Threads or processes. Default: the processors that this process may use; functions of Python are then "
-            "called in this process for the first 50 ms, and other processes are started if rows are left. With an "
-            "executor: threads that each of its places uses at once; default: 1.",
+            "Threads or processes. Default: the processors that this process may use; functions of Python that only "
+            "calculate with numbers, as their code shows, are then called in this process for the first 50 ms, and "
+            "other processes are started if rows are left. With an executor: threads that each of its places uses at "
+            "once; default: 1.",
         ),
     ]
     lanes: Annotated[

@@ -229,7 +229,7 @@ def _of_any_span(problem: Problem, plan: Plan) -> bool:
 
 def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> Prepared | Plan:
     """Return the prepared plan for all problems of this kind, or the problem's own plan if there can be none."""
-    kind = _kind(problem, method, options)
+    kind = kind_of(problem, method, options)
     kept: dict[Hashable, Prepared] = problem.fun.prepared if isinstance(problem.fun, CompiledFunction) else _kept
     known = None if kind is None else kept.get(kind)
     if known is not None:
@@ -250,7 +250,7 @@ def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> 
     return prepared
 
 
-def _kind(problem: Problem, method: MethodName, options: Options) -> Hashable | None:
+def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable | None:
     """Return a key of all problems that have a plan in common; None: this problem is the only one of its kind."""
     n, fun = reals(problem.y0), problem.fun
     described = _described(problem) if n < _LARGE and isinstance(method, str) else None

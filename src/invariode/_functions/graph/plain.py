@@ -104,6 +104,19 @@ def may_switch(fun: Any) -> bool:
     return time in _code_of(function.__code__).reads or time >= function.__code__.co_argcount
 
 
+def only_calculates(fun: Any) -> bool:
+    """Return whether a Python function does nothing but calculate with numbers and arrays, so that a call has no effect
+    and cannot end the process. Functions of which this is not known, such as methods and machine code, do not count."""
+    function = _function_of(fun)
+    if function is None:
+        return False
+    try:
+        _contents(function, ())
+    except _NoticedError:
+        return False
+    return True
+
+
 class PlainGraph:
     """The graph of a function.
 
