@@ -18,7 +18,6 @@ from .._problem.options import Options
 from .._problem.problem import Problem
 from .._run.prepared import Prepared, kind_of, prepared_or_plan
 
-
 #: Types of arguments that need no look at each row.
 _NUMBERS = frozenset({float, int})
 #: Types of arguments in whose arithmetic no other code runs.
@@ -26,7 +25,7 @@ _PLAIN = (int, float, complex, str, np.number, np.bool_, type(None))
 
 
 class _Alike(NamedTuple):
-    """What the rows of a task have in common, if they have a prepared plan."""
+    """The prepared plan that the rows of a task have in common, if there is one."""
 
     prepared: Prepared
     problem: Problem  # of one of the rows
