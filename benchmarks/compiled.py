@@ -197,7 +197,7 @@ def against_numba(repetitions: int) -> str:
         seconds, made = {}, {}
         for by, one in codes.items():
             start = process_time()
-            made[by] = one.native(n, n, 0, event=False)
+            made[by] = one.native(n, n)
             seconds[by] = process_time() - start
         y = np.linspace(0.6, 1.4, n)
         count = calls(2e-3, made["trace"], y, n)
@@ -211,7 +211,7 @@ def against_numba(repetitions: int) -> str:
 
 
 def of(fun: CompiledFunction, n: int) -> Derived:
-    found = derived(fun, n, n, 0)
+    found = derived(fun, n, n)
     assert found is not None
     return found
 
@@ -222,8 +222,8 @@ def jacobians(repetitions: int) -> str:
         f = iv.compile(fun, by="trace")
         J = of(f, DENSE).dense()
         codes = {
-            "f": (f.native(DENSE, DENSE, 0, event=False), DENSE),
-            "J": (J.native(DENSE, J.size, 0, event=False), J.size),
+            "f": (f.native(DENSE, DENSE), DENSE),
+            "J": (J.native(DENSE, J.size), J.size),
         }
         y = np.linspace(0.6, 1.4, DENSE)
         count = calls(2e-3, *codes["f"][:1], y, DENSE)
@@ -241,12 +241,12 @@ def large(repetitions: int) -> str:
         codes, seconds = {}, {}
         for by in WAYS:
             start = process_time()
-            codes[by] = iv.compile(heat, by=by, inplace=True).native(n, n, 0, event=False)
+            codes[by] = iv.compile(heat, by=by, inplace=True).native(n, n)
             seconds[by] = process_time() - start
         f = iv.compile(heat, by="trace", inplace=True)
         start = process_time()
         J = of(f, n).sparse()
-        J.native(n, J.size, 0, event=False)
+        J.native(n, J.size)
         seconds["J"] = process_time() - start
         y = np.linspace(0.6, 1.4, n)
         count = calls(2e-3, codes["numba"], y, n)
@@ -272,8 +272,8 @@ def large(repetitions: int) -> str:
 
 
 def report(repetitions: int) -> str:
-    iv.compile(partial(van_der_pol), inplace=True).native(2, 2, 0, event=False)  # what is imported and initialised once
-    iv.compile(lambda t, y, out: None, by="numba", inplace=True).native(2, 2, 0, event=False)
+    iv.compile(partial(van_der_pol), inplace=True).native(2, 2)  # what is imported and initialised once
+    iv.compile(lambda t, y, out: None, by="numba", inplace=True).native(2, 2)
     return "\n\n".join(
         [
             f"{machine('invariode', 'numba', 'llvmlite')}. Process times to compile; medians of {repetitions}.",

@@ -15,6 +15,7 @@ import invariode as iv
 from invariode import _core
 from invariode._functions import lanes
 from invariode._functions.compiled import Compiled
+from invariode._functions.layout import ArgumentLayout
 
 mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
@@ -68,7 +69,7 @@ CHUNK = 512  # components of the functions that give values
 
 @cache
 def native(name):
-    return iv.compile(OF_ALL[name], inplace=True).native(CHUNK, CHUNK, 0, False)
+    return iv.compile(OF_ALL[name], inplace=True).native(CHUNK, CHUNK)
 
 
 def values(name, x, code=native):
@@ -228,8 +229,8 @@ def test_lanes_have_the_bits_of_one_number(width):
     y = np.concatenate([random.choice(few, (64 * width, 6)), random.uniform(-20, 20, (64 * width, 6))])
     p = np.concatenate([random.choice(few, (64 * width, 1)), random.uniform(0, 20, (64 * width, 1))])
     compiled = iv.compile(all_of_them)
-    alone = compiled.native(6, 6, 1, False)
-    form = lanes._lane_code(Compiled(compiled, 6, 6, 1), width)
+    alone = compiled.native(6, 6, ArgumentLayout.single(1))
+    form = lanes._lane_code(Compiled(compiled, 6, 6, ArgumentLayout.single(1).whole()), width)
     assert not isinstance(form, str), form
     expected = np.empty_like(y)
     for at, row, out in zip(p, y, expected, strict=True):
@@ -265,7 +266,7 @@ def test_helpers_get_them_too():
         return np.sin(x) + np.exp(x)
 
     x = np.linspace(-3, 3, 50)
-    code = iv.compile(lambda t, y, p: helper(p[0])).native(1, 1, 1, False)
+    code = iv.compile(lambda t, y, p: helper(p[0])).native(1, 1, ArgumentLayout.single(1))
     found, unused = np.empty_like(x), np.zeros(1)
     for i in range(len(x)):
         VECTOR(code.address)(0.0, unused.ctypes.data, found[i:].ctypes.data, x[i:].ctypes.data)

@@ -23,6 +23,7 @@ from invariode._functions.graph.function import GraphFunction
 from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
 from invariode._functions.graph.python import Formula, as_text
 from invariode._functions.graph.rolled import rolled
+from invariode._functions.layout import ArgumentLayout
 
 machine = pytest.importorskip("invariode._functions.graph.machine")
 objects = pytest.importorskip("invariode._functions.graph.objects")
@@ -174,7 +175,7 @@ def test_functions_for_derivatives_along_a_direction_are_those_of_40_digits(outp
     y = np.array(Y)
 
     def value(function, point):
-        code = function.native(len(point), 1, P, False)
+        code = function.native(len(point), 1, ArgumentLayout.single(P))
         return as_python(code, 1)(TIME, np.array(point), np.array(ARGS))[0]
 
     with mpmath.workdps(40):
@@ -392,7 +393,7 @@ def test_sparse_systems_are_solved_as_dense_ones():
         kinds |= {len(one[0].arguments[0].value.places) > 0 for one in (sparse, dense)}
         at = start[:k]
         values = [Formula("f", lambda one=one: one, (k,)).array(0.0, at) for one in (sparse, dense)]
-        code = as_python(GraphFunction(Formula("f", lambda one=sparse: one, (k,))).native(k, k, 0, event=False), k)
+        code = as_python(GraphFunction(Formula("f", lambda one=sparse: one, (k,))).native(k, k), k)
         for found in (values[0], code(0.0, at, np.zeros(0))):
             np.testing.assert_allclose(found, values[1], rtol=1e-13)
         slopes = []
@@ -414,7 +415,7 @@ def test_a_singular_sparse_system_has_no_value():
         *({i: graph.node(1.0)} for i in range(2, 30)),
     ]
     found = [row[0] for row in graph.solve_sparse(rows, [[graph.node(1.0)]] * 30)]
-    code = as_python(GraphFunction(Formula("f", lambda: found, (30,))).native(1, 30, 0, event=False), 30)
+    code = as_python(GraphFunction(Formula("f", lambda: found, (30,))).native(1, 30), 30)
     assert np.isnan(code(0.0, np.ones(1), np.zeros(0))).all()
     assert np.isnan(Formula("f", lambda: found, (30,)).array(0.0, np.ones(1))).all()
 

@@ -24,7 +24,7 @@ def jacobian(problem, t, y):
     plan = make_plan(problem, "ode15s", {})
     its = plan.functions
     core = _core.Problem(
-        n=its.n, complex=False, fun=its.fun, args=its.args, parameters=its.parameters, linear=its.linear
+        n=its.n, complex=False, fun=its.fun, args=its.args, parameters=its.parameters.numbers, linear=its.linear
     )
     rows, columns, values = _core.jacobian(t, y, core, _core.Tolerances(*plan.tolerances))
     return sparse.csc_array((values, (rows, columns)), (its.n, its.n)).toarray(), its.linear.kind, its.linear.structure
@@ -421,7 +421,7 @@ def test_a_long_jacobian_is_formed_by_products():
 
     y0 = np.linspace(-1, 1, n)
     problem = iv.Problem(iv.compile(chained), (0, 1), y0)
-    assert derived(problem.fun, n, n, 0).is_product(n)
+    assert derived(problem.fun, n, n).is_product(n)
     found, kind, structure = jacobian(problem, 0.3, y0)
     assert (kind, structure) == ("derived", "dense")
     expected = np.zeros((n, n))

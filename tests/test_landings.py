@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 import invariode as iv
 from cases import FAMILIES, SERIES, dealt, families, families_and_series, hidden
 from invariode._functions.graph.plain import may_switch, plain_graph
-from invariode._functions.layout import Parameters, arguments_of
+from invariode._functions.layout import layout_of
 from invariode._sensitivity.landings import schedule_of
 
 SPLINE = CubicSpline([0.0, 2.0, 5.0, 9.0, 12.0], [0.0, 1.0, -1.0, 0.5, 0.0])
@@ -199,7 +199,7 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
         *(printing, random_one, calling),
     ):
         before = copy.deepcopy((seen, table, vars(settings), array.tolist(), COUNT))
-        assert not may_switch(fun) or plain_graph(fun, 1, arguments_of(())) is None
+        assert not may_switch(fun) or plain_graph(fun, 1, layout_of(())) is None
         assert before == (seen, table, vars(settings), array.tolist(), COUNT)
 
 
@@ -321,6 +321,6 @@ def test_where_nothing_is_known_runs_are_as_before():
 def test_times_are_doubles_that_people_write():
     """Where a line or a period leads to a double exactly, that is the landing."""
     problem = iv.Problem(lambda t, y: [1.0 if 1 <= t <= 1.5 or t % 24 < 2 else np.floor(t / 7)], (0, 100), [0.0])
-    times = schedule_of(problem, Parameters.of(())).landings.apart(0, 100, np.zeros(0))
+    times = schedule_of(problem, layout_of(())).landings.apart(0, 100, np.zeros(0))
     expected = sorted({1, 1.5, *range(0, 100, 24), *range(2, 100, 24), *range(0, 100, 7)})
     assert np.array_equal(times, expected)

@@ -91,9 +91,9 @@ def test_totals_are_found_in_the_structure_and_nowhere_else():
 
 
 def _args(*values):
-    from invariode._functions.layout import arguments_of
+    from invariode._functions.layout import layout_of
 
-    return arguments_of(values)
+    return layout_of(values)
 
 
 def test_totals_of_products_written_in_other_ways():

@@ -18,7 +18,7 @@ from invariode._functions.compiled import as_python
 from invariode._functions.graph.python import Formula
 from invariode._functions.graph.trace import TraceLimits, trace
 from invariode._functions.graph.traced import TraceError
-from invariode._functions.layout import arguments_of
+from invariode._functions.layout import ArgumentLayout, layout_of
 
 pytest.importorskip("llvmlite")
 
@@ -166,10 +166,10 @@ def test_a_compiled_function_has_the_values_of_the_function(name):
     fun, n, args = FUNCTIONS[name]
     code = iv.compile(fun, by="trace")
     parameters = np.concatenate([np.zeros(0), *map(np.ravel, args)])
-    native = code.native(n, n, len(parameters), False)
+    native = code.native(n, n, ArgumentLayout.single(len(parameters)))
     assert code.how == "trace"
     assert native.address
-    formula = Formula("f", lambda: trace(fun, n, arguments_of(args)).outputs, (n,))
+    formula = Formula("f", lambda: trace(fun, n, layout_of(args)).outputs, (n,))
     rng = np.random.default_rng(27)
     for _ in range(10):
         t, y = rng.random(), rng.standard_normal(n)
@@ -299,7 +299,7 @@ def test_values_are_right_at_points_that_are_not_compared_or_there_is_no_graph(n
     fun = SUBTLE[name]
     code = iv.compile(fun, by="trace")
     try:
-        compiled = as_python(code.native(2, 2, 0, False), 2)
+        compiled = as_python(code.native(2, 2), 2)
     except TypeError as refused:
         assert 'leave by="trace" out' in str(refused)
         return
@@ -346,7 +346,7 @@ def test_functions_that_fill_an_output_and_take_two_vectors():
     filling(0.3, [0.5, 0.7], out)
     found = Formula("f", lambda: trace(filling, 2, inplace=2).outputs, (2,))
     np.testing.assert_array_equal(found(0.3, [0.5, 0.7]), out)
-    two = trace(lambda t, q, v, k: [k * q[0] + v[1], q[1] * v[0]], 4, arguments_of((0.5,)), second=2)
+    two = trace(lambda t, q, v, k: [k * q[0] + v[1], q[1] * v[0]], 4, layout_of((0.5,)), second=2)
     np.testing.assert_array_equal(Formula("f", lambda: two.outputs, (2,))(0.0, [1, 2, 3, 4], 0.5), [4.5, 6.0])
 
 
@@ -415,7 +415,7 @@ REFUSED = {
 def test_what_cannot_be_traced_says_at_which_line_and_why(what):
     fun, why = REFUSED[what]
     with pytest.raises(TypeError, match=why) as refused:
-        iv.compile(fun, by="trace").native(2, 2, 0, False)
+        iv.compile(fun, by="trace").native(2, 2)
     if what not in ("a count of calls", "random", "complex numbers"):
         assert re.search(rf"at line \d+ of .*{re.escape('test_trace.py')}", str(refused.value))
     assert 'leave by="trace" out' in str(refused.value)
@@ -478,7 +478,7 @@ def test_a_graph_that_is_wrong_in_one_branch_is_found(monkeypatch):
     monkeypatch.setattr(hidden, "value", 2.0)
     monkeypatch.setattr("invariode._functions.graph.trace.trace", lambda *args, **options: found)
     with pytest.raises(TypeError, match=r"cannot be traced: at t = .* its value 0 is"):
-        fun.native(2, 2, 0, False)
+        fun.native(2, 2)
 
 
 class Spring:
@@ -672,7 +672,7 @@ def test_tables_have_the_values_of_the_interpolator(name):
         return [table(y[0])]
 
     code = iv.compile(fun, by="trace")
-    evaluate = as_python(code.native(1, 1, 0, False), 1)
+    evaluate = as_python(code.native(1, 1), 1)
     for x in [*np.random.default_rng(27).uniform(-1, 4, 40), *XS]:
         try:
             expected = float(table(x))
@@ -697,7 +697,7 @@ def from_outside(t, y):
 def test_the_first_run_finds_a_function_that_has_changed(monkeypatch):
     """In a branch that no other test of the graph reached: at t, in the component; later runs do not look."""
     code = iv.compile(from_outside, by="trace")
-    code.native(2, 2, 0, False)
+    code.native(2, 2)
     monkeypatch.setattr(hidden, "value", 2.0)
     where = r"differs from the function that it was made of: at t = 2\.\d+ its value 1 is"
     with pytest.raises(ValueError, match=where):
@@ -843,7 +843,7 @@ def test_everyday_code_is_traced(name):
     """Machine code has its values but for roundoff, whatever sign they have; NumPy warns of nothing on the way."""
     fun = EVERYDAY[name]
     code = iv.compile(fun, by="trace")
-    call = as_python(code.native(3, 3, 0, False), 3)
+    call = as_python(code.native(3, 3), 3)
     for t, y in zip([0.3, 2.5, 7.0], np.random.default_rng(44).normal(size=(3, 3)), strict=True):
         with np.errstate(all="ignore"):
             expected = fun(t, y)

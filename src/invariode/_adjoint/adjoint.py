@@ -34,7 +34,7 @@ from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.compiled import is_native
 from .._functions.directional import Directional, Point
-from .._functions.layout import Parameters
+from .._functions.layout import layout_of
 from .._plan.call_errors import takes
 from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
 from .._problem.breakpoints import Breakpoint, to_breakpoints
@@ -260,8 +260,8 @@ class _Adjoint:
     def _schedule(self) -> Schedule | None:
         """Times at which f changes its branch as a function of t alone."""
         with quietly():  # the run has warned
-            found = schedule_of(self._run.problem, Parameters.of(self._run.problem.args))
-            return found or schedule_of(self._problem, Parameters.of(self._problem.args), self._slope.outputs or ())
+            found = schedule_of(self._run.problem, layout_of(self._run.problem.args))
+            return found or schedule_of(self._problem, layout_of(self._problem.args), self._slope.outputs or ())
 
     @cached_property
     def _breakpoints(self) -> list[Breakpoint]:

@@ -20,7 +20,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._functions.compiled import CoreFunction, as_python, is_native, to_native
 from .._functions.directional import Directional, Given
-from .._functions.layout import Parameters
+from .._functions.layout import layout_of
 from .._problem.invariants import Invariants
 from .._problem.problem import Problem
 
@@ -141,8 +141,8 @@ class Laws:
             return None
         found: Any = one.metric
         if is_native(found) and not isinstance(found, CoreFunction):
-            p = Parameters.of(self._args)
-            found = as_python(to_native("metric", found, len(y), size * size, p), size * size)(t, y, p)
+            p = layout_of(self._args)
+            found = as_python(to_native("metric", found, len(y), size * size, p), size * size)(t, y, p.numbers)
         elif callable(found):
             found = found(t, y.copy(), *self._args)
         found = np.asarray(found, dtype=float)

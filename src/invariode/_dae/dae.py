@@ -32,7 +32,7 @@ from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
-from .._functions.layout import TRUTHS, Listed, Numbers, arguments_of
+from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
 from .._problem.events import to_events
 from .._problem.invariants import Invariants
 from .._problem.methods import find_method
@@ -200,7 +200,7 @@ class Dae:
                 f"F returns {len(traced.outputs)} residuals for {n} unknowns: as many equations as unknowns are needed"
             )
         self._args, self._parameter_names = traced.args, traced.names
-        self._p = arguments_of(traced.args).values()
+        self._p = layout_of(traced.args).numbers
         self._analyse(traced.outputs)
 
     def _analyse(self, outputs: list[Node]) -> None:
@@ -568,7 +568,7 @@ class Dae:
         args: Sequence[Any],
     ) -> Array:
         """Return the consistent state nearest to one in which unknowns, or their derivatives, have changed."""
-        p = arguments_of(args).values() if args else self._p
+        p = layout_of(args).numbers if args else self._p
         x = point_of(reduction, t, state, p).x
         (before, _), (after, _) = self._guess(*old), self._guess(*new)
         levels = min(len(x), len(after))
@@ -629,7 +629,7 @@ class Dae:
         """Return a solution of the reduced problem in the unknowns of F; a violated equation is a failure."""
         unknowns = self._functions(reduction).unknowns
         source = sol._origin.source
-        p = arguments_of(source.problem.args).values()
+        p = layout_of(source.problem.args).numbers
         found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
         if sol.status == FAILED and (text := impasse(sol, reduction, p)):
             found = found.changed(message=text)
@@ -671,7 +671,7 @@ def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
         return fun(t, *(z[level * n : (level + 1) * n] for level in range(order + 1)), *rest)
 
     residuals.__name__ = residuals.__qualname__ = call_name(fun, "F")
-    arguments = arguments_of(args)
+    arguments = layout_of(args)
     size = _size(residuals, args, n, order)
     made = TracedFunction(residuals, inplace=False, elementary="own", by="trace")
     try:
@@ -686,7 +686,7 @@ def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
     renumbered: dict[int, int] = {}
     kept, kept_names = [], []
     for one, entry, name in zip(args, arguments.entries, names, strict=True):
-        count = int(arguments_of([one]))
+        count = layout_of([one]).size
         if _is_variable(entry, rank):
             for k in range(count):
                 renumbered[place + k] = len(renumbered)

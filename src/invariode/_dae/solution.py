@@ -19,7 +19,7 @@ from .._functions.graph.derived import Derived
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
-from .._functions.layout import place_of
+from .._functions.layout import ArgumentLayout, place_of
 from .._laws.bound import BoundInvariants
 from .._problem.options import ExtensionOptions
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
@@ -86,7 +86,8 @@ class Values:
         if self._code is None and many and find_spec("llvmlite") is not None:
             n = 1 + max(leaves(self.nodes), default=0)
             code = GraphFunction(self.formula)
-            parameters = 1 + max((one.value for one in in_order(self.nodes) if one.op == "p"), default=-1)
+            count = 1 + max((one.value for one in in_order(self.nodes) if one.op == "p"), default=-1)
+            parameters = ArgumentLayout.single(count)
             self._code = as_python(code.native(n, len(self.nodes), parameters, event=False), len(self.nodes))
         return self._code or self.at
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, shown
-from .._functions.layout import arguments_of
+from .._functions.layout import layout_of
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import Event
 
@@ -38,12 +38,12 @@ class Through:
             numbers = [one for given in args for one in np.ravel(np.asarray(given, dtype=object))] if args else self._p
             general: Array = self._unknowns.y.general(t, state, numbers)
             return general
-        found: Array = self._unknowns.y.at(t, state, arguments_of(args).values() if args else self._p)
+        found: Array = self._unknowns.y.at(t, state, layout_of(args).numbers if args else self._p)
         return found
 
     def yp(self, t: float, state: Array, args: Sequence[Any] = ()) -> Array:
         """Return their derivatives."""
-        found: Array = self._unknowns.yp.at(t, state, arguments_of(args).values() if args else self._p)
+        found: Array = self._unknowns.yp.at(t, state, layout_of(args).numbers if args else self._p)
         return found
 
     def event(self, given: Any) -> Event:

@@ -15,7 +15,7 @@ from .. import _core
 from .._base.arguments import Array, state, warn
 from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
-from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
+from .._functions.layout import TRUTHS, ArgumentLayout, layout_of
 from .._plan.call_errors import error_at_start
 from .._plan.plan import Plan, solver
 from .._plan.second_order import fits_any_args
@@ -200,18 +200,18 @@ def _parameters(task: Task, plan: Plan) -> Array:
     """Return the parameters of the native functions, one row for each trajectory."""
     size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
-        same = np.empty((size, len(p)))
-        same[:] = p
+        same = np.empty((size, p.size))
+        same[:] = p.numbers
         return same
     try:
         rows = np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except (ValueError, TypeError):  # arguments of different shapes, or that are no numbers
-        rows = np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
+        rows = np.stack([native_parameters(row, [task.problem.fun]).numbers for row in task.args])
     _require_constants(task, p, rows)
     return rows
 
 
-def _require_constants(task: Task, p: Array, rows: Array) -> None:
+def _require_constants(task: Task, p: ArgumentLayout, rows: Array) -> None:
     """Check that all trajectories have the same values of arguments that are constants of compiled functions.
 
     Raises
@@ -219,12 +219,9 @@ def _require_constants(task: Task, p: Array, rows: Array) -> None:
     ValueError
         They differ.
     """
-    arguments = count_of(p)
-    if not isinstance(arguments, Arguments):
-        return
-    others = [] if isinstance(task.args, np.ndarray) else map(arguments_of, task.args)
-    objection = arguments.objection(rows, constants(task.problem.called_functions, p))
-    if objection is None and any(one.fixed(TRUTHS) != arguments.fixed(TRUTHS) for one in others):
+    others = [] if isinstance(task.args, np.ndarray) else map(layout_of, task.args)
+    objection = p.objection(rows, constants(task.problem.called_functions, p))
+    if objection is None and any(one.fixed(TRUTHS) != p.fixed(TRUTHS) for one in others):
         objection = "arguments that are no numbers, or their shapes, differ from row to row"
     if objection is not None:
         raise ValueError(f"args of a compiled ensemble: {objection}. Compile one function for each, or pass floats")

@@ -17,6 +17,7 @@ from .._base.files import damage_of
 from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
 from .._base.types import Numbers
+from .._functions.layout import NO_ARGUMENTS, layout_of
 from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
@@ -68,16 +69,11 @@ class Trajectories:
     def invariants(self, i: int, value: Array) -> BoundInvariants:
         """Return the invariants of a trajectory, at its values."""
         if self.bound is None or not np.isfinite(value).all():
-            return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
+            return BoundInvariants([], np.zeros(0), [], (), NO_ARGUMENTS, None)
         args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
         functions = [f for spec in self.bound.specs for f in (spec.fun, spec.jac)]
-        native = any(hasattr(f, "address") for f in functions)
-        p = (
-            np.concatenate([np.zeros(0), *(np.ravel(np.asarray(a, dtype=float)) for a in args)])
-            if native
-            else np.zeros(0)
-        )
-        return dataclasses.replace(self.bound, value=value, args=args, parameters=p)
+        parameters = layout_of(args) if any(hasattr(f, "address") for f in functions) else NO_ARGUMENTS
+        return dataclasses.replace(self.bound, value=value, args=args, parameters=parameters)
 
 
 def final_states(y_end: Array, status: Array) -> Array:

@@ -34,7 +34,7 @@ from .._base.forks import compiling
 from .contents import Captured
 from .filling import Filling
 from .first_order import FirstOrderForm
-from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
+from .layout import NO_ARGUMENTS, TRUTHS, ArgumentLayout, Constant, Numbers, layout_of
 
 Callback: TypeAlias = Callable[[float, Array], object] | None
 """The user's ``callback(t, y)``, which stops a run by returning True."""
@@ -94,7 +94,7 @@ class CoreFunction:
         """Return an equivalent function that can be traced for its derivatives, or None."""
         return None
 
-    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+    def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> Any:
         """Return the form that the core calls, for n components and `size` values."""
         raise NotImplementedError
 
@@ -104,7 +104,7 @@ class Shape(NamedTuple):
 
     n: int
     size: int
-    parameters: int
+    parameters: ArgumentLayout
     event: bool
     second: int = 0  # components of a second vector, of the n
     is_complex: bool = False
@@ -227,7 +227,7 @@ class CompiledFunction:
             return rest[0]
         return values.reshape(size) if size else float(values[0])
 
-    def _prepared_call(self, t: float, y: Array, p: Parameters, args: tuple[Any, ...]) -> Any:
+    def _prepared_call(self, t: float, y: Array, p: ArgumentLayout, args: tuple[Any, ...]) -> Any:
         """Return the shape of the values for these arguments, which the Python function tells, and the machine code;
         None: the values are no floats, or there is no code for these arguments."""
         if self.inplace:
@@ -242,7 +242,7 @@ class CompiledFunction:
         return shape, as_python(to_native(self.__name__, self, len(y), size, p), size)
 
     def _known(
-        self, known: dict[Any, Any], args: Sequence[Any], sizes: Any, make: Callable[[Parameters], Any]
+        self, known: dict[Any, Any], args: Sequence[Any], sizes: Any, make: Callable[[ArgumentLayout], Any]
     ) -> tuple[Any, Array]:
         """Return what was made for arguments of these sizes, and their numbers: one for all floats and arrays of
         floats, unless the values of some are constants of the code."""
@@ -250,15 +250,15 @@ class CompiledFunction:
         key = sizes, tuple(map(np.shape, args))
         if numbers is not None and key in known:
             return known[key], numbers
-        p = Parameters.of(args)
-        exact = sizes, p.arguments.fixed(constants([self], p))
+        p = layout_of(args)
+        exact = sizes, p.fixed(constants([self], p))
         if exact not in known:
             made = make(p)  # which finds out what the constants are
-            exact = sizes, p.arguments.fixed(constants([self], p))
+            exact = sizes, p.fixed(constants([self], p))
             known[exact] = made
-        if numbers is not None and p.arguments.may_vary(constants([self], p)):
+        if numbers is not None and p.may_vary(constants([self], p)):
             known[key] = known[exact]
-        return known[exact], np.asarray(p)
+        return known[exact], p.numbers
 
     def jacobian(self, t: float, y: ArrayLike, *args: Any) -> Array:
         """Return ∂f/∂y of shape (m, n): exactly, by machine code, where the function can be traced; else by complex
@@ -294,11 +294,11 @@ class CompiledFunction:
                 return J
         return whole(self, float(t), state, args)
 
-    def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
-        """The Python function, with the arguments of the problem as numbers one after the other."""
-        return self.fun(t, *vectors, *([parameters] if len(parameters) else []))
+    def at(self, t: float, *vectors: Array, parameters: ArgumentLayout) -> Any:
+        """Call the Python function with all numbers of the arguments in one array, if there are any."""
+        return self.fun(t, *vectors, *([parameters.numbers.copy()] if parameters.size else []))
 
-    def value_at(self, t: float, y: Array, parameters: Array) -> Any:
+    def value_at(self, t: float, y: Array, parameters: ArgumentLayout) -> Any:
         """Return the value of the Python function, or the output array that it fills. `y` has the type of the problem's
         y and is copied."""
         y = y.copy() if self.is_complex else y.copy().view(float)
@@ -308,13 +308,13 @@ class CompiledFunction:
         self.at(t, y, out, parameters=parameters)
         return out
 
-    def index_error(self, name: str, t: float, y: Array, parameters: Array) -> IndexError | None:
+    def index_error(self, name: str, t: float, y: Array, parameters: ArgumentLayout) -> IndexError | None:
         """The IndexError that the Python function raises, where the machine code is NaN: with the `name` that the
         function has in its problem."""
         try:
             self.value_at(t, y, parameters)
         except IndexError as error:
-            sizes = f"y has size {len(y)}" + (f", args together {len(parameters)}" if len(parameters) else "")
+            sizes = f"y has size {len(y)}" + (f", args together {parameters.size}" if parameters.size else "")
             found = IndexError(f"{name}, {self!r}, at t = {t}: {error}. {sizes}: correct the index")
             found.__cause__ = error
             return found
@@ -338,13 +338,15 @@ class CompiledFunction:
         """Return the callable and the arguments that recreate this object from its function."""
         return CompiledFunction, (self.fun, self.inplace)
 
-    def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
-        """The machine code for n components, `size` values and that many parameters, or arguments. With `second` the
+    def native(
+        self, n: int, size: int, parameters: ArgumentLayout = NO_ARGUMENTS, event: bool = False, second: int = 0
+    ) -> _core.Native:
+        """Return the machine code for n components, `size` values and these arguments. With `second` the
         function takes two vectors, of n - second and second components, which follow each other in y."""
-        return self._machine_code(Shape(n, size, int(parameters), event, second))
+        return self._machine_code(Shape(n, size, parameters.whole(), event, second))
 
     def complex_native(
-        self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
+        self, n: int, size: int, parameters: ArgumentLayout, second: int = 0, *, real_time: bool = False
     ) -> _core.Native:
         """Return machine code of the function for complex y with complex values; t is complex and precedes y, or with
         `real_time` real and separate.
@@ -380,7 +382,7 @@ class CompiledFunction:
             try:
                 return self._code(shape, copies=True)
             except refused as error:
-                raise self._cannot_compile(error, shape.parameters) from error
+                raise self._cannot_compile(error, shape.parameters.size) from error
 
     def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
@@ -388,12 +390,13 @@ class CompiledFunction:
 
         numba = numba_or_say_so()
         jitted = self._jit(shape.is_complex)
+        count = shape.parameters.size
         half = shape.size // 2 if isinstance(self.fun, FirstOrderForm) else 0
         names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
-        names += ["p"] if shape.parameters else []
+        names += ["p"] if count else []
         self._check_call(names)
         call = f"f({', '.join(f'y[:{half}]' if half and name == 'y' else name for name in names)})"
-        body = [*shape.unpacked(), *([f"p = given(carray(p_, ({shape.parameters},)))"] if shape.parameters else [])]
+        body = [*shape.unpacked(), *([f"p = given(carray(p_, ({count},)))"] if count else [])]
         if shape.event:
             head = "def code(t, y_, p_):"
             body += ["try:", f"    return condition({call})", "except Exception:", "    return nan"]
@@ -506,13 +509,13 @@ class CompiledFunction:
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
         time = number if shape.complex_time else numba.types.double
-        arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
+        arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters.size else []))
         try:
             jitted.compile(arguments)
         except numba.core.errors.NumbaError:
             raise
         except TypeError as error:
-            raise self._cannot_compile(error, shape.parameters) from error
+            raise self._cannot_compile(error, shape.parameters.size) from error
         return jitted.overloads[arguments].signature.return_type
 
     def _cannot_compile(self, error: Exception, parameters: int = 0) -> TypeError:
@@ -550,12 +553,10 @@ class NativeWithInputs(NamedTuple):
     inputs: list[_core.PiecewisePolynomial]
     shapes: list[tuple[int, ...]]
 
-    def count(self, parameters: int) -> int:
-        """Return the number of parameters that the native function takes: the values of the inputs and `parameters`
-        more."""
-        entries = [Numbers(np.ones(shape) if shape else 1.0, varying=True) for shape in self.shapes]
-        further = parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)
-        return Arguments([*entries, *further.entries])
+    def arguments(self, parameters: ArgumentLayout) -> ArgumentLayout:
+        """Return the arguments that the native function takes: the values of the inputs, then these."""
+        entries = (Numbers(np.ones(shape) if shape else 1.0, varying=True) for shape in self.shapes)
+        return ArgumentLayout((*entries, *parameters.entries))
 
 
 _PLAIN = (FunctionType, MethodType, _core.StateFirst, Filling)
@@ -570,7 +571,9 @@ def _is_low_level(fun: object) -> bool:
     return type(fun).__name__ == "LowLevelCallable" and isinstance(fun, tuple)
 
 
-def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False, second: int = 0) -> Any:
+def to_native(
+    name: str, fun: Any, n: int, size: int, args: ArgumentLayout, event: bool = False, second: int = 0
+) -> Any:
     """The form for the core: the address of a native `fun`, with what keeps the code alive. Python functions pass
     unchanged. `second`: as in `CompiledFunction.native`.
 
@@ -582,12 +585,12 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
     if isinstance(fun, NativeWithInputs):
-        count = fun.count(count_of(args))
+        taken = fun.arguments(args)
         compiled = isinstance(fun.fun, CompiledFunction)
-        code = fun.fun.native(n, size, count, event) if compiled else to_native(name, fun.fun, n, size, args, event)
+        code = fun.fun.native(n, size, taken, event) if compiled else to_native(name, fun.fun, n, size, args, event)
         return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
     if isinstance(fun, CompiledFunction):
-        return fun.native(n, size, count_of(args), event, second)
+        return fun.native(n, size, args, event, second)
     if not is_native(fun):
         return fun
     wanted = _EVENT if event else _VECTOR
@@ -637,13 +640,12 @@ class _Native(_core.Native):
 
 
 class Compiled(NamedTuple):
-    """Compiled function as `compile` made it for the core: for n components and `parameters` parameters, with `size`
-    values."""
+    """Compiled function as `compile` made it for the core: for n components and arguments, with `size` values."""
 
     function: CompiledFunction
     n: int
     size: int
-    parameters: int
+    parameters: ArgumentLayout
     event: bool = False
 
 
@@ -674,7 +676,7 @@ def _floats(args: Sequence[Any]) -> Array | None:
     of the code."""
     if not all(type(one) is float or (type(one) is np.ndarray and one.dtype == float) for one in args):
         return None
-    return np.concatenate([np.ravel(one) for one in args]) if args else _NO_PARAMETERS
+    return np.concatenate([np.ravel(one) for one in args]) if args else NO_ARGUMENTS.numbers
 
 
 def _is_real(value: Any) -> bool:
@@ -717,9 +719,6 @@ def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
     return value
 
 
-_NO_PARAMETERS = np.zeros(0)
-
-
 def renew(functions: Iterable[Any]) -> None:
     """Let compiled functions forget code that is older than what the functions have captured."""
     for one in functions:
@@ -729,29 +728,27 @@ def renew(functions: Iterable[Any]) -> None:
                 function.renew()
 
 
-def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
-    """The arguments of native functions: the numbers of `args` one after the other. Empty if no function is native.
+def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> ArgumentLayout:
+    """Return the arguments of native functions, whose numbers they take; none if no function is native.
 
     Raises
     ------
     TypeError
         They are not real numbers, and a function takes nothing else.
     """
-    if not args:
-        return _NO_PARAMETERS
-    natives = [one for one in functions if is_native(one)]
+    natives = [one for one in functions if is_native(one)] if args else []
     if not natives:
-        return _NO_PARAMETERS
-    numbers = Parameters.of(args)
-    if any(isinstance(one, Constant) for one in numbers.arguments.entries) and not all(map(_takes_any, natives)):
+        return NO_ARGUMENTS
+    found = layout_of(args)
+    if any(isinstance(one, Constant) for one in found.entries) and not all(map(_takes_any, natives)):
         raise TypeError(f"args of native functions must be real numbers, got {shown(args)}") from None
-    return numbers
+    return found
 
 
-def constants(functions: Iterable[Any], parameters: Array) -> int:
+def constants(functions: Iterable[Any], parameters: ArgumentLayout) -> int:
     """Up to which rank the numbers of the arguments are constants of the code of these functions."""
     traced = [one.fun if isinstance(one, NativeWithInputs) else one for one in functions]
-    return max((one.constants(count_of(parameters)) for one in traced if _takes_any(one)), default=TRUTHS)
+    return max((one.constants(parameters) for one in traced if _takes_any(one)), default=TRUTHS)
 
 
 def _takes_any(fun: Any) -> bool:

@@ -13,7 +13,7 @@ from .. import _core
 from .._base.arguments import EPS, Array, number
 from .compiled import CompiledFunction, complex_form, is_native, native_parameters, to_native
 from .graph.derived import derived, native
-from .layout import count_of
+from .layout import ArgumentLayout
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 TINY = 1e-40
@@ -98,14 +98,14 @@ class Derivatives:
         self.kind: Literal["traced", "complex step", "differences"] = "differences"
         x = np.concatenate(parts)
         form = self._of_numbers(function, is_complex=False)
-        self._exact = derived(function, len(x), self.m, count_of(self._parameters), sum(self._parts[1:]))
+        self._exact = derived(function, len(x), self.m, self._parameters, sum(self._parts[1:]))
         self.forms = Forms(form)
         self._core = self._bound(self.forms)
         if not np.isfinite(here := self._core.value(t, x)).all():
             raise ValueError(f"{name} is not finite at t = {t}: {here}")
         if self._exact is not None:
             self.kind = "traced"
-            n, count = 2 * len(x) + 1, len(self._parameters)
+            n, count = 2 * len(x) + 1, self._parameters.size
             along = (native(one, function, n, self.m, count) for one in (self._exact.slope(), self._exact.curvature()))
             self.forms = Forms(form, None, None, *along)
             self._core = self._bound(self.forms)
@@ -118,7 +118,7 @@ class Derivatives:
 
     def _of_numbers(self, function: Any, is_complex: bool) -> Any:
         """Return the function as the core calls it; None if it has no complex form."""
-        n, second, count = sum(self._parts), sum(self._parts[1:]), count_of(self._parameters)
+        n, second, count = sum(self._parts), sum(self._parts[1:]), self._parameters
         if not is_complex:
             return to_native(self._name, function, n, self.m, self._parameters, second=second)
         if not is_native(function):
@@ -132,7 +132,9 @@ class Derivatives:
 
     def _bound(self, forms: Forms) -> _core.Differentiable:
         first, second = (*self._parts, 0)[:2]
-        return _core.Differentiable(forms, self._name, first, second, self.m, self._args, self._parameters.tolist())
+        return _core.Differentiable(
+            forms, self._name, first, second, self.m, self._args, self._parameters.numbers.tolist()
+        )
 
     def value(self, t: float, x: Array) -> Array:
         """The function itself, of shape (m,)."""
@@ -368,7 +370,7 @@ def at_complex(fun: Any, m: int) -> Any:
 
 
 def _count_values(
-    function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: Array
+    function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: ArgumentLayout
 ) -> int:
     """Return the number of values that the function returns."""
     if isinstance(function, CompiledFunction) and not function.inplace:

@@ -37,7 +37,7 @@ from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula
 from .graph.switches import Switch, conditions, evaluated, has_steps, surface, switches
-from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of, with_numbers
+from .layout import NO_ARGUMENTS, layout_of, numbers_at_places, place_of, with_numbers
 
 #: Of an increment of a one-sided difference: a smaller one to compare with, and by how much a derivative that exists
 #: may be larger there.
@@ -155,16 +155,16 @@ class Directional:
         if traced is None:
             return None
         floating = with_numbers(args, _as_floats(args, names))  # an integer may be an index, a parameter may not
-        parameters = Parameters.of(floating)
+        parameters = layout_of(floating)
         places = [place_of(args, one.index, one.item) if one.kind == "args" else None for one in names]
         try:
-            exact = derived(traced, self.n, self.m, count_of(parameters))
+            exact = derived(traced, self.n, self.m, parameters)
         except TypeError:  # it cannot be traced
             return None
-        shape = Shape(self.n, self.m, count_of(parameters), event=False)
+        shape = Shape(self.n, self.m, parameters, event=False)
         if exact is None or _constant(traced, shape, places):
             return None
-        return _OfGraph(exact, traced, places, parameters, self.n, self.m)
+        return _OfGraph(exact, traced, places, parameters.numbers, self.n, self.m)
 
     def _require_numbers(self, at: Point, names: Sequence[ParameterPlace]) -> None:
         """Raise a TypeError unless F also accepts floating-point values for integer parameters."""
@@ -361,13 +361,11 @@ class Directional:
 
 def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
     """Return whether one of the parameters is a constant of the graph, such as the count of a loop."""
-    inside, before = (fun.fun, int(fun.count(0))) if isinstance(fun, NativeWithInputs) else (fun, 0)
-    if before:
-        shape = shape._replace(parameters=fun.count(shape.parameters))
-    arguments = inside.known(shape).parameters
-    if not isinstance(arguments, Arguments):
-        return False
-    known = arguments.known()
+    inside, before = fun, 0
+    if isinstance(fun, NativeWithInputs):
+        inside, before = fun.fun, fun.arguments(NO_ARGUMENTS).size
+        shape = shape._replace(parameters=fun.arguments(shape.parameters))
+    known = inside.known(shape).parameters.known()
     return any(place is not None and bool(known[before + place]) for place in places)
 
 
@@ -400,13 +398,11 @@ def with_graph(fun: Any) -> Any:
 class _OfGraph:
     """Derivatives of a graph."""
 
-    def __init__(
-        self, exact: Derived, fun: Any, places: Sequence[int | None], parameters: Array, n: int, m: int
-    ) -> None:
-        before = self._before = int(fun.count(0)) if isinstance(fun, NativeWithInputs) else 0
+    def __init__(self, exact: Derived, fun: Any, places: Sequence[int | None], p: Array, n: int, m: int) -> None:
+        before = self._before = fun.arguments(NO_ARGUMENTS).size if isinstance(fun, NativeWithInputs) else 0
         self._places = tuple(None if place is None else before + place for place in places)
         self.outputs = exact.outputs
-        self._exact, self._fun, self._n, self._m, self._p = exact, fun, n, m, np.array(parameters)
+        self._exact, self._fun, self._n, self._m, self._p = exact, fun, n, m, p
 
     @cached_property
     def native(self) -> Any:
@@ -524,7 +520,7 @@ class _Evaluation:
         self._fun, self.m, self._name, self._event = fun, m, called, event
         #: Which of the parameters are in the arguments.
         self.own = np.array([one.kind == "args" for one in names], dtype=bool)
-        self._flat = Parameters.of(args)
+        self._flat = layout_of(args).numbers
         places = [place_of(args, one.index, one.item) for one in self._names]
         self.p = np.zeros(len(names))
         self.p[self.own] = self._flat[places]
@@ -583,11 +579,12 @@ class _Evaluation:
     def _of_machine_code(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
         if np.iscomplexobj(t) or np.iscomplexobj(y) or self.m is None:
             raise TypeError(f"{self._name} is machine code for real numbers")
-        p = numbers_at(t, self._fun, np.array(Parameters.of(args)))
+        arguments = layout_of(args)
+        p = numbers_at(t, self._fun, arguments.numbers)
         if self._event:
-            code = to_native(self._name, self._fun, len(y), 1, p, event=True)
+            code = to_native(self._name, self._fun, len(y), 1, arguments, event=True)
             return np.array([event_value(code, t, np.ascontiguousarray(y), p)])
-        return as_python(to_native(self._name, self._fun, len(y), self.m, p), self.m)(t, y, p)
+        return as_python(to_native(self._name, self._fun, len(y), self.m, arguments), self.m)(t, y, p)
 
 
 class _Sides:

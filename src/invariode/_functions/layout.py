@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from typing import Any, Self, TypeAlias
 
@@ -109,8 +111,12 @@ class Constant:
 Entry: TypeAlias = Numbers | Listed | Constant
 
 
-class Arguments(int):
-    """Count of the numbers in all arguments of a problem, as an int that knows which argument each number belongs to.
+@dataclass(frozen=True)
+class ArgumentLayout:
+    """The arguments of a problem, and which of their numbers, in which shapes, are parameters of its machine code.
+
+    The numbers of all arguments follow one another in one array, `numbers`. Two layouts are equal if code for one of
+    them serves the other: values count only where they are constants of the code.
 
     Attributes
     ----------
@@ -118,32 +124,32 @@ class Arguments(int):
         The arguments, in their order.
     """
 
-    entries: tuple[Entry, ...]
-
-    def __new__(cls, entries: Iterable[Entry]) -> Self:
-        entries = tuple(entries)
-        made = super().__new__(cls, sum(math.prod(one.shape) for one in _numbers(entries)))
-        made.entries = entries
-        return made
+    entries: tuple[Entry, ...] = ()
 
     @classmethod
     def single(cls, count: int) -> Self:
         """Return `count` single numbers whose values are not known."""
-        return cls([Numbers(1.0, varying=True)] * count)
+        return cls((Numbers(1.0, varying=True),) * count)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Arguments) and self.entries == other.entries
+    def whole(self) -> ArgumentLayout:
+        """Return all numbers as one array of parameters, as numba and formulas take them."""
+        return ArgumentLayout((Numbers(np.ones(self.size), varying=True),) if self.size else ())
 
-    def __ne__(self, other: object) -> bool:  # int has its own
-        return not self == other
+    @cached_property
+    def size(self) -> int:
+        """The number of numbers in all arguments."""
+        return sum(math.prod(one.shape) for one in _numbers(self.entries))
 
-    def __hash__(self) -> int:
-        return hash(self.entries)
+    @cached_property
+    def numbers(self) -> Array:
+        """The original values of all numbers, of shape (size,); read-only."""
+        found = np.concatenate(
+            [np.zeros(0), *(np.ravel(np.asarray(one.value, float)) for one in _numbers(self.entries))]
+        )
+        found.flags.writeable = False
+        return found
 
-    def __reduce__(self) -> tuple[type[Arguments], tuple[Any, ...]]:
-        return type(self), (self.entries,)
-
-    def fixed(self, most: int) -> Arguments:
+    def fixed(self, most: int) -> ArgumentLayout:
         """Return the arguments with the numbers up to rank `most` as constants."""
 
         def of(entry: Entry) -> Entry:
@@ -151,16 +157,12 @@ class Arguments(int):
                 return entry.as_constant(entry.rank <= most)
             return Listed(entry.kind, tuple(map(of, entry.entries))) if isinstance(entry, Listed) else entry
 
-        return Arguments(map(of, self.entries))
+        return ArgumentLayout(tuple(map(of, self.entries)))
 
     @property
     def ranks(self) -> set[int]:
         """Ranks of the numbers."""
         return {one.rank for one in _numbers(self.entries)} - {_VARYING}
-
-    def values(self) -> Array:
-        """Return the original values of all numbers, one after the other."""
-        return _flat(self.entries)
 
     def known(self) -> Array:
         """Return a boolean array: which of the numbers are constants."""
@@ -209,11 +211,9 @@ class Arguments(int):
         return found
 
 
+#: The layout of no arguments.
+NO_ARGUMENTS = ArgumentLayout()
 _NONE = np.zeros(0, dtype=bool)
-
-
-def _flat(entries: Iterable[Entry]) -> Array:
-    return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(one.value, float)) for one in _numbers(entries))])
 
 
 def _leaves(entries: Iterable[Entry]) -> Iterator[Numbers | Constant]:
@@ -228,9 +228,9 @@ def _numbers(entries: Iterable[Entry]) -> Iterator[Numbers]:
     return (one for one in _leaves(entries) if isinstance(one, Numbers))
 
 
-def arguments_of(args: Iterable[Any]) -> Arguments:
-    """The arguments of a problem as a function that is traced takes them."""
-    return Arguments(map(_entry, args))
+def layout_of(args: Iterable[Any]) -> ArgumentLayout:
+    """Return the layout of the arguments of a problem, as a function that is traced takes them."""
+    return ArgumentLayout(tuple(map(_entry, args)))
 
 
 def _entry(value: Any) -> Entry:
@@ -291,7 +291,7 @@ def numbers_at_places(args: Sequence[Any], places: Iterable[tuple[int, int | Non
 
 def place_of(args: Sequence[Any], index: int, item: int | None) -> int:
     """The place of a number of an argument among those of all arguments."""
-    return int(arguments_of(args[:index])) + (item or 0)
+    return layout_of(args[:index]).size + (item or 0)
 
 
 def with_numbers(args: Sequence[Any], changes: Mapping[int, Mapping[int, Any]]) -> tuple[Any, ...]:
@@ -313,26 +313,3 @@ def _changed(value: Any, numbers: Mapping[int, Any], places: Iterator[int]) -> A
     if is_listed(value):
         return _kind(value)(_changed(one, numbers, places) for one in value)
     return value
-
-
-class Parameters(np.ndarray[Any, Any]):
-    """The numbers of arguments, one after the other, of shape (k,), that know what they are the numbers of."""
-
-    arguments: Arguments
-
-    @classmethod
-    def of(cls, args: Iterable[Any]) -> Parameters:
-        arguments = arguments_of(args)
-        made = arguments.values().view(cls)
-        made.arguments = arguments
-        return made
-
-    def __array_finalize__(self, source: Any) -> None:
-        """Parts and results are just numbers."""
-        if type(source) is Parameters and hasattr(source, "arguments") and source.shape == self.shape:
-            self.arguments = source.arguments
-
-
-def count_of(parameters: Array) -> int:
-    """Return the number of parameters, as `Arguments` if the array knows which arguments they belong to."""
-    return getattr(parameters, "arguments", len(parameters))

@@ -11,6 +11,7 @@ from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .compiled import CompiledFunction, CoreFunction, as_python, is_native, native_parameters, to_native
 from .first_order import FirstOrderForm
+from .layout import ArgumentLayout
 
 
 class SecondOrder(CoreFunction):
@@ -68,14 +69,14 @@ class SecondOrder(CoreFunction):
         half = len(y) // 2
         p = native_parameters(args, [self.fun])
         call = as_python(to_native("fun", self.fun, half, half, p), half)
-        return np.concatenate([y[half:], call(t, np.ascontiguousarray(y[:half], dtype=float), p)])
+        return np.concatenate([y[half:], call(t, np.ascontiguousarray(y[:half], dtype=float), p.numbers)])
 
     @property
     def first_order(self) -> FirstOrderForm:
         """Python function of (t, y) in first-order form, for tracing."""
         return FirstOrderForm(self.fun.fun if isinstance(self.fun, CompiledFunction) else self.fun)
 
-    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+    def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> Any:
         return _core.SecondOrder(to_native("fun", self.fun, n // 2, size // 2, parameters))
 
 

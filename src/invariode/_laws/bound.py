@@ -35,7 +35,7 @@ from .._functions.compiled import (
 )
 from .._functions.derivatives import complex_steps_fit
 from .._functions.graph.derived import derived
-from .._functions.layout import Parameters, count_of
+from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, layout_of
 from .._problem.invariants import Invariants
 from .sparse_jacobian import sparse_jacobian
 from .traced_jacobian import takes_no_more, traced_jacobian
@@ -97,7 +97,7 @@ class BoundInvariants:
     value: Array
     names: list[str]
     args: tuple[Any, ...]
-    parameters: Array  # the same for native functions
+    parameters: ArgumentLayout  # the same for native functions
     iterations: int | None
     negligible: float = 0.0
     evaluations: int = 0  # of the functions, so far
@@ -126,7 +126,7 @@ class BoundInvariants:
 
     def varied(self, tangents: Sequence[Any]) -> BoundInvariants:
         """Return these invariants with their tangents, which may be machine code."""
-        parameters = self.parameters if len(self.parameters) else Parameters.of(self.args)
+        parameters = self.parameters if self.parameters.size else layout_of(self.args)
         return replace(self, tangents=tangents, parameters=parameters)
 
     def equalities(self) -> BoundInvariants:
@@ -270,7 +270,7 @@ class BoundInvariants:
             complex=is_complex,
             fun=None,
             args=self.args,
-            parameters=self.parameters,
+            parameters=self.parameters.numbers,
             invariants=[_core.Invariant(*spec) for spec in self.specs],
             value=value,
             variations=variations,
@@ -301,7 +301,7 @@ def bind(
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
     complex y. `threshold`: thr of the reals of y, the size below which a component gives no scale."""
     if not invariants:
-        return BoundInvariants([], _NO_VALUES, [], args, _NO_VALUES, None)
+        return BoundInvariants([], _NO_VALUES, [], args, NO_ARGUMENTS, None)
     specs, values, names = [], [], []
     evaluations, n = len(invariants), reals(y)
     p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac, one.metric)])
@@ -333,7 +333,7 @@ def bind(
         if kind is None and forms is None:
             kind = "3-point"
         elif kind is None:
-            given = (p,) if is_native(one.fun) else args
+            given = (p.numbers,) if is_native(one.fun) else args
             fits, spent = complex_steps_fit(partial(_values_at, forms, t, given), y, threshold)
             kind = "complex-step or 3-point" if fits else "3-point"
             evaluations += 0 if is_native(one.fun) else spent
@@ -379,14 +379,14 @@ def values_at_start(
 
 
 def _by_expressions(
-    one: Invariants, m: int, t: float, y: Array, args: tuple[Any, ...], p: Array
+    one: Invariants, m: int, t: float, y: Array, args: tuple[Any, ...], p: ArgumentLayout
 ) -> tuple[Any, int, tuple[Sequence[int], Sequence[int]], int]:
     """Return the Jacobian of an invariant as it is given, or exact if the expressions of g are known or follow from a
     trace; with the number of its values, the pattern of its rows, and the evaluations of g that this took."""
     n, spent = reals(y), 0
     kind, exact, traced = one.jac, None, None
     if kind is None and y.dtype.kind != "c":
-        exact = derived(one.fun, n, m, count_of(p))
+        exact = derived(one.fun, n, m, p)
     if kind is None and not is_native(one.fun) and one._in_core(n) is None:
         traced = traced_jacobian(one.fun, m, t, y, args)
     if traced is not None:
@@ -417,7 +417,9 @@ def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
     return [part for index in moves for part in (2 * index, 2 * index + 1)]
 
 
-def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, int]:
+def _metric_at(
+    one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: ArgumentLayout
+) -> tuple[Any, int]:
     """Return the metric of an invariant as the core takes it, and the number of its values."""
     metric = one.metric
     if metric is None:
@@ -478,7 +480,9 @@ def _same(a: Any, b: Any) -> bool:
     return a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
 
 
-def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
+def _native_start(
+    one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: ArgumentLayout
+) -> tuple[Any, Array]:
     """A native g as the core takes it, and its values at (t, y). Machine code cannot say how many there are, the
     Python function that it was made from can."""
     counts = [len(known) for known in (one.names, one.value) if known is not None]

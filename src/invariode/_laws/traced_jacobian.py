@@ -15,7 +15,7 @@ from .._functions.derivatives import somewhere
 from .._functions.directional import has_llvm
 from .._functions.graph.derived import Derived, native
 from .._functions.graph.plain import plain_graph
-from .._functions.layout import TRUTHS, Arguments, arguments_of
+from .._functions.layout import TRUTHS, ArgumentLayout, layout_of
 
 #: From this many components on a trace pays: it takes 10 to 100 ms once, and replaces two to four times as many calls
 #: of g in each step (benchmarks/manifolds.py).
@@ -42,13 +42,13 @@ class TracedJacobian:
 
     def __init__(self, fun: Callable[..., Any], n: int, m: int) -> None:
         self._fun, self._n, self._m = fun, n, m
-        self._made: dict[Arguments, Derived] = {}
+        self._made: dict[ArgumentLayout, Derived] = {}
         self._last: tuple[tuple[Any, ...], Callable[[float, Array], Array]] | None = None
         self._pattern: RowPattern | None = None
 
     def derived_for(self, args: tuple[Any, ...]) -> Derived | None:
         """The derivatives of g, for all arguments of these kinds; None: it is not traced."""
-        given = arguments_of(args).fixed(TRUTHS)
+        given = layout_of(args).fixed(TRUTHS)
         if given not in self._made:
             graph = plain_graph(self._fun, self._n, given, size=self._m)
             if graph is None:
@@ -71,7 +71,7 @@ class TracedJacobian:
         return code(t, y)
 
     def _code(self, args: tuple[Any, ...]) -> Callable[[float, Array], Array]:
-        found, p = self.derived_for(args), arguments_of(args).values()
+        found, p = self.derived_for(args), layout_of(args).numbers
         if found is None or (self._pattern is not None and found.row_pattern != self._pattern):
             return lambda t, y: self._by_differences(t, y, args)  # arguments of other kinds than those at the start
         made, shape = found.dense(), [self._m, self._n]

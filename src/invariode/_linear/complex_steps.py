@@ -12,6 +12,7 @@ from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, NativeWithInputs, complex_form, is_native
 from .._functions.derivatives import Comparison, at_complex, compared, somewhere
+from .._functions.layout import ArgumentLayout
 
 #: Steps that were requested are refused only if they are wrong beyond doubt: by this many times the expected error.
 _TOLERANT = 10
@@ -22,10 +23,10 @@ _BESIDE = (0.1, 0.0)
 _INSTEAD = 'or use jac="differences"'
 
 
-def compiled_at_complex(fun: Any, n: int, parameters: int) -> _core.Native | None:
+def compiled_at_complex(fun: Any, n: int, parameters: ArgumentLayout) -> _core.Native | None:
     """Machine code of a compiled f for complex y. None: it is not made by `compile`, or not for complex numbers."""
     if isinstance(fun, NativeWithInputs):
-        code = compiled_at_complex(fun.fun, n, fun.count(parameters))
+        code = compiled_at_complex(fun.fun, n, fun.arguments(parameters))
         return code and _core.Native(address=code.address, event=False, owner=code, inputs=fun.inputs)
     return complex_form(fun.native(n, n, parameters, event=False)) if isinstance(fun, CompiledFunction) else None
 

@@ -12,6 +12,7 @@ import numpy as np
 from .._base.arguments import Array, as_array, shown, warn
 from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
+from .._functions.layout import ArgumentLayout
 from .._problem.grouped import GMRES
 from .._problem.matrices import Matrices
 
@@ -26,7 +27,7 @@ class Krylov:
 
 
 def krylov(
-    given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]
+    given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: ArgumentLayout, exact: Callable[[], Any]
 ) -> Krylov:
     """Check a problem's matrices and its linear solver, and return them in the core's form. `exact`: returns the
     product that follows from f, or None.
@@ -57,7 +58,7 @@ def is_operator(given: object) -> bool:
     return linalg is not None and isinstance(given, linalg.LinearOperator)
 
 
-def _product(jac: Any, jac_product: Any, y0: Array, p: Array, exact: Callable[[], Any]) -> Any:
+def _product(jac: Any, jac_product: Any, y0: Array, p: ArgumentLayout, exact: Callable[[], Any]) -> Any:
     if jac_product is not None:
         if jac is not None:
             raise ValueError("jac and GMRES(jac_product=) say the same: give one of them")

@@ -21,7 +21,7 @@ from .._base.matrices import as_matrix, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
 from .._functions.derivatives import compressed
 from .._functions.graph.derived import Derived, derived, native
-from .._functions.layout import count_of
+from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
 from .complex_steps import compiled_at_complex, python_at_complex
@@ -109,7 +109,7 @@ class Start:
     t: float
     y: Array
     args: tuple[Any, ...]
-    parameters: Array
+    parameters: ArgumentLayout
     bounds: Bounds | None = None
     complex_by_default: bool = True
     traced: Any = None
@@ -118,7 +118,7 @@ class Start:
     def exact(self) -> Derived | None:
         """The exact derivatives of f."""
         n = len(self.y)
-        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, count_of(self.parameters))
+        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, self.parameters)
 
     @property
     def product(self) -> Any:
@@ -128,7 +128,7 @@ class Start:
 
     def derivative(self, made: Any, size: int, vectors: int = 1) -> Any:
         """A derivative of `traced` for the core."""
-        return native(made, self.traced, vectors * len(self.y), size, len(self.parameters))
+        return native(made, self.traced, vectors * len(self.y), size, self.parameters.size)
 
 
 def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
@@ -274,7 +274,7 @@ def _complex_steps(jac: str | None, start: Start) -> Any:
             'jac="complex-step" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or '
             "write the problem in real and imaginary parts"
         )
-    compiled = compiled_at_complex(start.fun, len(start.y), count_of(start.parameters))
+    compiled = compiled_at_complex(start.fun, len(start.y), start.parameters)
     if compiled is not None or jac is None:
         return compiled
     return python_at_complex(start.fun, start.t, start.y, start.args)
@@ -291,7 +291,7 @@ def _dense_bytes(y0: Array) -> int:
 
 
 def _native_jacobian(
-    given: Matrices, bands: tuple[int, int] | None, y0: Array, p: Array
+    given: Matrices, bands: tuple[int, int] | None, y0: Array, p: ArgumentLayout
 ) -> tuple[_Storage, str, tuple[Any, Any]]:
     """Return the storage, the kind and the source of a Jacobian that machine code computes: its values are dense,
     bands, or those of the pattern."""

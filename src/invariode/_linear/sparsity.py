@@ -12,6 +12,7 @@ from .. import _core
 from .._base.arguments import Array
 from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
+from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
 
@@ -28,7 +29,7 @@ def find_pattern(
     t: float,
     y: Array,
     args: tuple[Any, ...],
-    parameters: Array,
+    parameters: ArgumentLayout,
     bounds: Bounds | None = None,
 ) -> tuple[tuple[Array, Array, Array], int] | None:
     """The pattern of ∂f/∂y as (starts, rows, values), and the evaluations of f that it took. None: the Jacobian is
@@ -40,7 +41,9 @@ def find_pattern(
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
     within = {} if bounds is None else bounds._asdict()
-    problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters, **within)
+    problem = _core.Problem(
+        n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters.numbers, **within
+    )
     most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
     found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)
     if found is None or (way is None and not (is_sparse_enough(len(found[1]), n) and each <= _PART_OF_COLUMNS * n)):

@@ -15,6 +15,7 @@ from .._base.arguments import Array
 from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_native, native_parameters, to_native
 from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
 from .._functions.graph.function import TracedFunction
+from .._functions.layout import ArgumentLayout
 from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
@@ -156,7 +157,7 @@ class Motion:
         self.derivatives[name] = of.kind
         return of.m
 
-    def _choose_mass(self, mass: Any, start: Point, p: Array) -> tuple[str, Columns]:
+    def _choose_mass(self, mass: Any, start: Point, p: ArgumentLayout) -> tuple[str, Columns]:
         """Return what the function of the mass writes, and the matrix or its pattern."""
         n = self.n_v
         if not callable(mass) and not is_native(mass):
@@ -180,7 +181,7 @@ class Motion:
             return "rows", full_pattern(n, n)
         return "rows", _pattern_of_matrix(mass, start, (n, n))
 
-    def _take_jacobian(self, jacobian: Any, start: Point, p: Array) -> None:
+    def _take_jacobian(self, jacobian: Any, start: Point, p: ArgumentLayout) -> None:
         shape = (self.m_phi, self.n_q)
         self.derivatives["constraints"] = f"given and {self.derivatives['constraints']}"
         returned = None if is_native(jacobian) else jacobian(start.t, start.q.copy(), *start.args)
@@ -216,7 +217,7 @@ class Motion:
         """Return the slope or an invariant for tracing; None: it depends on machine code, or on sparse matrices."""
         return self._graphs.of(part, self.kept)
 
-    def _parameters(self, args: tuple[Any, ...]) -> Array:
+    def _parameters(self, args: tuple[Any, ...]) -> ArgumentLayout:
         return native_parameters(args, self._called)
 
     # ------------------------------------------------------------------------------------------------------------------
@@ -264,13 +265,13 @@ class Motion:
         key = (self.kept if kept is None else kept).tobytes()
         known = self._idle.pop(key, None)
         if known is None or known[0] is not args:
-            known = (args, _core.Motion(spec, args, self._parameters(args).tolist()))
+            known = (args, _core.Motion(spec, args, self._parameters(args).numbers.tolist()))
         yield known[1]
         self._idle[key] = known
 
     def choose_factors(self, points: Sequence[Point]) -> None:
         """Disable sparse factors if they fail at all of these points."""
-        core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).tolist())
+        core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).numbers.tolist())
         if not core.sparse:
             return
         for at in points:
@@ -402,7 +403,7 @@ class MotionFunction(CoreFunction):
             return None
         return LeftOut(motion, Point(t0, y0[: motion.n_q], y0[motion.n_q :], args), rtol, atol, callback)
 
-    def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
+    def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> _core.MotionPart:
         return self._motion.part(self._part)
 
 
@@ -475,7 +476,7 @@ class FunctionOfState(CoreFunction):
     def on_graph(self) -> TracedFunction | None:
         return of_state(OfState(self._function, True, 1), self._n_q)
 
-    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+    def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> Any:
         return to_native(self.__name__, self._function, n, size, parameters, second=self._n_v) if self.native else self
 
 

@@ -28,7 +28,7 @@ def _value(problem: Problem, plan: Plan, e: int, t: float | None = None, y: Arra
     t, y = problem.t_span[0] if t is None else t, (plan.y0 if y is None else y).copy()
     fun = problem.events[e].fun
     if is_native(fun):
-        return event_value(plan.functions.events[e].fun, t, y.view(float), plan.functions.parameters)
+        return event_value(plan.functions.events[e].fun, t, y.view(float), plan.functions.parameters.numbers)
     return float(np.asarray(condition_value(fun(t, y, *problem.args))).item())
 
 

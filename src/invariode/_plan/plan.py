@@ -36,7 +36,7 @@ from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
-from .._functions.layout import Parameters, count_of, undefined_arguments
+from .._functions.layout import ArgumentLayout, layout_of, undefined_arguments
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
@@ -125,7 +125,7 @@ class Functions(NamedTuple):
     args: tuple[Any, ...]
     n: int  # reals that make up y
     complex: bool
-    parameters: Array  # `args` for native functions
+    parameters: ArgumentLayout  # `args` for native functions
     linear: _core.Linear | None
     events: list[EventSpec]
     vectors: list[VectorSpec]
@@ -307,7 +307,7 @@ def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Sol
         complex=functions.complex,
         fun=functions.fun,
         args=functions.args,
-        parameters=functions.parameters,
+        parameters=functions.parameters.numbers,
         linear=functions.linear,
         events=[_core.Event(*spec) for spec in functions.events],
         vectors=[_core.RootVector(*spec) for spec in functions.vectors],
@@ -360,8 +360,8 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     renew(point.action for point in breakpoints)
     traced = problem.fun if by_series else _with_graph(problem, chosen)
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
-    if (problem.sensitivities is not None or problem.delays is not None) and not len(parameters):
-        parameters = Parameters.of(problem.args)  # the equations of sensitivities are machine code
+    if (problem.sensitivities is not None or problem.delays is not None) and not parameters.size:
+        parameters = layout_of(problem.args)  # the equations of sensitivities are machine code
     schedule = schedule_of(problem, parameters)
     system = _system(problem, parameters, schedule) if by_series else None
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
@@ -588,7 +588,7 @@ def ordered_breakpoints(problem: Problem, given: Any) -> list[Breakpoint]:
     return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
-def _delays(problem: Problem, parameters: Array, given: Any) -> _core.Delays | None:
+def _delays(problem: Problem, parameters: ArgumentLayout, given: Any) -> _core.Delays | None:
     """The delays for the core, with the breakpoints of the problem and of the run that lie before the start."""
     if problem.delays is None:
         return None
@@ -625,8 +625,8 @@ def _with_graph(problem: Problem, method: Method) -> Any:
 
 def _native_functions(
     problem: Problem, traced: Any, breakpoints: list[Breakpoint], chosen: LinearSolver
-) -> tuple[Array, Any]:
-    """The parameters of native functions, and f as the core calls it."""
+) -> tuple[ArgumentLayout, Any]:
+    """Return the arguments of native functions, and f as the core calls it."""
     p = native_parameters(problem.args, [traced, *_called(problem, breakpoints, chosen)])
     return p, problem.slope.for_core(problem.y0, p)
 
@@ -644,7 +644,7 @@ def _called(problem: Problem, breakpoints: list[Breakpoint], chosen: LinearSolve
 def _functions(
     problem: Problem,
     fun: Any,
-    parameters: Array,
+    parameters: ArgumentLayout,
     linear: _core.Linear | None,
     bound: BoundInvariants,
     watch: Watch | None,
@@ -682,7 +682,7 @@ def _on_graph(problem: Problem, method: Method) -> Problem:
     return on_graph(problem, method)
 
 
-def _system(problem: Problem, parameters: Array, schedule: Schedule | None) -> System:
+def _system(problem: Problem, parameters: ArgumentLayout, schedule: Schedule | None) -> System:
     """Return the graph of f as a system for Taylor series; its module is imported only when it is used."""
     from .._taylor.expansion import system_of
 
@@ -699,7 +699,7 @@ def _linear_algebra(
     options: Options,
     fun: Any,
     traced: Any,
-    parameters: Array,
+    parameters: ArgumentLayout,
     weights: Weights,
     jac: str | None = None,
 ) -> tuple[_core.Linear | None, Array]:
@@ -735,7 +735,7 @@ def _linear_algebra(
         complex=y0.dtype.kind == "c",
         fun=fun,
         args=problem.args,
-        parameters=parameters,
+        parameters=parameters.numbers,
         linear=linear,
         **({} if bounds is None else bounds._asdict()),
     )
@@ -750,7 +750,7 @@ def _linear_algebra(
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
 
 
-def _of_state(problem: Problem, traced: Any, parameters: Array) -> tuple[Any, Any]:
+def _of_state(problem: Problem, traced: Any, parameters: ArgumentLayout) -> tuple[Any, Any]:
     """Return f of (t, y) as it is evaluated for its Jacobian, and as it is differentiated."""
     if problem.delays is not None:
         undelayed = Undelayed(problem.slope.fun, problem.delays.count)
@@ -759,7 +759,7 @@ def _of_state(problem: Problem, traced: Any, parameters: Array) -> tuple[Any, An
     if problem.matrices.jac is None and not isinstance(problem.fun, OnGraph):
         n = len(problem.y0)
         try:
-            derived(traced, n, n, count_of(parameters))
+            derived(traced, n, n, parameters)
         except TypeError:  # it was traced for sensitivities, and cannot be
             traced = fed(problem.fun, problem.inputs)
     return problem.slope.fun, traced

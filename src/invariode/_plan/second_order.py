@@ -9,7 +9,7 @@ from .._base.types import MethodName
 from .._functions.derivatives import GOLDEN, spread
 from .._functions.graph.derived import derived
 from .._functions.graph.nodes import in_order
-from .._functions.layout import Parameters, count_of
+from .._functions.layout import layout_of
 from .._functions.second_order import states_second_order
 from .._problem.methods import Method, find_method
 from .._problem.parameters import Y0, values_of, with_values
@@ -91,7 +91,7 @@ def fits_any_args(problem: Problem, method: MethodName) -> bool:
     if find_method(method)[0].equations != "second-order" or states_second_order(problem.fun):
         return True
     n = reals(problem.y0)
-    found = derived(problem.slope.fun, n, n, count_of(Parameters.of(problem.args)))
+    found = derived(problem.slope.fun, n, n, layout_of(problem.args))
     if found is None:
         return False
     return not any(node.op == "y" and node.value >= n // 2 for node in in_order(found.outputs[n // 2 :]))

@@ -16,7 +16,7 @@ from .._base.arguments import Array, call_name, extra_arguments, interval, items
 from .._base.types import Span
 from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
 from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
-from .._functions.layout import place_of
+from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, place_of
 from .parameters import ParameterName, parameter_names, values_of
 
 DelaysLike: TypeAlias = float | str | Sequence[float | str]
@@ -67,14 +67,14 @@ class Delays:
         self,
         args: tuple[Any, ...],
         y0: Array,
-        parameters: Array,
+        parameters: ArgumentLayout,
         jumps: list[float],
         varied: Sequence[ParameterName],
     ) -> _core.Delays:
         """The delays as the core takes them. `jumps`: times before the start at which the history jumps. `varied`: the
         parameters of the sensitivities."""
         places = [
-            -1 if name is None or not len(parameters) else place_of(args, name.index, name.item) for name in self.names
+            -1 if name is None or not parameters.size else place_of(args, name.index, name.item) for name in self.names
         ]
         constant: Any = [] if self.constant is None else self.constant.astype(y0.dtype).view(float)
         history = None if self.constant is not None else _History(self.history)
@@ -93,10 +93,10 @@ class Delays:
         """(y, z) at the start, of shape (n (1 + k),)."""
         return np.concatenate([y, *(self.before(t - tau, args) for tau in self.values(args, y))])
 
-    def called_by_core(self, fun: Any, y0: Array, parameters: Array) -> Any:
+    def called_by_core(self, fun: Any, y0: Array, parameters: ArgumentLayout) -> Any:
         """Return f as the core calls it: machine code as a function of (t, x) with x = (y, z), Python as it is."""
         n = reals(y0)
-        return to_native("fun", stacked(fun, n, self.count, bool(len(parameters))), n * (1 + self.count), n, parameters)
+        return to_native("fun", stacked(fun, n, self.count, bool(parameters.size)), n * (1 + self.count), n, parameters)
 
     def at_start(self, fun: Any, t: float, y: Array, args: tuple[Any, ...]) -> Any:
         """Values of f at a point, with the delayed values that the history has there."""
@@ -104,7 +104,7 @@ class Delays:
         if not is_native(fun) or isinstance(fun, CompiledFunction):
             return fun(t, y, z, *args)
         n = reals(y)
-        call = as_python(to_native("fun", fun, n * (1 + self.count), n, np.zeros(0)), n)
+        call = as_python(to_native("fun", fun, n * (1 + self.count), n, NO_ARGUMENTS), n)
         return call(t, np.concatenate([y, *z]).view(float)).view(y.dtype)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, encodable, flag, function, number, positive_integer, shown
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
+from .._functions.layout import ArgumentLayout
 
 
 class Event:
@@ -340,7 +341,7 @@ class VectorSpec(NamedTuple):
     action: Any
 
 
-def vector_specs(events: Sequence[Event], n: int, p: Array) -> list[VectorSpec]:
+def vector_specs(events: Sequence[Event], n: int, p: ArgumentLayout) -> list[VectorSpec]:
     """Return the functions of several roots among the events, as the core takes them."""
     found = []
     for first, event in enumerate(events):
@@ -352,7 +353,7 @@ def vector_specs(events: Sequence[Event], n: int, p: Array) -> list[VectorSpec]:
     return found
 
 
-def event_spec(event: Event, n: int, p: Array) -> EventSpec:
+def event_spec(event: Event, n: int, p: ArgumentLayout) -> EventSpec:
     """The event as the core takes it; n and p for native ones."""
     if isinstance(event, RootOf):
         return EventSpec(None, 0, 0, event.__name__, None, event.rehold, 0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._base.arguments import Array, numbers, real_numbers, reals
 from .._functions.compiled import CoreFunction, NativeWithInputs, as_python, is_native, native_parameters, to_native
+from .._functions.layout import ArgumentLayout
 from .delays import Delays
 from .inputs import Input, fed
 
@@ -27,7 +28,7 @@ class Slope(NamedTuple):
         behind y."""
         return fed(self.given, self.inputs, after=0 if self.delays is None else 1)
 
-    def for_core(self, y0: Array, parameters: Array) -> Any:
+    def for_core(self, y0: Array, parameters: ArgumentLayout) -> Any:
         """Return f as the core calls it, with the parameters that native functions of the problem have."""
         if self.delays is not None:
             return self.delays.called_by_core(self.fun, y0, parameters)
@@ -48,8 +49,8 @@ class Slope(NamedTuple):
                 value[:] = checked_slope(fun(at, state.copy(), *self.args), state)
             return values.T
         n = rows.view(float).shape[1]
-        p = native_parameters(self.args, [fun])
-        call = as_python(to_native("fun", fun, n, n, p), n)
+        arguments = native_parameters(self.args, [fun])
+        call, p = as_python(to_native("fun", fun, n, n, arguments), n), arguments.numbers
         fed_by = fun.inputs if isinstance(fun, NativeWithInputs) else []
         for value, at, state in zip(values, t.tolist(), rows, strict=True):
             now = np.concatenate([*(one.evaluate(np.array([at]))[0] for one in fed_by), p]) if fed_by else p

@@ -19,7 +19,6 @@ from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
 from .._functions.derivatives import at_complex
 from .._functions.graph.function import TracedFunction
-from .._functions.layout import Arguments, count_of
 from .._functions.second_order import SecondOrder
 from .._laws.bound import BoundInvariants, InvariantSpec, values_at_start
 from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
@@ -82,7 +81,7 @@ class Prepared:
         self.any_y0 = _of_any_y0(problem, plan, core.native)
         self.any_args = self.any_y0 and _of_any_args(problem, plan)
         self.any_span = self.any_y0 and _of_any_span(problem, plan)
-        self._parameters = len(plan.functions.parameters) > 0
+        self._parameters = plan.functions.parameters.size > 0
 
     def run(
         self,
@@ -137,7 +136,7 @@ class Prepared:
             )
             if run is not None or not self._parameters:  # otherwise args are not only floats
                 break
-            parameters = native_parameters(args, problem.called_functions)
+            parameters = native_parameters(args, problem.called_functions).numbers
         self._idle.append(core)  # but not after an exception
         return run
 
@@ -208,10 +207,7 @@ def _of_any_args(problem: Problem, plan: Plan) -> bool:
     if not fits_any_args(problem, plan.method.name):
         return False
     p = plan.functions.parameters
-    if not len(p):
-        return True
-    arguments = count_of(p)
-    return not isinstance(arguments, Arguments) or arguments.may_vary(constants(problem.called_functions, p))
+    return not p.size or p.may_vary(constants(problem.called_functions, p))
 
 
 def _of_any_span(problem: Problem, plan: Plan) -> bool:

@@ -22,7 +22,7 @@ from .._files.checkpoint import RunFiles
 from .._files.identity import Identity, identity_of_run
 from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
-from .._functions.layout import Parameters
+from .._functions.layout import layout_of
 from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._laws.traced_jacobian import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
@@ -167,7 +167,7 @@ class RunOrigin:
         """Return a boolean array: at which of the times t f changes its branch as a function of t alone."""
         problem = self.source.problem
         with quietly():  # the run has warned
-            schedule = schedule_of(problem, Parameters.of(problem.args))
+            schedule = schedule_of(problem, layout_of(problem.args))
         found = np.zeros(0) if schedule is None else schedule.landings.between(t.min(), t.max())
         if not len(found):
             return np.zeros(len(t), dtype=bool)

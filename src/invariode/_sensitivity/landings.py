@@ -16,7 +16,7 @@ from .._functions.compiled import CompiledFunction
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
-from .._functions.layout import Arguments, Numbers, Parameters, arguments_of, count_of, place_of
+from .._functions.layout import ArgumentLayout, Numbers, layout_of, place_of
 from .._functions.second_order import SecondOrder
 from .._problem.inputs import Input
 from .._problem.invariants import AccuracyWarning
@@ -54,7 +54,7 @@ class Schedule(NamedTuple):
         return bool(self.landings.parameters())
 
 
-def schedule_of(problem: Problem, parameters: Array, graph: Sequence[Node] | None = None) -> Schedule | None:
+def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[Node] | None = None) -> Schedule | None:
     """The landings of a problem; None: there are none. Conditions that change too often, or in a way that is not
     understood, are left out, with a warning.
 
@@ -74,7 +74,7 @@ def schedule_of(problem: Problem, parameters: Array, graph: Sequence[Node] | Non
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
     if not found:
         return None
-    p = Parameters.of(problem.args)
+    p = layout_of(problem.args).numbers
     made = landings(found, p, *problem.t_span)
     if made.left_out and np.isfinite(problem.t_span).all():  # otherwise the run has no end yet
         why = next(iter(made.left_out.values()))
@@ -93,11 +93,11 @@ def switches_in_time(problem: Problem) -> bool:
     if not may_switch(problem.fun):
         return False
     is_complex = problem.y0.dtype.kind == "c"
-    made = plain_graph(problem.fun, reals(problem.y0), arguments_of(problem.args), is_complex=is_complex)
+    made = plain_graph(problem.fun, reals(problem.y0), layout_of(problem.args), is_complex=is_complex)
     return made is not None and bool(made.timed)
 
 
-def _conditions(problem: Problem, parameters: Array) -> list[Crossing]:
+def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     """The conditions of f that depend on t alone."""
     from .._functions.graph.landings import timed
 
@@ -105,7 +105,7 @@ def _conditions(problem: Problem, parameters: Array) -> list[Crossing]:
     fun = problem.slope.fun if not isinstance(problem.fun, SecondOrder) else problem.fun
     inside = getattr(fun, "fun", fun) if problem.inputs else fun
     if n and isinstance(inside, OnGraph):
-        found = derived(fun, n, n, count_of(parameters))
+        found = derived(fun, n, n, parameters)
         if found is None:
             return []
         return found.timed if not problem.inputs else timed(*_fed(found.outputs, problem))
@@ -131,9 +131,9 @@ def _of_python(problem: Problem) -> PlainGraph | None:
     if not may_switch(fun):
         return None
     inputs = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
-    args = Arguments([*inputs, *arguments_of(problem.args).entries])
-    if isinstance(problem.fun, CompiledFunction) and args:  # numba's, of all numbers in one array
-        args = Arguments([Numbers(np.ones(int(args)), varying=True)])
+    args = ArgumentLayout((*inputs, *layout_of(problem.args).entries))
+    if isinstance(problem.fun, CompiledFunction):  # numba's, of all numbers in one array
+        args = args.whole()
     return plain_graph(fun, n, args, is_complex=problem.y0.dtype.kind == "c")
 
 

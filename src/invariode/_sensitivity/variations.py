@@ -16,7 +16,7 @@ from .._base.arguments import EPS, Array, Weights, warn
 from .._functions.compiled import is_native
 from .._functions.directional import Directional, Given, Point, has_llvm
 from .._functions.graph.nodes import Node
-from .._functions.layout import Parameters
+from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
@@ -128,7 +128,7 @@ class Variations:
 
     def tolerances_at(self, y: Array, args: tuple[Any, ...]) -> Array:
         """Return the tolerances of S, (k, n), from another start with other arguments."""
-        numbers = np.array(args) if all(type(one) is float for one in args) else Parameters.of(args)
+        numbers = np.array(args) if all(type(one) is float for one in args) else layout_of(args).numbers
         pairs = zip(self.sizes.names, self.sizes.places, strict=True)
         return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))
 
@@ -253,7 +253,7 @@ def make_variations(
     times = [EventTime(event, about.of, rate, weights) for event in problem.events]
     jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
     switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
-    schedule = schedule or schedule_of(problem, Parameters.of(args), slope.outputs or ())
+    schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
@@ -282,7 +282,7 @@ def make_variations(
         times=times,
         actions=jumps,
         breaks=frozenset(float(one.t) for one in points),
-        switches=[_condition(one, n, Parameters.of(args), form) for one in switches],
+        switches=[_condition(one, n, layout_of(args), form) for one in switches],
         log=about.log,
         near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
@@ -304,7 +304,7 @@ def _as_it_is(function: Any, complex_values: bool = True) -> Any:
     return function
 
 
-def _condition(one: Switching, n: int, parameters: Array, form: Callable[..., Any]) -> EventSpec:
+def _condition(one: Switching, n: int, parameters: ArgumentLayout, form: Callable[..., Any]) -> EventSpec:
     """A condition of f as an event."""
     found = event_spec(one.event, n, parameters)
     return found._replace(fun=form(found.fun, complex_values=False), action=form(found.action))

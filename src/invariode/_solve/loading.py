@@ -18,6 +18,7 @@ from .._base.public import version
 from .._core import MEMORY_VERSION, Dense
 from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
+from .._functions.layout import NO_ARGUMENTS
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
@@ -252,7 +253,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
         fields["invariants.value"],
         names,
         (),
-        np.zeros(0),
+        NO_ARGUMENTS,
         None,
         jumps=tuple(Jump(*jump) for jump in jumps),
         forward=fields["forward"],

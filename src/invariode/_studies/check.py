@@ -176,7 +176,7 @@ def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: 
         complex=np.iscomplexobj(point),
         fun=given.slope.for_core(point, p),
         args=extra,
-        parameters=p,
+        parameters=p.numbers,
         invariants=[_core.Invariant(*spec) for spec in bound.specs],
         value=bound.value,
     )

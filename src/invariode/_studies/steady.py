@@ -28,7 +28,7 @@ from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import linear_totals, replaced, staying_zero
-from .._functions.layout import Parameters, count_of, place_of, with_numbers
+from .._functions.layout import ArgumentLayout, layout_of, place_of, with_numbers
 from .._problem.grouped import Limits
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
@@ -281,9 +281,9 @@ class SteadyStates:
             fun = _Frozen(fun, t0, problem.inputs)
         traced = with_graph(fun)
         args = with_numbers(problem.args, _floats(problem.args, self._own))
-        parameters = Parameters.of(args)
+        parameters = layout_of(args)
         try:
-            exact = None if traced is None else derived(traced, self._n, self._n, count_of(parameters))
+            exact = None if traced is None else derived(traced, self._n, self._n, parameters)
         except TypeError:
             exact = None
         if exact is None:
@@ -296,7 +296,7 @@ class SteadyStates:
             fixed = replaced(outputs, {graph.t: graph.node(t0)})
             formula = Formula(traced.__name__, lambda: fixed, (self._n,), traced.fun.parameters)
             traced = GraphFunction(formula, traced.elementary)
-            exact = derived(traced, self._n, self._n, count_of(parameters))
+            exact = derived(traced, self._n, self._n, parameters)
         return (traced if has_llvm() else getattr(traced, "fun", traced)), exact
 
     def _conserved(self, totals: Totals, problem: Problem) -> Array:
@@ -361,7 +361,7 @@ class SteadyStates:
         zero, still = np.zeros((2, self._n), dtype=bool)
         if self._exact is not None:
             moving = {place_of(args, one.index, one.item) for _, one in self._own}
-            p = np.asarray(Parameters.of(args))
+            p = layout_of(args).numbers
             constants = {i for i in np.flatnonzero(p == 0).tolist() if i not in moving}
             found = staying_zero(self._exact.outputs, set(np.flatnonzero(y0 == 0).tolist()), constants)
             for truths, places in zip((zero, still), found, strict=True):
@@ -510,20 +510,20 @@ class _OfGraph:
     def __init__(self, fun: Any, exact: Derived, n: int, own: Sequence[tuple[int, ParameterName]]) -> None:
         self._fun, self._exact, self._n, self._own = fun, exact, n, own
         self._made: dict[Any, Any] = {}
-        self._last: tuple[tuple[Any, ...], Parameters] | None = None
+        self._last: tuple[tuple[Any, ...], ArgumentLayout] | None = None
 
-    def _numbers(self, args: tuple[Any, ...]) -> Parameters:
+    def _numbers(self, args: tuple[Any, ...]) -> ArgumentLayout:
         """Return the numbers of the arguments, which a run evaluates f with at each of its steps."""
         if self._last is None or self._last[0] is not args:
-            self._last = args, Parameters.of(args)
+            self._last = args, layout_of(args)
         return self._last[1]
 
-    def _called(self, key: Any, made: Any, n: int, size: int, p: Parameters) -> Any:
+    def _called(self, key: Any, made: Any, n: int, size: int, p: ArgumentLayout) -> Any:
         """Return a derivative as a Python function, made once."""
         if key not in self._made:
             machine = has_llvm()
             self._made[key] = (
-                as_python(native(made(), self._fun, n, size, len(p)), size) if machine else made().fun.array
+                as_python(native(made(), self._fun, n, size, p.size), size) if machine else made().fun.array
             )
         return self._made[key]
 
@@ -534,13 +534,13 @@ class _OfGraph:
             machine = has_llvm()
             formula = Formula("f", lambda: self._exact.outputs, (n,))
             self._made["f"] = as_python(to_native("fun", self._fun, n, n, p), n) if machine else formula.array
-        found: Array = self._made["f"](0.0, y, np.asarray(p))
+        found: Array = self._made["f"](0.0, y, p.numbers)
         return found
 
     def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
         """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
         n, p, fp = self._n, self._numbers(args), np.zeros((self._n, len(self._own)))
-        flat = np.asarray(p)
+        flat = p.numbers
         J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
         if with_parameters and self._own:
             places = [place_of(args, one.index, one.item) for _, one in self._own]

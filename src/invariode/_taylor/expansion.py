@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
-from .._base.arguments import Array, reals, warn
+from .._base.arguments import reals, warn
 from .._base.extras import extra
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
@@ -15,7 +15,7 @@ from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph, TracedFunction
 from .._functions.graph.kinks import is_analytic, kinks
 from .._functions.graph.nodes import Node
-from .._functions.layout import Parameters, count_of
+from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
 from .._problem.events import Event, EventSpec, RootOf
@@ -86,7 +86,7 @@ def _require_graph(problem: Problem, method: Method) -> None:
     if n == 0:
         raise ValueError(f"{needs}, and y0 is empty: {_INSTEAD}")
     try:
-        found = derived(problem.slope.fun, n, n, count_of(Parameters.of(problem.args)))
+        found = derived(problem.slope.fun, n, n, layout_of(problem.args))
     except TypeError as error:
         why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
         raise TypeError(f"{needs}: {why}. Change that, or {_INSTEAD}") from None
@@ -129,7 +129,7 @@ def _graph_of_event(fun: Any, problem: Problem) -> list[Node] | None:
     graph."""
     if not isinstance(fun, OnGraph):
         return None
-    shape = fun.known(Shape(len(problem.y0), 1, count_of(Parameters.of(problem.args)), event=True))
+    shape = fun.known(Shape(len(problem.y0), 1, layout_of(problem.args), event=True))
     return fun.graph(shape)
 
 
@@ -151,11 +151,11 @@ class System(NamedTuple):
     own: bool
 
 
-def system_of(problem: Problem, parameters: Array, unknown: Iterable[Node] = ()) -> System:
+def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[Node] = ()) -> System:
     """The graph of f, which is known to have one. `unknown`: branches that change with t alone, and not where landings
     are."""
     n = reals(problem.y0)
-    found = derived(problem.slope.fun, n, n, count_of(parameters))
+    found = derived(problem.slope.fun, n, n, parameters)
     assert found is not None
     outputs = with_inputs(found.outputs, problem.inputs)
     differences = kinks(outputs, unknown)

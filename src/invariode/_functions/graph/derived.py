@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
+from ..layout import NO_ARGUMENTS, ArgumentLayout
 from .derivatives import Row, dependences, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
 from .landings import Crossing, timed
@@ -226,7 +225,7 @@ class Derived:
         return self._made[key]
 
 
-def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> Derived | None:
+def derived(fun: Any, n: int, size: int, parameters: ArgumentLayout = NO_ARGUMENTS, second: int = 0) -> Derived | None:
     """The derivatives of a function with `size` values. None: it is not compiled, or has no graph.
 
     Raises
@@ -235,7 +234,7 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
         It had to be traced, and cannot be.
     """
     if isinstance(fun, NativeWithInputs):
-        return derived(fun.fun, n, size, fun.count(parameters), second)
+        return derived(fun.fun, n, size, fun.arguments(parameters), second)
     if not isinstance(fun, OnGraph):
         return None
     shape = fun.known(Shape(n, size, parameters, False, second))
@@ -253,9 +252,9 @@ def is_derived(fun: Any) -> bool:
 
 
 def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:
-    """A derivative of a function as the core calls it, with the inputs of the function."""
+    """Return a derivative of a function of so many parameters for the core, with the inputs of the function."""
     form = fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
-    return to_native(made.__name__, form, n, size, np.zeros(parameters))
+    return to_native(made.__name__, form, n, size, ArgumentLayout.single(parameters))
 
 
 def _is_zero(node: Node) -> bool:

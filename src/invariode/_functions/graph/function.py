@@ -12,7 +12,7 @@ from ... import _core
 from ..._base.arguments import Array
 from ..._base.forks import compiling
 from ..compiled import CompiledFunction, Shape, condition_value
-from ..layout import TRUTHS, Arguments, Constant, Numbers, count_of
+from ..layout import NO_ARGUMENTS, TRUTHS, ArgumentLayout, Constant
 from .nodes import Node, TraceError, in_order
 from .python import Formula
 
@@ -145,17 +145,16 @@ class TracedFunction(OnGraph):
             self._of_complex = TracedFunction(self.fun, self.inplace, self.elementary, self.by, is_complex=True)
         return self._of_complex
 
-    def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
-        """The Python function, with the arguments of the problem."""
-        arguments = _arguments(count_of(parameters))
-        if self._binds([t, *vectors, *arguments.entries]):
-            given = arguments.given(parameters)
+    def at(self, t: float, *vectors: Array, parameters: ArgumentLayout) -> Any:
+        """Call the Python function with the arguments of the problem."""
+        if self._binds([t, *vectors, *parameters.entries]):
+            given = parameters.given(parameters.numbers)
             try:
                 return self.fun(t, *vectors, *given)
             except (TypeError, IndexError):  # of a number: it takes all of them as one array
-                if not arguments:
+                if not parameters.size:
                     raise
-        return super().at(t, *vectors, parameters=np.array(parameters))
+        return super().at(t, *vectors, parameters=parameters)
 
     def _binds(self, given: Sequence[Any]) -> bool:
         """Return whether the function can be called with these arguments."""
@@ -165,15 +164,17 @@ class TracedFunction(OnGraph):
             return False
         return True
 
-    def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
+    def native(
+        self, n: int, size: int, parameters: ArgumentLayout = NO_ARGUMENTS, event: bool = False, second: int = 0
+    ) -> _core.Native:
         return self._machine_code(self.known(Shape(n, size, parameters, event, second)))
 
     def graph(self, shape: Shape) -> list[Node] | None:
         return self._graphs[self.known(shape)._replace(is_complex=False, real_time=False)]
 
-    def constants(self, parameters: int) -> int:
+    def constants(self, parameters: ArgumentLayout) -> int:
         """Return the rank up to which the numbers of these arguments are constants of the code."""
-        arguments = _arguments(parameters).fixed(TRUTHS)
+        arguments = parameters.fixed(TRUTHS)
         ways = [way for shape, way in self._ways.items() if shape.parameters == arguments]
         return max((way for way in ways if way is not None), default=TRUTHS)
 
@@ -187,12 +188,12 @@ class TracedFunction(OnGraph):
 
     def _traced_as(self, shape: Shape, real: Shape) -> Shape:
         """Trace the function, and return the shape with its arguments as they are handed over."""
-        arguments = _arguments(real.parameters)
+        arguments = real.parameters
         key = real._replace(parameters=arguments.fixed(TRUTHS))
         if key not in self._ways:
             self._ways[key] = self._find_way(real, arguments)
         way = self._ways[key]
-        found = shape._replace(parameters=int(arguments) if way is None else arguments.fixed(way))
+        found = shape._replace(parameters=arguments.whole() if way is None else arguments.fixed(way))
         real = found._replace(is_complex=False, real_time=False)
         if real not in self._graphs:  # the constants have other values than the first time
             try:
@@ -201,14 +202,14 @@ class TracedFunction(OnGraph):
                 raise self._untraceable(error) from None
         return found
 
-    def _find_way(self, shape: Shape, arguments: Arguments) -> int | None:
+    def _find_way(self, shape: Shape, arguments: ArgumentLayout) -> int | None:
         """The first way of handing over the arguments that can be traced."""
         errors = []
         given = ["t", *shape.vectors, *["out"] * (self.inplace and not shape.event), *arguments.entries]
         ranks = sorted({TRUTHS, *arguments.ranks}) if self._binds(given) else []
         ways = [(rank, shape._replace(parameters=arguments.fixed(rank))) for rank in ranks]
-        whole = shape._replace(parameters=int(arguments))
-        for way, handed in [*ways, *([(None, whole)] if arguments or not ways else [])]:
+        whole = shape._replace(parameters=arguments.whole())
+        for way, handed in [*ways, *([(None, whole)] if arguments.size or not ways else [])]:
             try:
                 self._graphs[handed] = self._traced(handed)
             except TraceError as error:
@@ -255,12 +256,11 @@ class TracedFunction(OnGraph):
     def _followed(self, shape: Shape) -> list[Node]:
         from .trace import trace
 
-        arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
         found = trace(
             self.fun,
             shape.n,
-            arguments,
+            shape.parameters,
             second=shape.second,
             inplace=inplace,
             is_complex=self.is_complex,
@@ -268,15 +268,15 @@ class TracedFunction(OnGraph):
         )
         if len(found.outputs) != shape.size:
             raise TraceError(f"{self.__name__} returns {len(found.outputs)} values, expected {shape.size}")
-        self._compare(found, shape, arguments)
+        self._compare(found, shape, shape.parameters)
         self.outputs.append(found.outputs)
         return found.outputs
 
-    def _compare(self, found: Traced, shape: Shape, arguments: Arguments) -> None:
+    def _compare(self, found: Traced, shape: Shape, arguments: ArgumentLayout) -> None:
         """The graph with the function itself, at scattered points."""
         formula = Formula(self.__name__, lambda: found.outputs, (shape.size,))
         rng = np.random.default_rng(_SEED)
-        own = arguments.values()
+        own = arguments.numbers
         for i, size in enumerate(_SIZES):
             t, y, p = _TIMES[i], size * rng.standard_normal(shape.n), rng.uniform(0.5, 2, len(own))
             y = np.abs(y) if _POSITIVE[i] else y
@@ -307,7 +307,7 @@ class TracedFunction(OnGraph):
                     "or use what tracing does not see"
                 )
 
-    def disagreement(self, t: float, y: Array, values: Array, parameters: Array) -> str | None:
+    def disagreement(self, t: float, y: Array, values: Array, parameters: ArgumentLayout) -> str | None:
         """Describe how the values of the code differ from those of the Python function; None if they agree to
         roundoff."""
         try:
@@ -315,10 +315,10 @@ class TracedFunction(OnGraph):
                 expected = self._called(t, y, parameters, len(values))
         except Exception as error:  # whatever it raises
             return f"it raises {type(error).__name__}: {error}" if np.isfinite(values).all() else None
-        outputs = self.graph(Shape(len(y), len(values), count_of(parameters), event=False))
-        return None if outputs is None else _difference(outputs, t, y, parameters, (values, expected))
+        outputs = self.graph(Shape(len(y), len(values), parameters, event=False))
+        return None if outputs is None else _difference(outputs, t, y, parameters.numbers, (values, expected))
 
-    def _called(self, t: float, y: Array, parameters: Array, size: int) -> Array:
+    def _called(self, t: float, y: Array, parameters: ArgumentLayout, size: int) -> Array:
         """The values of the Python function at one point."""
         kind = complex if self.is_complex else float
         y = y.copy().view(kind)
@@ -342,12 +342,3 @@ def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[
     wrong &= ~(np.abs(values - expected) <= _SAFETY * np.array(bounds(outputs, t, y.tolist(), p.tolist())))
     i = int(np.argmax(wrong))
     return f"its value {i} is {expected[i]:.17g}, that of the graph {values[i]:.17g}" if wrong[i] else None
-
-
-def _in_one(count: int) -> Arguments:
-    """Return arguments that consist of one array of `count` numbers, or of nothing if it is 0."""
-    return Arguments([Numbers(np.ones(count), varying=True)] if count else [])
-
-
-def _arguments(parameters: int) -> Arguments:
-    return parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)

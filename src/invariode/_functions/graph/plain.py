@@ -23,7 +23,7 @@ from ..._base.forks import short_lock
 from ..._core import StateFirst
 from ..filling import Filling
 from ..first_order import FirstOrderForm
-from ..layout import TRUTHS, Arguments, Entry, Listed, Numbers
+from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
 from .landings import Crossing, timed
 from .nodes import Node, TraceError
 
@@ -141,7 +141,7 @@ _MOST_GRAPHS = 64
 
 
 def plain_graph(
-    fun: Any, n: int, args: Arguments, *, size: int | None = None, is_complex: bool = False
+    fun: Any, n: int, args: ArgumentLayout, *, size: int | None = None, is_complex: bool = False
 ) -> PlainGraph | None:
     """The values of a Python function of (t, y, *args) as a graph, found without an effect that could be noticed.
 
@@ -151,7 +151,7 @@ def plain_graph(
         The function.
     n : int
         The reals that make up y.
-    args : Arguments
+    args : ArgumentLayout
         Its further arguments.
     size : int, optional
         The number of its values. Default: n.
@@ -182,7 +182,7 @@ def plain_graph(
     return _graphs.get(key)
 
 
-def _traced(fun: Any, n: int, args: Arguments, size: int, *, is_complex: bool) -> PlainGraph | None:
+def _traced(fun: Any, n: int, args: ArgumentLayout, size: int, *, is_complex: bool) -> PlainGraph | None:
     from .trace import IN_PASSING, trace  # imported when a function is traced
 
     fun = getattr(fun, AS_TRACED, fun)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import PACKAGE, call_name, raised_in
-from ..layout import Arguments, Numbers
+from ..layout import ArgumentLayout, Numbers
 from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
 from .selections import helpers, selecting
@@ -75,7 +75,7 @@ class Traced(NamedTuple):
 def trace(
     fun: Callable[..., Any],
     n: int,
-    args: Arguments | None = None,
+    args: ArgumentLayout | None = None,
     *,
     second: int = 0,
     inplace: int = 0,
@@ -91,7 +91,7 @@ def trace(
         The function.
     n : int
         The components of y.
-    args : Arguments, optional
+    args : ArgumentLayout, optional
         Its further arguments, whose numbers are the parameters, one after the other.
     second : int, default 0
         The function takes two vectors, of n - second and second components, which follow each other in y.
@@ -113,7 +113,7 @@ def trace(
     TraceError
         It cannot be traced: the message names the line and the reason.
     """
-    args, limits = Arguments([]) if args is None else args, limits or TraceLimits()
+    args, limits = ArgumentLayout() if args is None else args, limits or TraceLimits()
     given = (fun, n - second, second, args, inplace, limits, is_complex, conditions)
     found = _Run(*given).traced(alone=True)
     if found is not None:
@@ -149,7 +149,7 @@ class _Run:
         fun: Callable[..., Any],
         n: int,
         second: int,
-        args: Arguments,
+        args: ArgumentLayout,
         inplace: int,
         limits: TraceLimits,
         is_complex: bool,

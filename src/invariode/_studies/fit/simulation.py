@@ -18,7 +18,7 @@ from ..._functions.compiled import is_native
 from ..._functions.directional import Point, has_llvm
 from ..._functions.graph.nodes import in_order
 from ..._functions.graph.python import Formula
-from ..._functions.layout import Parameters, place_of
+from ..._functions.layout import layout_of, place_of
 from ..._problem.events import titled
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
@@ -480,7 +480,7 @@ class _Known:
 
     def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None) -> Found | NotFound:
         """Return the steady state for these arguments and this initial value, with derivatives for S0."""
-        numbers = np.asarray(Parameters.of(args), dtype=float)
+        numbers = layout_of(args).numbers
         key = numbers.tobytes(), y0.tobytes(), b"" if S0 is None else S0.tobytes()
         if key not in self._last:
             while len(self._last) >= self._MOST:
