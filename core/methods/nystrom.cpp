@@ -8,68 +8,37 @@
 #include <vector>
 
 #include "compensated.hpp"
-#include "methods/initial_step.hpp"
-#include "methods/runge_kutta_kernel.hpp"
-#include "output/polynomial.hpp"
+#include "methods/pair_step.hpp"
 
 namespace invariode::nystrom {
 namespace {
 
-using runge_kutta::cut;
-using runge_kutta::grown;
-using runge_kutta::halved;
-using runge_kutta::largest_slope;
-using runge_kutta::safety;
-
 /// A step of the pair T for Y = (y, S₁, …), each of them positions and velocities, as f(t, Y) = (velocities,
 /// accelerations) sees it: the accelerations do not depend on velocities, and those of a stage are never formed.
 template <const auto& T>
-class NystromStep final : public Step {
-  static constexpr std::size_t stages = T.stages;
-  static constexpr std::size_t last = stages - 1;
-  static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
-  static constexpr double exponent = 1.0 / (T.error_order + 1);
+class NystromStep final : public runge_kutta::PairStep<T> {
+  using Base = runge_kutta::PairStep<T>;
+  using Base::accepted_, Base::candidate_, Base::error_, Base::evaluate, Base::fsal_, Base::k_, Base::last,
+      Base::moved_onto_bounds_, Base::n, Base::other_, Base::purified_, Base::stage_, Base::stages, Base::start_,
+      Base::t1_, Base::t_, Base::weights_, Base::y_;
+  using typename Base::Attempt, typename Base::Span;
   /// True if v* depends on f(t₁, q*): the extension does then not end at y* with another slope in its place.
   static constexpr bool last_has_weight = T.b[last] != 0;
 
  public:
   NystromStep(Callback& f, const Weights& weights, Fsal fsal, std::size_t state)
-      : Step(f, weights),
-        fsal_(fsal),
-        half_(state / 2),
-        remainder_(weights.size()),
-        values_((stages + 3 + last_has_weight) * n()) {
+      : Base(f, weights, fsal, last_has_weight), half_(state / 2), remainder_(n()) {
     assert(state % 2 == 0 && n() % state == 0);
-    double* next = values_.data();
-    const auto take = [&next, this] { return std::exchange(next, next + n()); };
-    for (std::size_t k = 0; k < stages; ++k) k_[k] = take();
-    start_ = take();
-    stage_ = take();
-    candidate_ = take();
-    if constexpr (last_has_weight) proposed_ = take();
   }
 
   Outcome start(double t, const double* y, const Span& span) override {
-    t_ = t;
-    std::copy(y, y + n(), y_.data());
     remainder_.clear();
-    accepted_ = failed_ = false;
-    evaluated_ = 1;
-    if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
-    if (!all_finite(k_[0], n())) return Outcome::not_finite;
-    const double speed = size_of(k_[0], [&](std::size_t i) { return weights_.at(i, y[i]); });
-    const double reciprocal = speed / (safety * std::pow(weights_.rtol(), exponent));
-    h_ = initial_step(reciprocal, t_, span);
-    rest_.begin(reciprocal, t_, span);
-    return Outcome::ok;
+    return Base::begin(t, y, span);
   }
 
   Attempt attempt(double h, double t1) override {
     if (accepted_) advance_memory();
-    t1_ = t1;
-    h_ = std::abs(h);
-    purified_ = t1 - t_;
-    error_ = std::numeric_limits<double>::quiet_NaN();
+    Base::propose(h, t1);
     std::copy(y_.begin(), y_.end(), stage_);  // whose velocities stay
     Outcome outcome = inner_stages();
     if (outcome == Outcome::ok) {
@@ -78,7 +47,7 @@ class NystromStep final : public Step {
     }
     if (outcome == Outcome::ok) propose_velocities();
     if (outcome == Outcome::ok) error_ = error_norm();
-    if (outcome == Outcome::ok) outcome = judge_start();
+    if (outcome == Outcome::ok) outcome = Base::judge_start();
     return {outcome, error_, candidate_};
   }
 
@@ -90,88 +59,35 @@ class NystromStep final : public Step {
     return true;
   }
 
-  bool reject(Cause cause, double hmin) override {
-    const double limit = rest_.reject();
-    if (h_ <= hmin) return false;
-    double factor = halved;
-    if (!failed_ && cause == Cause::error)
-      factor = cut(std::pow(weights_.rtol() / error_, exponent), T.floor);
-    else if (!failed_ && cause == Cause::not_finite)
-      factor = T.floor;
-    h_ = std::max(hmin, limit > 0 ? limit : h_ * factor);
-    failed_ = true;
-    return true;
-  }
-
   Outcome accept(const double* y1) override {
     renewed_ = T.last_in_error() && evaluates_again(y1);
     if (!T.last_in_error() || renewed_) {
-      if constexpr (last_has_weight) std::swap(k_[last], proposed_);
+      if constexpr (last_has_weight) std::swap(k_[last], other_);
       const Outcome outcome = evaluate(t1_, y1, last);
       if (outcome == Outcome::stop) return outcome;
       if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
     }
-    std::copy(y_.begin(), y_.end(), start_);
-    std::copy(y1, y1 + n(), y_.begin());
     remainder_.accept();
-    t_ = t1_;
-    if (!failed_) h_ = grown(h_, std::pow(error_ / weights_.rtol(), exponent));
-    failed_ = false;
-    accepted_ = true;
-    rest_.accept();
+    Base::commit(y1);
     return Outcome::ok;
   }
 
-  /// Archives, of the stages, only the first of the next step, which is read again.
   void state(Archive& archive) override {
-    Step::state(archive);
-    if (archive.reading()) accepted_ = false;
-    archive.values(k_[accepted_ ? last : 0], n());
-    archive(remainder_, failed_);
-    rest_.state(archive);
+    Base::archive_step(archive, k_[accepted_ ? last : 0]);
+    archive(remainder_);
   }
 
-  [[nodiscard]] Interpolate interpolate() const override { return in_turn<runge_kutta::nested_polynomial>; }
-  [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
-  [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
-    bool sound = true;
     const bool other_slope = last_has_weight && renewed_;
-    if (other_slope) std::swap(k_[last], proposed_);
-    if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
-      further_.resize(extra * n());
-      for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
-    }
-    Status status = Status::ok;
-    if constexpr (extra > 0) status = further_stages(sound);
-    if (status == Status::ok) {
-      data = std::copy(start_, start_ + n(), data);
-      if (sound)
-        coefficients(data);
-      else
-        cubic(data);
-    }
-    if (other_slope) std::swap(k_[last], proposed_);
+    if (other_slope) std::swap(k_[last], other_);
+    const Status status = Base::extend(
+        start_, y_.data(), data, [this](auto look) { further_stages(look); },
+        [this](double* out) { coefficients(out); });
+    if (other_slope) std::swap(k_[last], other_);
     return status;
   }
 
-  [[nodiscard]] int order() const override { return T.order; }
-  [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
-  [[nodiscard]] int undefined_component() const override {
-    for (std::size_t i = 0; i < n(); ++i)
-      for (std::size_t k = 0; k < evaluated_; ++k)
-        if (!std::isfinite(k_[k][i])) return static_cast<int>(i);
-    return -1;
-  }
-
  private:
-  Outcome judge_start() {
-    const auto norm = [this](const double* v) {
-      return size_of(v, [this](std::size_t i) { return weights_.at(i, y_[i]); });
-    };
-    return rest_.judge(f_, t_, y_.data(), k_[0], purified_, weights_.rtol(), n(), error_, norm);
-  }
-
   /// each(q, v) with the indices of every position and of its velocity.
   template <class Each>
   void for_positions(Each each) const {
@@ -179,23 +95,10 @@ class NystromStep final : public Step {
       for (std::size_t q = block; q < block + half_; ++q) each(q, q + half_);
   }
 
-  /// Σ_j w(j) k_j[v] over the stages j < Count whose weight, known at compile time, is not zero.
+  /// Σ_j w(j) k_j[v] over the stages j < Count.
   template <std::size_t Count, class W>
   [[nodiscard]] double dot(W w, std::size_t v) const {
-    return [&]<std::size_t... J>(std::index_sequence<J...>) {
-      double sum = 0;
-      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
-        if constexpr (w(index) != 0) sum += w(index) * k_[j][v];
-      };
-      (add(std::integral_constant<std::size_t, J>{}), ...);
-      return sum;
-    }(std::make_index_sequence<Count>{});
-  }
-
-  /// ‖v‖ with the weights weight(i).
-  template <class Weight>
-  double size_of(const double* v, Weight weight) const {
-    return max_norm(n(), [&](std::size_t i) { return v[i] / weight(i); });
+    return runge_kutta::Kernel<T, double, MaxNorm>::template dot<Count>(k_, w, v);
   }
 
   /// Stages 1 … last − 1.
@@ -242,13 +145,6 @@ class NystromStep final : public Step {
     accepted_ = false;
   }
 
-  /// f is never asked at a point that is not finite.
-  Outcome evaluate(double t, const double* y, std::size_t k) {
-    if (!all_finite(y, n())) return Outcome::not_finite;
-    evaluated_ = k + 1;
-    return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
-  }
-
   /// max(h² ‖Σ E_q F‖, |h| ‖Σ E_v F‖) with weights max(|y|, |y*|, thr)
   [[nodiscard]] double error_norm() const {
     MaxNorm norm;
@@ -260,16 +156,9 @@ class NystromStep final : public Step {
     return std::abs(purified_) * norm.value();
   }
 
-  /// The weights of the accepted step.
-  [[nodiscard]] auto weight_of_step() const {
-    return [this](std::size_t i) { return weights_.at(i, start_[i], y_[i]); };
-  }
-
-  /// Evaluates the stages of the extension; their slopes may turn out not to be finite, or too large.
-  Status further_stages(bool& sound) {
-    const auto weight = weight_of_step();
-    double most = 0;
-    for (std::size_t s = 0; s < stages; ++s) most = std::max(most, size_of(k_[s], weight));
+  /// Makes the arguments of the stages of the extension; look(t, y, k) takes each, up to one that returns false.
+  template <class Evaluate>
+  void further_stages(Evaluate look) {
     std::copy(start_, start_ + n(), stage_);
     for (std::size_t s = stages; s < T.all_stages; ++s) {
       for_positions([&](std::size_t q, std::size_t v) {
@@ -277,13 +166,8 @@ class NystromStep final : public Step {
         for (std::size_t j = 0; j < s; ++j) sum += T.A[s][j] * k_[j][v];
         stage_[q] = start_[q] + purified_ * (T.c[s] * start_[v] + purified_ * sum);
       });
-      sound = all_finite(stage_, n());
-      if (!sound) return Status::ok;
-      if (f_(t1_ - (1 - T.c[s]) * purified_, stage_, k_[s]) == Status::stop) return Status::stop;
-      sound = size_of(k_[s], weight) <= largest_slope * most;
-      if (!sound) return Status::ok;
+      if (!look(t1_ - (1 - T.c[s]) * purified_, stage_, s)) return;
     }
-    return Status::ok;
   }
 
   /// Coefficients of the continuous extension, (degree, n).
@@ -302,34 +186,9 @@ class NystromStep final : public Step {
     }(std::make_index_sequence<T.degree>{});
   }
 
-  /// The cubic Hermite interpolant, where f is not sound at a stage of the extension.
-  void cubic(double* data) const {
-    std::fill(data, data + T.degree * n(), 0);
-    for (std::size_t i = 0; i < n(); ++i) {
-      const double rise = candidate_[i] - start_[i], k0 = purified_ * k_[0][i], k1 = purified_ * k_[last][i];
-      data[i] = rise;
-      data[n() + i] = k0 - rise;
-      data[2 * n() + i] = 2 * rise - k0 - k1;
-    }
-  }
-
-  Fsal fsal_;
   std::size_t half_;  // positions in a state
   Remainder remainder_;
-  std::vector<double> values_, further_;
-  std::array<double*, T.all_stages> k_{};  // (velocities, F_j) of all stages; of inner ones the velocities mean nothing
-  double* start_ = nullptr;                // y at the start of the accepted step
-  double* stage_ = nullptr;                // argument of the stage in work
-  double* candidate_ = nullptr;            // y*
-  double* proposed_ = nullptr;             // the last stage, where f(t₁, y₁) took its place: of v* and the extension
-  std::size_t evaluated_ = 0;              // stages of the last attempt that were evaluated
-  double t1_ = 0;
-  double error_ = 0;
-  RestingStart rest_;
-  double purified_ = 0;    // t₁ − t
-  bool failed_ = false;    // an attempt of this step failed
-  bool accepted_ = false;  // and the next has not begun
-  bool renewed_ = false;   // f(t₁, y₁) took the place of its last stage
+  bool renewed_ = false;  // f(t₁, y₁) took the place of the step's last stage, which is then `other_`
 };
 
 template <const auto&... T>

@@ -27,7 +27,7 @@ struct NystromTableau {
   const char* source;   ///< where the coefficients come from
   int iterations;       ///< of the projection in a step
   int order;            ///< of the higher formulas
-  int error_order;      ///< of the lower ones. The controller's exponent is 1 / (error_order + 1).
+  int error_order;      ///< of the lower ones.
   int extension_order;  ///< of the continuous extension, in q and v together: its q is better by one order
   double floor;         ///< smallest factor by which a first failure cuts h
   std::array<double, all_stages> c;
@@ -37,6 +37,8 @@ struct NystromTableau {
   std::array<std::array<double, Degree>, all_stages> B_q, B_v;
 
   [[nodiscard]] constexpr std::array<double, all_stages> b_bar() const { return A[Stages - 1]; }
+  /// The controller's exponent.
+  [[nodiscard]] constexpr double exponent() const { return 1.0 / (error_order + 1); }
   /// Returns whether f(t₁, q*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E_v[Stages - 1] != 0; }
 };

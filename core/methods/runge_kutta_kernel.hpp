@@ -159,6 +159,19 @@ struct Kernel {
     }(std::make_index_sequence<T.degree>{});
   }
 
+  /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
+  template <std::size_t Count, class W>
+  static Real dot(const Stages& k, W w, std::size_t i) {
+    return [&]<std::size_t... J>(std::index_sequence<J...>) {
+      Real sum(0);
+      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
+        if constexpr (w(index) != 0) sum += w(index) * k[j][i];
+      };
+      (add(std::integral_constant<std::size_t, J>{}), ...);
+      return sum;
+    }(std::make_index_sequence<Count>{});
+  }
+
  private:
   /// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10), in a form
   /// whose squares neither overflow nor underflow before the result does.
@@ -171,19 +184,6 @@ struct Kernel {
   template <std::size_t D>
   static void coefficient(const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.all_stages>(k, [](auto j) { return T.B[j][D]; }, i);
-  }
-
-  /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
-  template <std::size_t Count, class W>
-  static Real dot(const Stages& k, W w, std::size_t i) {
-    return [&]<std::size_t... J>(std::index_sequence<J...>) {
-      Real sum(0);
-      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
-        if constexpr (w(index) != 0) sum += w(index) * k[j][i];
-      };
-      (add(std::integral_constant<std::size_t, J>{}), ...);
-      return sum;
-    }(std::make_index_sequence<Count>{});
   }
 };
 

@@ -31,7 +31,7 @@ struct Tableau {
   const char* scipy_name = nullptr;  ///< of the same pair in `scipy.integrate.solve_ivp`, if it is there
   int iterations;                    ///< of the projection in a step (paper, section 4)
   int refine = 1;                    ///< points per step that the function of this name returns
-  int order;                         ///< q, of the higher formula. The controller's exponent is 1/q.
+  int order;                         ///< q, of the higher formula.
   int error_order;                   ///< of the formula that E compares with
   int crude_order = 0;               ///< of the one that `crude` compares with; 0: there is none
   int extension_order;               ///< order of the continuous extension
@@ -53,6 +53,8 @@ struct Tableau {
     return w;
   }
   [[nodiscard]] constexpr bool watches_bends() const { return bends[4] != 0; }
+  /// The controller's exponent.
+  [[nodiscard]] constexpr double exponent() const { return 1.0 / order; }
   /// Returns whether f(t₁, y*) has a part in the error estimate. Where it has none, it is evaluated once y₁ is known.
   [[nodiscard]] constexpr bool last_in_error() const { return E[Stages - 1] != 0; }
 };

@@ -55,7 +55,7 @@ class LanePair {
     evaluate_all(t0, y, first_, p);
     const P speed = Kernel::size_of_stage(0, {first_}, job_.all, weight(ready_thresholds_, y, y));
     undefined = ~(speed < P(infinity));
-    const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
+    const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, T.exponent()));
     rests = ~gives_scale(reciprocal, t0, job_.tf);
     return initial_step(reciprocal, t0, job_.tf, job_.hmax);
   }
