@@ -60,7 +60,7 @@ State Jumps::at_breakpoints(double t, double* Y, bool inside) {
       if (const State state = begin(t, Y, inside); state != State::running) return state;
     parts_.report.event = parts_.events.count() + breaks.index();
     before_.assign(Y, Y + extent_.size());
-    State state = take(point.action, point.jump, t, Y);
+    State state = take(point.action, before_.data(), point.jump, t, Y);
     if (state == State::running) state = judge(t, Y, 0);
     while (state == State::running && !due_.empty()) state = take_next(t, Y);
     if (state == State::running) continue;
@@ -140,9 +140,10 @@ State Jumps::take_next(double t, double* Y) {
   before_.assign(Y, Y + extent_.size());
   if (!alone) {
     const RootVector& vector = parts_.events.vector(function.vector);
-    before_.resize(extent_.size() + vector.count);
+    told_.assign(Y, Y + extent_.n);
+    told_.resize(extent_.n + vector.count);
     for (const Due& one : due_)
-      if (together(one)) before_[extent_.size() + one.event - vector.first] = one.direction;
+      if (together(one)) told_[extent_.n + one.event - vector.first] = one.direction;
   }
   bool taken = false;  // the same event may be due again
   std::erase_if(due_, [&](const Due& one) {
@@ -151,13 +152,14 @@ State Jumps::take_next(double t, double* Y) {
     return taken = true;
   });
   Callback& action = alone ? function.action : parts_.events.vector(function.vector).action;
-  if (const State state = take(action, function.jump, t, Y); state != State::running) return state;
+  const double* given = alone ? before_.data() : told_.data();
+  if (const State state = take(action, given, function.jump, t, Y); state != State::running) return state;
   return judge(t, Y, first.depth + 1);
 }
 
-/// Y behind an action that gets `before_`.
-State Jumps::take(Callback& action, Callback& jump, double t, double* Y) {
-  if (action(t, before_.data(), Y) == Status::stop) return State::interrupted;
+/// Y behind an action, which is given y of `before_`, and what a vector is told besides.
+State Jumps::take(Callback& action, const double* given, Callback& jump, double t, double* Y) {
+  if (action(t, given, Y) == Status::stop) return State::interrupted;
   acted_ = true;
   if (!all_finite(Y, extent_.n)) return State::action_undefined;
   if (const State state = solve_equations(t, Y); state != State::running) return state;

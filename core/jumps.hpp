@@ -72,7 +72,7 @@ class Jumps {
   State begin(double t, const double* Y, bool inside);
   State work(double t, double* Y);
   State take_next(double t, double* Y);
-  State take(Callback& action, Callback& jump, double t, double* Y);
+  State take(Callback& action, const double* given, Callback& jump, double t, double* Y);
   State follow(Callback& jump, double t, double* Y);
   State without_action(double t, double* Y, bool inside);
   State solve_equations(double t, double* y);
@@ -89,7 +89,8 @@ class Jumps {
   Extent extent_;
   std::vector<Due> due_;
   std::vector<Occurrence> crossed_;
-  std::vector<double> before_;  // Y before an action, and behind it the state after it, or what a vector is told
+  std::vector<double> before_;  // Y before an action, and behind it the state after it
+  std::vector<double> told_;    // y before the action of a vector, and the direction of each of its functions, or 0
   std::vector<double> raw_;     // y before it is put back onto constraints
   bool rehold_ = true;          // every event that has acted asks for it
   std::size_t occurred_ = 0;    // so many events by jumps, at this time

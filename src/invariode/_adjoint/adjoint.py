@@ -38,6 +38,7 @@ from .._functions.layout import layout_of
 from .._plan.call_errors import takes
 from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
 from .._problem.breakpoints import Breakpoint, to_breakpoints
+from .._problem.events import roots_among
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import Options
@@ -130,6 +131,11 @@ def gradient(
         )
     names = problem.parameter_names()
     require_possible(problem)
+    for roots in roots_among(problem.events):
+        raise ValueError(
+            f"gradient: not possible with {roots!r}, whose action is not known backwards: use sensitivities=, or "
+            "Event(..., action=)"
+        )
     functional = _functional(run, dG_dy, dG_dp, t, integrand, len(names))
     if problem.y0.dtype.kind == "c":
         return _of_complex(run, problem, functional)

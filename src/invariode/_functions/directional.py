@@ -321,6 +321,18 @@ class Directional:
         return None if found is None else self._graph.with_values([found], self.called)
 
     @property
+    def surfaces(self) -> Any:
+        """A function as `surface` for an F of several values: with a function that changes its sign in the place of
+        each condition; None if none is one, or without a graph."""
+        if self._graph is None:
+            return None
+        found = [surface(one) for one in self._graph.outputs]
+        if not any(one is not None for one in found):
+            return None
+        pairs = zip(found, self._graph.outputs, strict=True)
+        return self._graph.with_values([one if one is not None else value for one, value in pairs], self.called)
+
+    @property
     def is_condition(self) -> bool:
         """True if F has no graph and returns True or False, of which derivatives say nothing."""
         return self._graph is None and self._evaluate(*self._at).dtype == bool

@@ -151,12 +151,15 @@ class Roots:
         As in `Event`.
     names : list of str, optional
         What messages and tables call the functions. Default: the name of `fun` with their numbers.
+    stateless : bool, default False
+        Whether the values of `fun` and `on_roots` depend on their arguments alone. If so, sensitivities have their
+        derivatives, formed as for `Event`.
 
     Notes
     -----
-    `fun` may use what `on_roots` remembers, such as ``t - due`` with the time at which a delayed action is due: it is
-    evaluated again after each call. What they remember belongs to one run: give each run functions of its own. The
-    derivatives of `on_roots` are unknown: sensitivities and gradients need `Event`.
+    Unless they are `stateless`, `fun` may use what `on_roots` remembers, such as ``t - due`` with the time at which a
+    delayed action is due: it is evaluated again after each call. What they remember belongs to one run: give each run
+    functions of its own. Sensitivities need `stateless`; `gradient` needs `Event`.
 
     The form is that of the root functions of SUNDIALS (Hindmarsh and Shampine, SAND 80-0180, 1980).
 
@@ -182,13 +185,16 @@ class Roots:
         *,
         rehold: bool = True,
         names: Sequence[str] | None = None,
+        stateless: bool = False,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"fun of Roots must be a function fun(t, y), got {shown(fun)}")
         self.fun: Any = fun
         self.count = positive_integer("count of Roots", count)
         self.on_roots = function("on_roots", on_roots, "on_roots(t, y, which, directions)")
-        self.rehold = flag("rehold", rehold)
+        self.rehold, self.stateless = flag("rehold", rehold), flag("stateless", stateless)
+        #: The numbers of the functions of the latest call of `on_roots`, and their directions.
+        self.latest: tuple[Array, Array] = (np.zeros(0, dtype=int),) * 2
         self.__name__ = call_name(fun, "roots")
         if names is None:
             self.names = [f"{self.__name__}[{k}]" for k in range(self.count)]
@@ -196,6 +202,17 @@ class Roots:
             self.names = [_name(name) for name in names]
             if len(self.names) != self.count:
                 raise ValueError(f"names of Roots must be {self.count}, one for each function, got {len(self.names)}")
+
+    @property
+    def is_differentiable(self) -> bool:
+        """True if sensitivities follow the action."""
+        return self.stateless
+
+    def derivatives(self, of: Callable[..., Any], start: Array) -> Any:
+        """Return the derivatives of functions that remember: an object with those of `fun` and of the action
+        (`_sensitivity.actions.OfRoots`), from `of`, which makes them of a function, and S at the start, (k, n). None:
+        they remember nothing."""
+        return None
 
     def events(self) -> list[Event]:
         """Return one event for each function."""
@@ -226,13 +243,20 @@ class _Component:
 class _OnRoots:
     """`on_roots` as the core calls it: the state, and behind it the sign that each function takes on."""
 
-    def __init__(self, on_roots: Callable[..., Any], count: int) -> None:
-        self._on_roots, self._count = on_roots, count
+    def __init__(self, roots: Roots) -> None:
+        self._roots = roots
 
     def __call__(self, t: float, state: Array, *args: Any) -> Any:
-        signs = state[-self._count :].real.astype(int)
+        roots = self._roots
+        signs = state[-roots.count :].real.astype(int)
         which = np.flatnonzero(signs)
-        return self._on_roots(t, state[: -self._count], which, signs[which], *args)
+        roots.latest = which, signs[which]
+        return roots.on_roots(t, state[: -roots.count], which, signs[which], *args)
+
+
+def roots_among(events: Sequence[Event]) -> list[Roots]:
+    """Return each `Roots` of which functions are among these events."""
+    return [*{id(one.roots): one.roots for one in events if isinstance(one, RootOf)}.values()]
 
 
 def acts(event: Event) -> bool:
@@ -349,7 +373,7 @@ def vector_specs(events: Sequence[Event], n: int, p: ArgumentLayout) -> list[Vec
             continue
         roots = event.roots
         fun = to_native(f"fun of {roots!r}", roots.fun, n, roots.count, p)
-        found.append(VectorSpec(fun, first, roots.count, roots.__name__, _OnRoots(roots.on_roots, roots.count)))
+        found.append(VectorSpec(fun, first, roots.count, roots.__name__, _OnRoots(roots)))
     return found
 
 

@@ -15,9 +15,9 @@ the jump.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from .._base.arguments import EPS, RTOL, Array, Weights, warn
 from .._functions.compiled import CoreFunction
 from .._functions.directional import Directional, Point
 from .._laws.imposing import impose
-from .._problem.events import Event, titled
+from .._problem.events import Event, RootOf, Roots, titled
 from .._problem.invariants import AccuracyWarning, Invariants
 from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
@@ -38,6 +38,11 @@ _AHEAD = 1e-6
 _AT_ROOT = 64
 #: Relative differences of ∂τ of events at one time beyond the errors of the run.
 _ALIKE = 1e-3
+
+_UNTRACED = (
+    "sensitivities: {0} is a condition (True or False) that cannot be traced, so that the derivatives of its times are "
+    "unknown, and 0 here. Return a number that changes its sign instead"
+)
 
 
 class Rate:
@@ -80,7 +85,7 @@ class Rate:
         return np.asarray((at_lower & (outwards < 0)) | (at_upper & (outwards > 0)))
 
 
-def is_at_root(event: Directional, t: float, y: Array, f: Array) -> bool:
+def is_at_root(event: Along, t: float, y: Array, f: Array) -> bool:
     """Return whether an event is zero at a state with this slope, to roundoff; if not, a jump has carried it over
     zero."""
     none = np.zeros((4, event.k))
@@ -107,11 +112,7 @@ def of_event(event: Event, derivatives: Callable[..., Directional]) -> tuple[Dir
     if surface is not None:
         return derivatives(surface, called, m=1, moves_t=True), True
     if made.is_condition:
-        warn(
-            f"sensitivities: {called} is a condition (True or False) that cannot be traced, so that the derivatives of "
-            "its times are unknown, and 0 here. Return a number that changes its sign instead",
-            AccuracyWarning,
-        )
+        warn(_UNTRACED.format(called), AccuracyWarning)
         return derivatives(_unknown, called, m=1, moves_t=True), False
     return made, True
 
@@ -120,13 +121,127 @@ def _unknown(t: Any, y: Any, *args: Any) -> Any:
     return 0.0 * y[0]
 
 
+class Along(Protocol):
+    """The part of `Directional` that jumps use."""
+
+    k: int
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives along c directions, (c, m)."""
+
+    def value(self, t: float, y: Array) -> Array:
+        """Return the values, (m,)."""
+
+
+class OfRoots(NamedTuple):
+    """Derivatives of the functions of a `Roots`, and of its action, which has just been taken.
+
+    Attributes
+    ----------
+    fun, action : Along
+        Those of all functions, m of them, and of the action.
+    is_known : bool
+        False: the functions are conditions that cannot be traced.
+    """
+
+    fun: Along
+    action: Along
+    is_known: bool = True
+
+
+def of_roots(roots: Roots, derivatives: Callable[..., Directional], start: Array) -> OfRoots:
+    """Return the derivatives of a vector of functions and of its action; S at the start is (k, n).
+
+    Warns
+    -----
+    AccuracyWarning
+        The functions are conditions that cannot be traced.
+    """
+    remembered: OfRoots | None = roots.derivatives(derivatives, start)
+    if remembered is not None:
+        return remembered
+    name = roots.__name__
+    fun = derivatives(roots.fun, name, m=roots.count, moves_t=True)
+    is_known = not fun.is_condition
+    if not is_known:
+        warn(_UNTRACED.format(name), AccuracyWarning)
+        fun = derivatives(lambda t, y, *args: [0.0 * y[0]] * roots.count, name, m=roots.count, moves_t=True)
+    elif (surfaces := fun.surfaces) is not None:
+        fun = derivatives(surfaces, name, m=roots.count, moves_t=True)
+    return OfRoots(fun, _ActionOfRoots(roots, derivatives, fun.k), is_known)
+
+
+class _ActionOfRoots:
+    """The derivatives of an action that remembers nothing, for the roots of its latest call."""
+
+    def __init__(self, roots: Roots, derivatives: Callable[..., Directional], k: int) -> None:
+        self._roots, self._derivatives, self.k = roots, derivatives, k
+        self._made: dict[tuple[bytes, bytes], Directional] = {}
+
+    def _of_latest(self, y: Array) -> Directional:
+        which, directions = self._roots.latest
+        key = which.tobytes(), directions.tobytes()
+        if key not in self._made:
+            on_roots = self._roots.on_roots
+
+            def action(t: Any, y: Any, *args: Any) -> Any:
+                return on_roots(t, y, which, directions, *args)
+
+            called = f"on_roots of {self._roots!r}"
+            self._made[key] = self._derivatives(action, called, m=len(y), moves_t=True)
+        return self._made[key]
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives along directions, (c, n)."""
+        return self._of_latest(y).columns(t, y, dt, dy, dp)
+
+    def value(self, t: float, y: Array) -> Array:
+        """Return the state behind the action, (n,)."""
+        return self._of_latest(y).value(t, y)
+
+
+class _Row:
+    """Derivatives of one of several functions."""
+
+    def __init__(self, all: Along, number: int) -> None:
+        self._all, self._number, self.k = all, number, all.k
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives along directions, (c, 1)."""
+        return self._all.columns(t, y, dt, dy, dp)[:, self._number, None]
+
+    def value(self, t: float, y: Array) -> Array:
+        """Return the value, (1,)."""
+        return self._all.value(t, y)[self._number, None]
+
+
 class EventTime:
     """The derivatives of the times at which an event occurs."""
 
-    def __init__(self, event: Event, derivatives: Callable[..., Directional], rate: Rate, weights: Weights) -> None:
+    def __init__(self, event: Event, function: Along, is_known: bool, rate: Rate, weights: Weights) -> None:
         self._name, self._rate, self._weights = event.__name__, rate, weights
-        self.function, self._is_known = of_event(event, derivatives)
+        self.function, self._is_known = function, is_known
         self._grazing: list[float] = []
+
+    @classmethod
+    def of_each(
+        cls,
+        events: Sequence[Event],
+        derivatives: Callable[..., Directional],
+        roots: Mapping[int, OfRoots],
+        rate: Rate,
+        weights: Weights,
+    ) -> list[EventTime]:
+        """Return those of all events; `roots`: the derivatives of each `Roots`, by its id."""
+        found = []
+        for event in events:
+            if isinstance(event, RootOf):
+                of = roots[id(event.roots)]
+                known: tuple[Along, bool] = _Row(of.fun, event.number), of.is_known
+            else:
+                known = of_event(event, derivatives)
+            found.append(cls(event, *known, rate, weights))
+        return found
 
     def at(self, t: float, Y: Array) -> Array:
         """∂τ/∂p for an occurrence, of shape (k,); 0 if the event does not cross zero."""
@@ -164,11 +279,15 @@ class EventTime:
             ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
             try:
                 there = y + ahead * f
-                then = self.function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
+                then = self._rate_of_change(t + ahead, there, self._rate(t + ahead, there), k)
             except (ValueError, ArithmeticError):  # f is not defined there
                 return rate == 0
-            bend = abs(then[0] - rate) / ahead
+            bend = abs(then - rate) / ahead
         return bool(rate**2 <= 2 * bend * np.abs(moved).max())
+
+    def _rate_of_change(self, t: float, y: Array, f: Array, k: int) -> float:
+        """Return the derivative of the event along the solution."""
+        return float(self.function.columns(t, y, np.ones(1), f[None], np.zeros((1, k)))[0, 0])
 
     def tell(self) -> None:
         """A warning if the event has grazed zero, once for each occurrence."""
@@ -253,12 +372,12 @@ class Together:
 class ActionOfEvent:
     """S behind the action of an event."""
 
-    _action: Directional
+    _action: Along
     _restored: Directional | None
     _time: EventTime
     _rate: Rate
     _together: Together
-    _log: list[tuple[float, Array]] = field(default_factory=list)
+    _log: list[tuple[float, Array]] = field(default_factory=list)  # one for all functions of a `Roots`
 
     def __call__(self, t: float, Y: Array, after: Array) -> Array:
         before = self._together.before(t, Y)
@@ -283,10 +402,12 @@ class ActionOfEvent:
         return _Moment(t, Y.copy(), f, times, Y[1:] + np.outer(times, f), Y)
 
     def taken(self) -> dict[float, Array]:
-        """S (n, k) by the time of the occurrence, since the last call."""
-        found = dict(self._log)
+        """S (n, k) by the time of the occurrence, since the last `forget`."""
+        return dict(self._log)
+
+    def forget(self) -> None:
+        """Begin with another run."""
         self._log.clear()
-        return found
 
 
 @dataclass

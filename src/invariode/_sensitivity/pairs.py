@@ -19,7 +19,7 @@ from .._functions.compiled import is_native
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Point
 from .._problem.breakpoints import Breakpoint
-from .._problem.events import Event
+from .._problem.events import Event, roots_among
 from .._problem.invariants import Invariants
 from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
@@ -113,7 +113,12 @@ def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: boo
     wanted, names = problem.sensitivities, problem.parameter_names()
     assert wanted is not None
     of_start = [one.name for one in names if one.kind != "args"]
-    for what, there in (("a mass matrix", problem.matrices.mass is not None), ("events", bool(problem.events))):
+    roots = bool(roots_among(problem.events))
+    for what, there in (
+        ("a mass matrix", problem.matrices.mass is not None),
+        ("Roots", roots),
+        ("events", bool(problem.events)),
+    ):
         if there and (what != "events" or (of_start and not both_parts)):
             to = f" to {of_start[0]}" if what == "events" else ""
             raise ValueError(

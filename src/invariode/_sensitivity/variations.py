@@ -5,7 +5,7 @@ With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'; for eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,13 +20,13 @@ from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
 from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
-from .._problem.events import Event, EventSpec, RootOf, event_spec, titled
+from .._problem.events import Event, EventSpec, RootOf, event_spec, roots_among, titled
 from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .._results.sensitivities import AtEvents
-from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, restoration
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, OfRoots, Rate, Together, of_roots, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic
@@ -206,6 +206,9 @@ class Variations:
             behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t])
             after.append(behind.reshape(len(t), n, k))
             time.tell()
+        for one in self.actions:
+            if one is not None:
+                one.forget()
         if self.is_complex:
             before, after = ([in_complex(one, 1) for one in each] for each in (before, after))
         return AtEvents(before, after, times)
@@ -250,13 +253,15 @@ def make_variations(
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
         require_analytic(slope, about.at, of_start[0])
     mass = about.of_mass(problem, rate)
-    times = [EventTime(event, about.of, rate, weights) for event in problem.events]
-    jumps, doses = about.of_actions(problem, points, times, rate, restoration(problem, names, weights.threshold))
+    start = np.ascontiguousarray(wanted.start(names, args, n).T)
+    roots = {id(one): of_roots(one, about.of, start) for one in roots_among(problem.events)}
+    times = EventTime.of_each(problem.events, about.of, roots, rate, weights)
+    restored = restoration(problem, names, weights.threshold)
+    jumps, doses = about.of_actions(problem, points, times, roots, rate, restored)
     switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
     schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
-    start = np.ascontiguousarray(wanted.start(names, args, n).T)
     at_start = (t0, np.vstack([y0, start]))
     tangents = [form(law.for_core(*at_start), complex_values=False) for law in about.of_laws(problem, specs)]
     slope_for_core = slope.for_core(t0, _with_past(problem, *at_start))
@@ -370,23 +375,25 @@ class _Derivatives:
         problem: Problem,
         points: Sequence[Breakpoint],
         times: Sequence[EventTime],
+        roots: Mapping[int, OfRoots],
         rate: Rate,
         restored: Directional | None,
     ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
-        """Return the jumps of S at the actions of events and at breakpoints."""
+        """Return the jumps of S at the actions of events and at breakpoints. `roots`: the derivatives of each `Roots`,
+        by its id."""
         together, n = Together(), self._n
-        jumps = [
-            None
-            if event.action is None
-            else ActionOfEvent(
-                self.of(event.action, f"the action of {titled(event.__name__)}", m=n, moves_t=True),
-                restored if event.rehold else None,
-                time,
-                rate,
-                together,
-            )
-            for event, time in zip(problem.events, times, strict=True)
-        ]
+        logs: dict[int, list[tuple[float, Array]]] = {key: [] for key in roots}
+        jumps: list[ActionOfEvent | None] = []
+        for event, time in zip(problem.events, times, strict=True):
+            put_back = restored if event.rehold else None
+            if isinstance(event, RootOf):
+                key = id(event.roots)
+                jumps.append(ActionOfEvent(roots[key].action, put_back, time, rate, together, logs[key]))
+            elif event.action is None:
+                jumps.append(None)
+            else:
+                action = self.of(event.action, f"the action of {titled(event.__name__)}", m=n, moves_t=True)
+                jumps.append(ActionOfEvent(action, put_back, time, rate, together))
         actions = {id(one.action): one.action for one in points if one.action is not None}
         made = {
             key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
@@ -555,12 +562,12 @@ def require_possible(problem: Problem) -> None:
         raise ValueError(
             "sensitivities are not possible for a SecondOrder of machine code: use invariode.compile(SecondOrder(f))"
         )
-    roots = next((event.roots for event in problem.events if isinstance(event, RootOf)), None)
-    if roots is not None:
-        raise ValueError(
-            f"sensitivities and gradients are not possible with {roots!r}: the derivatives of on_roots are not known. "
-            "Use Event(..., action=)"
-        )
+    for roots in roots_among(problem.events):
+        if not roots.is_differentiable:
+            raise ValueError(
+                f"sensitivities are not possible with {roots!r}, whose action may remember what it has done: pass "
+                "stateless=True if it does not, or use Event(..., action=)"
+            )
 
 
 def given_derivatives(problem: Problem, names: Sequence[ParameterName]) -> tuple[Any, Given]:

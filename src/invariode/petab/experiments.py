@@ -19,6 +19,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.types import MethodName
 from .._functions.directional import has_llvm
+from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node
 from .._functions.graph.python import Formula
@@ -183,15 +184,25 @@ class Experiments:
 
     @cached_property
     def _machine(self) -> Machine:
-        return Machine(self.model._events, self._equations)
+        machine = Machine(self.model._events, self._equations)
+        machine.start(0.0, self._first_state.at(0.0, np.zeros(0), self._p), self._p)
+        return machine
+
+    @property
+    def _states_at_start(self) -> list[Node]:
+        e = self._equations
+        return [e.state_at_start(name) for name in e.states] or [e.graph.node(1.0)]
+
+    @cached_property
+    def _first_state(self) -> ArrayFunction:
+        return ArrayFunction(self._states_at_start)
 
     @cached_property
     def _start(self) -> Any:
         """The initial value as a function of (t, y, p)."""
-        e = self._equations
-        nodes = [e.state_at_start(name) for name in e.states] or [e.graph.node(1.0)]
+        nodes = self._states_at_start
         formula = Formula("y0", lambda: nodes, (len(nodes),))
-        if not self.model.events:
+        if not self.model.events or self._machine.begins_quietly:
             return formula
 
         def behind_events(t: float, y: Any, p: Any) -> Array:

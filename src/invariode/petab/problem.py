@@ -24,9 +24,6 @@ from .experiments import LN10, Experiments, Part, numbers, require_known
 from .priors import fit_prior, log_density
 from .tables import Measurement, ParameterRow, Tables, rows_of, tables
 
-#: Relative increments of parameters where derivatives are differences, as in models with events.
-_INCREMENT = 1e-5
-
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -231,10 +228,6 @@ class Problem:
             return Evaluation(-math.inf, np.full(len(free), np.nan) if gradient else None, None, -math.inf, None)
         prior, prior_slopes = self._prior(free)
         fit, chain = self._fit, self._chain(free)
-        if gradient and self.model.events:  # whose actions have no derivatives
-            value = fit.value(free)
-            G = self._differences(free) * chain if math.isfinite(value) else np.full(len(free), np.nan)
-            return Evaluation(value, G, None, prior, prior_slopes)
         if not gradient:
             return Evaluation(fit.value(free), None, None, prior, prior_slopes)
         at = fit.evaluate(free)
@@ -243,15 +236,6 @@ class Problem:
         rows = fit.information(at) * chain
         value = fit.log_likelihood(at, at.sigma)
         return Evaluation(value, fit.gradient(at) * chain, rows.T @ rows, prior, prior_slopes)
-
-    def _differences(self, free: Array) -> Array:
-        """Return the gradient by central differences, of models whose events have no derivatives."""
-        found = np.zeros(len(free))
-        for j, value in enumerate(free.tolist()):
-            h = _INCREMENT * (abs(value) or 1.0)
-            ends = [self._fit.value(np.where(np.arange(len(free)) == j, value + s * h, free)) for s in (1, -1)]
-            found[j] = (ends[0] - ends[1]) / (2 * h)
-        return found
 
     def _prior(self, free: Array) -> tuple[float, Array]:
         total, slopes, chain = 0.0, np.zeros(len(free)), self._chain(free)

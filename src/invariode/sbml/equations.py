@@ -477,7 +477,8 @@ class Equations:
         return p
 
     @cached_property
-    def _has_fast(self) -> bool:
+    def has_fast(self) -> bool:
+        """True if there are fast reactions."""
         return any(one.fast for one in self.contents.reactions.values())
 
     def _relaxed(self, t: float, y: Array, p: Array) -> Array:
@@ -492,7 +493,7 @@ class Equations:
 
     def consistent(self, t: float, y: Array, p: Array) -> Array:
         """Return y with the values that algebraic rules determine, and where fast reactions have led it."""
-        if self._has_fast:
+        if self.has_fast:
             y = self._relaxed(t, y, p)
         if not self.matched:
             return y

@@ -15,10 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array
+from .._functions.directional import Directional
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.derivatives import jacobian
 from .._functions.graph.nodes import Node, in_order
+from .._functions.graph.python import Formula
 from .._problem.events import Roots
+from .._sensitivity.actions import OfRoots
 from .equations import Equations, used
 from .expressions import Expression
 from .library import UnsupportedError
@@ -37,6 +40,9 @@ _HOLDS: dict[str, Callable[[int], bool]] = {
 #: Events at one time beyond which they are taken to trigger each other without end.
 _MOST_AT_ONCE = 3000
 
+#: (fun, name in messages, ...) -> its derivatives.
+Derive = Callable[..., Directional]
+
 #: Relative to t (or 1), times as near as this are one.
 SAME_TIME = 1e-12
 
@@ -52,11 +58,23 @@ class _Code(NamedTuple):
     """An event, ready to be executed."""
 
     rule: EventRule
-    delay: ArrayFunction | None
-    priority: ArrayFunction | None
-    values: ArrayFunction
+    delay: _Part | None
+    priority: _Part | None
+    values: _Part
     places: list[int]
-    volumes: ArrayFunction
+    volumes: _Part
+
+
+class _Part:
+    """Numbers that an event needs: their nodes, and their values."""
+
+    def __init__(self, nodes: list[Node]) -> None:
+        self.nodes = nodes
+        self.code = ArrayFunction(nodes).code
+
+    def derivatives(self, of: Derive, called: str) -> Directional:
+        """Return the derivatives of the numbers."""
+        return of(Formula(called, lambda: self.nodes, (len(self.nodes),)), called, m=len(self.nodes), moves_t=True)
 
 
 class EventCode:
@@ -117,9 +135,9 @@ class EventCode:
             self._function(volumes),
         )
 
-    def _function(self, nodes: list[Node]) -> ArrayFunction:
+    def _function(self, nodes: list[Node]) -> _Part:
         self.nodes += nodes
-        return ArrayFunction(nodes)
+        return _Part(nodes)
 
     def _truth(self, one: Expression) -> str:
         """Return a condition as Python's code, of the truths B of comparisons."""
@@ -170,13 +188,35 @@ class EventCode:
 
 
 class Waiting:
-    """An event that was triggered and waits for its execution: its time, its number, and its values, if these are those
-    of the time of the trigger."""
+    """An event that was triggered and waits for its execution.
 
-    __slots__ = ("event", "time", "values")
+    Attributes
+    ----------
+    time : float
+        The time of its execution.
+    event : int
+        Its number.
+    values : list of float or None
+        The values to assign, if these are those of the time of the trigger.
+    trigger : (float, ndarray)
+        Time and state of the trigger.
+    slopes : (ndarray, ndarray) or None
+        The derivatives of `time`, (k,), and of `values`, (k, m); None: not known yet.
+    """
 
-    def __init__(self, time: float, event: int, values: list[float] | None) -> None:
-        self.time, self.event, self.values = time, event, values
+    __slots__ = ("event", "slopes", "time", "trigger", "values")
+
+    def __init__(self, time: float, event: int, values: list[float] | None, trigger: tuple[float, Array]) -> None:
+        self.time, self.event, self.values, self.trigger = time, event, values, trigger
+        self.slopes: tuple[Array, Array] | None = None
+
+
+class _Taken(NamedTuple):
+    """A step of an action, for its derivatives: a trigger, or an execution (`after` is the state behind it)."""
+
+    waiting: Waiting
+    before: Array
+    after: Array | None = None
 
 
 class Machine:
@@ -193,57 +233,106 @@ class Machine:
     """
 
     def __init__(self, code: EventCode, equations: Equations, seed: int = 0) -> None:
-        self._code, self._equations, self._seed = code, equations, seed
+        self.code, self.equations, self._seed = code, equations, seed
         self._t0 = -np.inf
-        self._p = np.zeros(0)
+        self.p = np.zeros(0)
         self.queue: list[Waiting] = []
         self.behind: list[tuple[float, Array]] = []
+        #: What the latest action has done, in its order, and the event that was due first before it.
+        self.taken: list[_Taken] = []
+        self.first_due: Waiting | None = None
+        self._derivatives: tuple[Array, MachineDerivatives] | None = None
 
     def start(self, t: float, y: Array, p: Array) -> Array:
         """Begin a run; return the state after the events at its start."""
-        self._t0, self._p, self._random = t, p, random.Random(self._seed)
+        behind = self._begun(t, y, p, executes=True)
+        #: The beginning with the state behind the events at the start, for further runs.
+        self._beginning = self._snapshot()
+        self._start, self._y0 = (behind, p), behind
+        return behind
+
+    @property
+    def begins_quietly(self) -> bool:
+        """True if no event is triggered at the start, where none of the comparisons is at its root: then none is for
+        almost all other parameters."""
+        return not self._starts_at_root and all(one.rule.initial for one in self.code.events)
+
+    def _begun(self, t: float, y: Array, p: Array, executes: bool) -> Array:
+        """Begin a run. `executes`: False: y is behind those events at the start that are executed there."""
+        self._t0, self.p, self._random = t, p, random.Random(self._seed)
         #: States behind events, by time, for output at these times.
         self.behind = []
         self.queue = []
         self.executed = 0
-        count = len(self._code.comparisons)
+        self._is_fresh = True
+        count = len(self.code.comparisons)
         self._signs, self._truths, self._zeros = [1] * count, [False] * count, set(range(count))
         with np.errstate(all="ignore"):
             self._change(dict(enumerate(self._signs_at(t, y))))
-            now = self._code.holds(self._truths)
-            self._holds = [one.rule.initial and holds for one, holds in zip(self._code.events, now, strict=True)]
+            self._starts_at_root = bool(self._zeros)
+            now = self.code.holds(self._truths)
+            self._holds = [one.rule.initial and holds for one, holds in zip(self.code.events, now, strict=True)]
             self._trigger(t, y)
-            behind = self._settled(t, y, {})
-        self._at_start = len(self.queue)
-        return behind
+            if not executes:
+                self.queue = [one for one in self.queue if one.time > t + _near(t)]
+            return self._settled(t, y, {})
+
+    def _snapshot(self) -> tuple[Any, ...]:
+        """Return a copy of what is remembered."""
+        queue = [Waiting(one.time, one.event, one.values, one.trigger) for one in self.queue]
+        return self._signs.copy(), self._truths.copy(), self._zeros.copy(), self._holds.copy(), queue
+
+    def _again(self, y: Array, p: Array) -> None:
+        """Begin a further run, from y behind the events at the start."""
+        if np.array_equal(y, self._start[0]) and np.array_equal(p, self._start[1][: len(p)]):
+            self._begun(self._t0, y, p, executes=False)
+            self._signs, self._truths, self._zeros, self._holds, self.queue = self._beginning
+            self._beginning = self._snapshot()
+        elif not (self._is_fresh and np.array_equal(p, self.p[: len(p)]) and np.array_equal(y, self._y0)):
+            self._begun(self._t0, y, p, executes=False)
+        self._y0 = y
 
     @property
     def _due(self) -> float:
         """Time of the next execution of an event that waits; infinite if none does."""
         return min((one.time for one in self.queue), default=np.inf)
 
+    @property
+    def is_differentiable(self) -> bool:
+        """True if sensitivities follow the events: fast reactions lead a state elsewhere behind each of them."""
+        return not self.equations.has_fast
+
+    def derivatives(self, of: Derive, start: Array) -> MachineDerivatives:
+        """Return the derivatives of the actions of a run whose S begins as `start`, (k, n); those that `of` has made
+        before, for the same run."""
+        known = self._derivatives
+        if known is None or known[0] is not start:
+            known = self._derivatives = start, MachineDerivatives(self, of, start)
+        return known[1]
+
     def functions(self, compiled: Any, once: bool) -> list[Roots]:
         """Return the root functions of a run: the differences of all comparisons, and how long an execution has been
         due. The latter also begins further runs, unless there is only one."""
-        needed = self._code.has_delays or not once
-        found = [Roots(self.due, 1, self.on_due, names=["execution"])] if needed else []
-        if count := len(self._code.comparisons):
-            names = [f"comparison {i + 1}" for i in range(count)]
-            found.insert(0, Roots(compiled, count, self.on_roots, names=names))
+        needed = self.code.has_delays or not once
+        found: list[Roots] = [_Due(self)] if needed else []
+        if count := len(self.code.comparisons):
+            found.insert(0, _Comparisons(self, compiled, count))
         return found
 
     def due(self, t: float, y: Array, *args: Any) -> list[float]:
         """Return how long the next execution has been due; a start at t0 begins another run."""
-        if t == self._t0 and args and (self.behind or len(self.queue) != self._at_start):
-            self.start(t, np.array(y), np.array(args[0], dtype=float))
+        if t == self._t0 and args:
+            self._again(np.array(y), np.array(args[0], dtype=float))
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
         """Return the state behind the events that are due."""
+        self.taken.clear()
         return y if self._due > t + _near(t) else self._after(t, y, {})
 
     def on_roots(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
         """Return the state behind the events that comparisons trigger, or that are due."""
+        self.taken.clear()
         signs = self._signs
         pairs = zip(which.tolist(), directions.tolist(), strict=True)
         hit = {i: s for i, s in pairs if signs[i] != s}  # others have their signs from an assignment
@@ -251,6 +340,8 @@ class Machine:
 
     def _after(self, t: float, y: Array, hit: dict[int, int]) -> Array:
         """Return the state behind the events that comparisons with these new signs trigger, and those that are due."""
+        self._is_fresh = False
+        self.first_due = min(self.queue, key=lambda one: one.time, default=None)
         with np.errstate(all="ignore"):
             if self._zeros:  # comparisons that have left zero
                 now = self._signs_at(t, y)
@@ -266,28 +357,29 @@ class Machine:
         return behind
 
     def _signs_at(self, t: float, y: Array) -> list[int]:
-        return [_sign(d) for d in self._code.roots.code(t, y, self._p)]
+        return [_sign(d) for d in self.code.roots.code(t, y, self.p)]
 
     def _change(self, signs: dict[int, int]) -> None:
         """Give some comparisons other signs."""
         for i, s in signs.items():
             if s != self._signs[i] or s == 0 or i in self._zeros:
                 self._signs[i] = s
-                self._truths[i] = _HOLDS[self._code.comparisons[i].relation](s)
+                self._truths[i] = _HOLDS[self.code.comparisons[i].relation](s)
                 (self._zeros.discard if s else self._zeros.add)(i)
 
     def _trigger(self, t: float, y: Array) -> None:
         """Compare triggers with their values before: rising ones wait for execution, falling ones may be withdrawn."""
-        now = self._code.holds(self._truths)
+        now = self.code.holds(self._truths)
         if now == self._holds:
             return
         before, self._holds = self._holds, now
         for i, (was, holds) in enumerate(zip(before, now, strict=True)):
-            one = self._code.events[i]
+            one = self.code.events[i]
             if holds and not was:
-                delay = 0.0 if one.delay is None else float(one.delay.code(t, y, self._p)[0])
-                values = one.values.code(t, y, self._p) if one.rule.at_trigger else None
-                self.queue.append(Waiting(t + delay, i, values))
+                delay = 0.0 if one.delay is None else float(one.delay.code(t, y, self.p)[0])
+                values = one.values.code(t, y, self.p) if one.rule.at_trigger else None
+                self.queue.append(Waiting(t + delay, i, values, (t, y)))
+                self.taken.append(_Taken(self.queue[-1], y))
             elif was and not holds and not one.rule.persistent:
                 self.queue = [each for each in self.queue if each.event != i]
 
@@ -303,9 +395,9 @@ class Machine:
                 continue
             chosen = self._first(due, t, y)
             self.queue = [one for one in self.queue if one is not chosen]
-            before = self._code.roots.code(t, y, self._p) if after is None else after
+            before = self.code.roots.code(t, y, self.p) if after is None else after
             y = self._executed(t, y, chosen)
-            after = self._code.roots.code(t, y, self._p)
+            after = self.code.roots.code(t, y, self.p)
             hit = {i: s for i, s in hit.items() if before[i] == after[i]}  # others are no longer at their roots
             self._change({i: hit.get(i, _sign(d)) for i, d in enumerate(after)})
             self._trigger(t, y)
@@ -313,7 +405,7 @@ class Machine:
 
     def _leave(self, t: float, y: Array, hit: dict[int, int]) -> bool:
         """Change comparisons that are exactly at zero to the signs that they take next; return whether any changed."""
-        slopes = self._code.slopes.code(t, y, self._p)
+        slopes = self.code.slopes.code(t, y, self.p)
         new = {i: s for i in self._zeros if (s := _sign(slopes[i]))}
         hit.update(new)
         self._change(new)
@@ -326,8 +418,8 @@ class Machine:
             return due[0]
 
         def priority(one: Waiting) -> float:
-            of = self._code.events[one.event].priority
-            value = -np.inf if of is None else float(of.code(t, y, self._p)[0])
+            of = self.code.events[one.event].priority
+            value = -np.inf if of is None else float(of.code(t, y, self.p)[0])
             return -np.inf if np.isnan(value) else value
 
         self._random.shuffle(due)
@@ -335,13 +427,161 @@ class Machine:
 
     def _executed(self, t: float, y: Array, chosen: Waiting) -> Array:
         """Return the state behind the assignments: a concentration becomes an amount with the volume before."""
-        one = self._code.events[chosen.event]
-        values = one.values.code(t, y, self._p) if chosen.values is None else chosen.values
+        one = self.code.events[chosen.event]
+        values = one.values.code(t, y, self.p) if chosen.values is None else chosen.values
         after = np.array(y)
-        for place, value, volume in zip(one.places, values, one.volumes.code(t, y, self._p), strict=True):
+        for place, value, volume in zip(one.places, values, one.volumes.code(t, y, self.p), strict=True):
             after[place] = value * volume
         self.executed += 1
-        return self._equations.consistent(t, after, self._p)
+        after = self.equations.consistent(t, after, self.p)
+        self.taken.append(_Taken(chosen, y, after))
+        return after
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Derivatives
+
+
+class _Comparisons(Roots):
+    """The comparisons of all triggers."""
+
+    def __init__(self, machine: Machine, compiled: Any, count: int) -> None:
+        names = [f"comparison {i + 1}" for i in range(count)]
+        super().__init__(compiled, count, machine.on_roots, names=names)
+        self._machine = machine
+
+    @property
+    def is_differentiable(self) -> bool:
+        return self._machine.is_differentiable
+
+    def derivatives(self, of: Derive, start: Array) -> OfRoots:
+        """See `Roots.derivatives`."""
+        fun = of(self.fun, "the triggers", m=self.count, moves_t=True)
+        return OfRoots(fun, self._machine.derivatives(of, start))
+
+
+class _Due(Roots):
+    """How long the next execution of a delayed event has been due."""
+
+    def __init__(self, machine: Machine) -> None:
+        super().__init__(machine.due, 1, machine.on_due, names=["execution"])
+        self._machine = machine
+
+    @property
+    def is_differentiable(self) -> bool:
+        return self._machine.is_differentiable
+
+    def derivatives(self, of: Derive, start: Array) -> OfRoots:
+        """See `Roots.derivatives`."""
+        made = self._machine.derivatives(of, start)
+        return OfRoots(made.due, made)
+
+
+class MachineDerivatives:
+    """The derivatives of the action that a machine has taken last: those of all triggers and executions in it.
+
+    The time of an execution is that of its trigger, and its delay, which may depend on the state and on parameters; so
+    may the values of the trigger's time. Their derivatives wait with the event.
+    """
+
+    def __init__(self, machine: Machine, of: Derive, start: Array) -> None:
+        self._machine, self._of, self._start, self.k = machine, of, start, len(start)
+        self._made: dict[tuple[int, str], Directional] = {}
+        #: The derivatives of the times of executions by these times, (k,).
+        self.times: dict[float, Array] = {}
+        self.due = _DueAlong(self)
+
+    def _part(self, event: int, name: str) -> Directional:
+        key = event, name
+        if key not in self._made:
+            part: _Part = getattr(self._machine.code.events[event], name)
+            self._made[key] = part.derivatives(self._of, f"{name} of {self._machine.code.events[event].rule.name}")
+        return self._made[key]
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives of the state behind the action, (k, n), in the directions of the k parameters."""
+        moved = dy
+        for one in self._machine.taken:
+            if one.after is None:
+                one.waiting.slopes = self._triggered(one.waiting, t, one.before, dt, moved, dp)
+            else:
+                moved = self._executed(one, t, dt, moved, dp)
+        return moved
+
+    def value(self, t: float, y: Array) -> Array:
+        """Return the state behind the action, (n,)."""
+        after = [one.after for one in self._machine.taken if one.after is not None]
+        return after[-1] if after else y
+
+    def _triggered(self, waiting: Waiting, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the time of the execution, (k,), and of the values, (k, m)."""
+        i, code = waiting.event, self._machine.code.events[waiting.event]
+        time = dt if code.delay is None else dt + self._part(i, "delay").columns(t, y, dt, dy, dp)[:, 0]
+        none = np.zeros((len(dt), 0))
+        return time, none if waiting.values is None else self._part(i, "values").columns(t, y, dt, dy, dp)
+
+    def slopes(self, waiting: Waiting) -> tuple[Array, Array]:
+        """Return the derivatives of an event that waits; one that was triggered at the start has those of the start."""
+        if waiting.slopes is None:
+            t, y = waiting.trigger
+            waiting.slopes = self._triggered(waiting, t, y, np.zeros(self.k), self._start, np.eye(self.k))
+        return waiting.slopes
+
+    def _executed(self, one: _Taken, t: float, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives of the state behind the assignments, (k, n)."""
+        i, y, waiting = one.waiting.event, one.before, one.waiting
+        code = self._machine.code.events[i]
+        if waiting.values is None:
+            values = np.array(code.values.code(t, y, self._machine.p))
+            slopes = self._part(i, "values").columns(t, y, dt, dy, dp)
+        else:
+            values, slopes = np.array(waiting.values), self.slopes(waiting)[1]
+        volumes = np.array(code.volumes.code(t, y, self._machine.p))
+        moved = dy.copy()
+        moved[:, code.places] = slopes * volumes + values * self._part(i, "volumes").columns(t, y, dt, dy, dp)
+        assert one.after is not None
+        return self._consistent(t, one.after, dt, moved, dp)
+
+    def _consistent(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives, (k, n), with those of the variables that algebraic rules determine."""
+        equations = self._machine.equations
+        if not equations.matched:
+            return dy
+        places = [equations.place[name] for name in equations.matched]
+        if (-1, "rules") not in self._made:
+            self._made[-1, "rules"] = _Part(equations.rules).derivatives(self._of, "algebraic rules")
+        rules, moved = self._made[-1, "rules"], dy.copy()
+        moved[:, places] = 0
+        off = rules.columns(t, y, dt, moved, dp)
+        moved[:, places] = -np.linalg.lstsq(rules.jacobian(t, y)[:, places], off.T, rcond=None)[0].T
+        return moved
+
+    def time_of(self, t: float) -> Array:
+        """Return the derivatives of the time of the execution that is due at t, or next, (k,)."""
+        machine = self._machine
+        first = machine.first_due
+        if first is not None and abs(first.time - t) <= 2 * _near(t):
+            self.times[t] = self.slopes(first)[0]
+        if t in self.times:
+            return self.times[t]
+        first = min(machine.queue, key=lambda one: one.time, default=None)
+        return np.zeros(self.k) if first is None else self.slopes(first)[0]
+
+
+class _DueAlong:
+    """The derivatives of t - due, whose `due` is that of the execution at t if there is one."""
+
+    def __init__(self, all: MachineDerivatives) -> None:
+        self._all, self.k = all, all.k
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives along directions, (c, 1)."""
+        found: Array = dt - dp @ self._all.time_of(t)
+        return found[:, None]
+
+    def value(self, t: float, y: Array) -> Array:
+        """Return the value, (1,): 0 at an execution."""
+        return np.zeros(1) if t in self._all.times else np.ones(1)
 
 
 def _near(t: float) -> float:
