@@ -461,7 +461,7 @@ class _Comparisons(Roots):
 
 
 class _Due(Roots):
-    """How long the next execution of a delayed event has been due."""
+    """The time since the next execution of a delayed event was due."""
 
     def __init__(self, machine: Machine) -> None:
         super().__init__(machine.due, 1, machine.on_due, names=["execution"])
