@@ -254,10 +254,7 @@ def make_variations(
         require_analytic(slope, about.at, of_start[0])
     mass = about.of_mass(problem, rate)
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
-    roots = {id(one): of_roots(one, about.of, start) for one in roots_among(problem.events)}
-    times = EventTime.of_each(problem.events, about.of, roots, rate, weights)
-    restored = restoration(problem, names, weights.threshold)
-    jumps, doses = about.of_actions(problem, points, times, roots, rate, restored)
+    times, jumps, doses = about.of_events(problem, points, start, rate, weights)
     switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
     schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs or ())
     measure = Sizes.of(wanted, names, weights, args)
@@ -370,7 +367,17 @@ class _Derivatives:
             self._note(found.derivatives)
         return found
 
-    def of_actions(
+    def of_events(
+        self, problem: Problem, points: Sequence[Breakpoint], start: Array, rate: Rate, weights: Weights
+    ) -> tuple[list[EventTime], list[ActionOfEvent | None], list[ActionAtPoint | None]]:
+        """Return the derivatives of the times of events, and the jumps of S at their actions and at breakpoints; S
+        begins as `start`, (k, n)."""
+        roots = {id(one): of_roots(one, self.of, start) for one in roots_among(problem.events)}
+        times = EventTime.of_each(problem.events, self.of, roots, rate, weights)
+        restored = restoration(problem, self._names, weights.threshold)
+        return times, *self._of_actions(problem, points, times, roots, rate, restored)
+
+    def _of_actions(
         self,
         problem: Problem,
         points: Sequence[Breakpoint],
