@@ -18,6 +18,7 @@ import pytest
 
 import invariode as iv
 from cases import METHODS, dealt, families
+from invariode._base.latest import Latest
 from invariode._run import prepared
 
 GENERAL = [name for name, method in METHODS.items() if method.equations == "any"]
@@ -76,7 +77,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 @pytest.fixture(autouse=True)
 def _no_templates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prepared, "_kept", {})
+    monkeypatch.setattr(prepared, "_kept", Latest())
 
 
 def _timeless(value: Any) -> Any:
@@ -104,7 +105,7 @@ def outcome(**call: Any) -> Any:
 
 def alone(**call: Any) -> Any:
     """The same without templates."""
-    known, prepared._kept = prepared._kept, {}
+    known, prepared._kept = prepared._kept, Latest()
     try:
         return outcome(**call)
     finally:
@@ -442,6 +443,6 @@ def test_nested_solves_and_threads_do_not_meet() -> None:
 
 
 def test_so_many_templates_and_no_more() -> None:
-    for k in range(prepared._MOST + 5):
+    for k in range(Latest.most + 5):
         iv.solve_ivp(**case(rtol=1e-3 / (1 + k), t_span=(0, 0.01)))
-    assert len(prepared._kept) == prepared._MOST
+    assert len(prepared._kept) == Latest.most

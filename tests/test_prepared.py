@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import threading
 from collections.abc import Callable
@@ -107,6 +108,25 @@ def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> No
         a, b = solver(**CHANGES[change]), problem.replace(**CHANGES[change]).solve("ode45")
         same(a, b)
         np.testing.assert_array_equal(a.sensitivities, b.sensitivities)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_another_derivative_of_the_start_is_that_of_a_problem_that_has_it(form: str) -> None:
+    """Also beside a change of everything else, and where the derivative is a function of the arguments."""
+    matrix, change = np.arange(4.0).reshape(4, 1), {"y0": [0.9, 0.0, 0.0, 1.1], "args": (1.1,)}
+    given = iv.Sensitivities(["args[0]"], dy0dp=lambda mu: mu * matrix)
+    problem = described(form).replace(sensitivities=given)
+    solver = problem.prepare("ode45")
+    for dy0dp in (None, 3 * matrix, lambda mu: np.sin(mu) * matrix):
+        wanted = given if dy0dp is None else dataclasses.replace(given, dy0dp=dy0dp)
+        a, b = solver(**change, dy0dp=dy0dp), problem.replace(**change, sensitivities=wanted).solve("ode45")
+        same(a, b)
+        np.testing.assert_array_equal(a.sensitivities, b.sensitivities)
+        np.testing.assert_array_equal(a.extend(4.0).sensitivities, b.extend(4.0).sensitivities)
+    with pytest.raises(ValueError, match=r"dy0dp must have shape \(4, 1\)"):
+        solver(dy0dp=np.zeros((4, 2)))
+    with pytest.raises(ValueError, match="dy0dp is of no use without sensitivities"):
+        described(form).prepare("ode45")(dy0dp=matrix)
 
 
 @dealt(10, form=FORMS, options=OPTIONS, change=CHANGES)

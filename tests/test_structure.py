@@ -158,10 +158,13 @@ def test_rooms_import_downwards_only_and_the_map_has_their_files():
     assert [*not_in_the_map()] == []
 
 
-#: What stands in one file alone: how a plan runs again, what a problem is, weights of the error test, and the course
-#: of a plan, which nothing takes apart by position.
+#: What stands in one file alone: how a plan runs again, who prepares plans, what keeps the latest of them, what a
+#: problem is, weights of the error test, and the course of a plan, which nothing takes apart by position.
 ONLY_IN = {
     r"\.integrate_anew\(": {"_run/prepared.py"},
+    r"\bPrepared\(": {"_run/prepared.py", "_solve/prepared.py"},
+    r"\bPreparedSolver\(": {"_solve/prepared.py", "_solve/bridge.py", "_problem/problem.py"},
+    r"next\(iter\(\w+\)\)\]": {"_base/latest.py"},
     r"^class (Problem|Posed|Description)\b": {"_problem/problem.py", "petab/problem.py"},
     r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
     r"^class Course\b": {"_plan/plan.py"},

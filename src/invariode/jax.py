@@ -88,7 +88,7 @@ def solve(
     constant = tuple(None if i in places else one for i, one in enumerate(given))
     dtype = numbers[0].dtype
     key = content(constant), places, dtype
-    return bridge.faces.get(key, lambda: _solved(bridge, constant, places, dtype))(*numbers)
+    return bridge.faces.find(key, lambda: _solved(bridge, constant, places, dtype))(*numbers)
 
 
 def _solved(bridge: Bridge, constant: Sequence[Any], places: Sequence[int], dtype: Any) -> Callable[..., Any]:

@@ -31,6 +31,7 @@ from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
 from .._base.forks import compiling
+from .._base.latest import Latest
 from .contents import Captured
 from .filling import Filling
 from .first_order import FirstOrderForm
@@ -183,7 +184,7 @@ class CompiledFunction:
         self._made: dict[Shape, _core.Native] = {}
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self.delayed_forms: dict[tuple[int, int, bool], CompiledFunction] = {}  # with delays: of one vector
-        self.prepared: dict[Any, Any] = {}  # plans with this code, by the kinds of their problems
+        self.prepared = Latest[Any, Any]()  # plans with this code, by the kinds of their problems
         self._jitted: Any = None
         self._jitted_complex: Any = None
         self._calls: dict[Any, Any] = {}  # what Python calls, by sizes

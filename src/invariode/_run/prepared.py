@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from .. import _core
 from .._base.arguments import Array, call_name, reals, warnings_given
-from .._base.forks import short_lock
+from .._base.latest import Latest
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
 from .._functions.derivatives import at_complex
@@ -34,11 +34,8 @@ from .._sensitivity.landings import switches_in_time
 #: step.
 _LARGE = 200
 
-#: So many plans are kept, which is more than a script has calls of different kinds; the oldest goes first.
-_MOST = 64
-
-_kept: dict[Hashable, Prepared] = {}
-_keeping = short_lock()
+#: Prepared plans by the kinds of their problems; a compiled f has its own.
+_kept: Latest[Hashable, Prepared] = Latest()
 
 #: In the place of a function that is lent in each run.
 _LENT: Any = ...
@@ -93,6 +90,7 @@ class Prepared:
         breaks: Array | None = None,
         limit: _core.StepLimit | None = None,
         remember: bool = True,
+        dy0dp: Any = None,
     ) -> _core.Run | None:
         """Return a run from y0 on a course. None: the plan does not hold for it, and a plan of its own is needed, or
         says what is wrong.
@@ -113,6 +111,8 @@ class Prepared:
             The limit of steps of such a plan.
         remember : bool, default True
             The run can be extended.
+        dy0dp : array_like or callable, optional
+            Derivatives of y0 in place of those of the problem's `Sensitivities`.
         """
         plan, varied, value, tolerances = self.plan, self.plan.varied, None, None
         if self._starts:
@@ -124,7 +124,7 @@ class Prepared:
             y0 = y0.view(float)
         if varied is not None:
             tolerances = varied.tolerances_at(y0, args)
-            y0 = varied.augmented(y0)
+            y0 = varied.augmented(y0, args, dy0dp)
         parameters: Array | None = None
         try:
             core = self._idle.pop()
@@ -226,7 +226,7 @@ def _of_any_span(problem: Problem, plan: Plan) -> bool:
 def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> Prepared | Plan:
     """Return the prepared plan for all problems of this kind, or the problem's own plan if there can be none."""
     kind = kind_of(problem, method, options)
-    kept: dict[Hashable, Prepared] = problem.fun.prepared if isinstance(problem.fun, CompiledFunction) else _kept
+    kept: Latest[Hashable, Prepared] = problem.fun.prepared if isinstance(problem.fun, CompiledFunction) else _kept
     known = None if kind is None else kept.get(kind)
     if known is not None:
         return known
@@ -239,10 +239,7 @@ def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> 
     prepared = Prepared(described, choice, plan, lends=True)
     if not (prepared.any_y0 and prepared.any_args and prepared.any_span):
         return plan
-    with _keeping:
-        if len(kept) >= _MOST:
-            del kept[next(iter(kept))]
-        kept[kind] = prepared
+    kept[kind] = prepared
     return prepared
 
 

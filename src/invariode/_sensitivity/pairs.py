@@ -69,8 +69,8 @@ class _DerivativesOfPairs:
         return _as_pairs(np.asarray(self._given(t, np.ascontiguousarray(pairs).view(complex), *args)))
 
 
-def _start_of_pairs(dy0dp: Any) -> Any:
-    """∂y0/∂p of pairs."""
+def start_of_pairs(dy0dp: Any) -> Any:
+    """Return ∂y0/∂p of a complex problem, a matrix or a function of the arguments, for pairs."""
     if dy0dp is None:
         return None
     return (lambda *args: _as_pairs(np.asarray(dy0dp(*args)))) if callable(dy0dp) else _as_pairs(dy0dp)
@@ -129,7 +129,7 @@ def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: boo
         args=True if len(of_start) < len(names) else None,
         y0=True if len(of_start) == len(names) else None,
         dfdp=None if wanted.dfdp is None else _DerivativesOfPairs(wanted.dfdp),
-        dy0dp=_start_of_pairs(wanted.dy0dp),
+        dy0dp=start_of_pairs(wanted.dy0dp),
         scale=wanted.scale,
         error_test=wanted.error_test,
     )

@@ -6,7 +6,7 @@ With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'; for eve
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from .._results.sensitivities import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, OfRoots, Rate, Together, of_roots, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
-from .pairs import for_complex, in_complex, real_form, require_analytic
+from .pairs import for_complex, in_complex, real_form, require_analytic, start_of_pairs
 from .variation_sizes import Sizes
 
 #: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
@@ -105,8 +105,6 @@ class Variations:
         y0."""
         if self.derivatives_of[0].has_conditions:
             return "f has branches, which are examined for each trajectory"
-        if callable(self.sizes.wanted.dy0dp):
-            return "dy0dp is a function, which is called for each trajectory"
         of_start = any(one.kind != "args" for one in self.sizes.names)
         return "f must be analytic, which is tested for each trajectory" if self.is_complex and of_start else None
 
@@ -132,9 +130,14 @@ class Variations:
         pairs = zip(self.sizes.names, self.sizes.places, strict=True)
         return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))
 
-    def augmented(self, y: Array) -> Array:
-        """Y for the core."""
-        return np.concatenate([y, self.start.ravel()])
+    def augmented(self, y: Array, args: tuple[Any, ...] | None = None, dy0dp: Any = None) -> Array:
+        """Return Y, (y, S), at a start; for a run of its own, with its arguments, and another ∂y0/∂p if it is given."""
+        wanted, start = self.sizes.wanted, self.start
+        if dy0dp is not None:
+            wanted = replace(wanted, dy0dp=start_of_pairs(dy0dp) if self.is_complex else dy0dp)
+        if args is not None and (dy0dp is not None or callable(wanted.dy0dp)):
+            start = wanted.start(self.sizes.names, args, start.shape[1]).T
+        return np.concatenate([y, start.ravel()])
 
     @property
     def derivatives(self) -> str:

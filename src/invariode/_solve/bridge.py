@@ -6,10 +6,8 @@ to is chosen by the places of operands.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, output_times, shown
 from .._base.failures import SolveError
-from .._base.forks import short_lock
+from .._base.latest import Latest
 from .._base.types import MethodName
 from .._functions.contents import content
 from .._problem.options import Options
@@ -30,34 +28,6 @@ Operands: TypeAlias = Sequence[Any]
 
 #: Options that the bridge sets itself.
 _OWN = ("t_eval", "dense_output", "keep", "refine", "progress")
-
-
-#: Bridges, and on each of them functions for JAX, that are kept for further calls: the latest ones.
-_KEPT = 16
-_keeping = short_lock()
-
-
-class Latest:
-    """The values that a function has made for the latest keys, at most 16."""
-
-    def __init__(self) -> None:
-        self._values: OrderedDict[Any, Any] = OrderedDict()
-
-    def get(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return the value of the key, or make it."""
-        with _keeping:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key]
-        value = make()  # it calls functions of the user
-        with _keeping:
-            self._values[key] = value
-            while len(self._values) > _KEPT:
-                self._values.popitem(last=False)
-        return value
-
-
-_bridges = Latest()
 
 
 class Bridge:
@@ -91,8 +61,7 @@ class Bridge:
     def of(problem: Problem, t: ArrayLike | None, method: MethodName, options: Options) -> Bridge:
         """Return the bridge of an earlier call with equal contents, or make it."""
         key = content((problem, None if t is None else np.asarray(t), method, dict(options)))
-        bridge: Bridge = _bridges.get(key, lambda: Bridge(problem, t, method, options))
-        return bridge
+        return _bridges.find(key, lambda: Bridge(problem, t, method, options))
 
     def __init__(self, problem: Problem, t: ArrayLike | None, method: MethodName, options: Options) -> None:
         if not isinstance(problem, Problem):
@@ -111,9 +80,9 @@ class Bridge:
         self._t = None if t is None else output_times(t, *problem.t_span)
         n = len(problem.y0)
         self.shape = (n,) if self._t is None else (n, len(self._t))
-        self._solver = cache(self._prepared)
+        self._solvers = Latest[tuple[int, ...] | None, PreparedSolver]()
         self._solver(())  # what is wrong with the method and the options is said here, not by a callback
-        self.faces = Latest()
+        self.faces = Latest[Any, Callable[..., Any]]()
 
     def operands(self, y0: Any, args: Iterable[Any] | None) -> list[Any]:
         """Return the operands of a call: y0, then each of args; of the problem what is None.
@@ -187,8 +156,11 @@ class Bridge:
         missing = np.full((*values.shape[:-1], len(self._t) - values.shape[-1]), np.nan)
         return np.concatenate([values, missing], axis=-1)
 
+    def _solver(self, wanted: tuple[int, ...] | None) -> PreparedSolver:
+        """Return the solver with sensitivities to the wanted operands, or, for the adjoint, with None."""
+        return self._solvers.find(wanted, lambda: self._prepared(wanted))
+
     def _prepared(self, wanted: tuple[int, ...] | None) -> PreparedSolver:
-        """Return a solver with sensitivities to the wanted operands, or, for the adjoint, with None."""
         options = self._options.copy()
         if wanted is not None:
             options["adjoint"] = False
@@ -206,6 +178,10 @@ class Bridge:
         args = [i - 1 for i in _in_order(wanted) if i]
         given = self._problem.sensitivities or Sensitivities()
         return replace(given, args=args or None, y0=0 in wanted, dy0dp=None)
+
+
+#: Bridges by the contents of their problems, times, methods and options.
+_bridges: Latest[Any, Bridge] = Latest()
 
 
 def leaves(value: Any) -> Iterator[Any]:

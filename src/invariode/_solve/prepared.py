@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +25,7 @@ from .._run.run import Finished, Solved, concluded, presented, solve
 class PreparedSolver:
     """A problem, method and options, validated once; returned by `Problem.prepare`.
 
-    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` the same problem with these changed.
+    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=..., dy0dp=...)`` the problem with these changed.
     Several threads may call it at once.
 
     Attributes
@@ -53,7 +54,12 @@ class PreparedSolver:
         return f"PreparedSolver({self.problem!r}, {self.method!r})"
 
     def __call__(
-        self, *, y0: ArrayLike | None = None, args: Iterable[Any] | None = None, t_span: Span | None = None
+        self,
+        *,
+        y0: ArrayLike | None = None,
+        args: Iterable[Any] | None = None,
+        t_span: Span | None = None,
+        dy0dp: Any = None,
     ) -> Solution:
         """Solve the problem, or one that differs from it.
 
@@ -65,6 +71,8 @@ class PreparedSolver:
             Other extra arguments; for a problem with `parameters`, other values of some of them by name.
         t_span : (float, float), optional
             Another interval. It must contain `t_eval`, if that was given.
+        dy0dp : array_like of shape (n, k) or callable, optional
+            Derivatives of y0, for a problem with `sensitivities`, in place of those of its `Sensitivities`.
 
         Returns
         -------
@@ -81,22 +89,26 @@ class PreparedSolver:
         if args is not None:
             require_no_unit("args", args)
         prepared, problem = self._prepared, self.problem
+        if dy0dp is not None and problem.sensitivities is None:
+            raise ValueError("dy0dp is of no use without sensitivities, which the problem does not ask for")
         known = prepared.any_y0 and (args is None or prepared.any_args) and (t_span is None or self._any_span)
         start = problem.y0 if y0 is None else _as_state(y0, problem.y0)
         if known and start is not None:
             course = prepared.plan.course
             if t_span is not None:
                 course = course_of(prepared.choice, interval(t_span), len(start), self._options.get("t_eval"))
-            run = prepared.run(problem, start, problem.args if args is None else args, course)
+            run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
             if run is not None and (run.ordinary or run.state in MESSAGES or run.steps > 0):
                 source = Solved(
-                    partial(_changed, problem, None if y0 is None else start, args, t_span), self.method, self._options
+                    partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp),
+                    self.method,
+                    self._options,
                 )
                 plan_of_run = partial(_plan_of, prepared, source, course, run)
                 sol = presented(Finished(run, prepared.plan, source, prepared.members, plan_of_run))
                 return concluded(sol, prepared.plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
-        return solve(_changed(problem, y0, args, t_span), self.method, self._options)
+        return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
 
 
 def _plan_of(prepared: Prepared, source: Solved, course: Course, run: _core.Run) -> Plan:
@@ -116,7 +128,9 @@ def _as_state(y0: ArrayLike, like: Array) -> Array | None:
     return state if state.dtype == like.dtype and state.shape == like.shape else None
 
 
-def _changed(problem: Problem, y0: ArrayLike | None, args: tuple[Any, ...] | None, t_span: Span | None) -> Problem:
+def _changed(
+    problem: Problem, y0: ArrayLike | None, args: tuple[Any, ...] | None, t_span: Span | None, dy0dp: Any
+) -> Problem:
     changes: ProblemArguments = {}
     if y0 is not None:
         changes["y0"] = y0
@@ -124,4 +138,6 @@ def _changed(problem: Problem, y0: ArrayLike | None, args: tuple[Any, ...] | Non
         changes["args"] = args
     if t_span is not None:
         changes["t_span"] = t_span
+    if dy0dp is not None and problem.sensitivities is not None:
+        changes["sensitivities"] = replace(problem.sensitivities, dy0dp=dy0dp)
     return problem.replace(**changes) if changes else problem

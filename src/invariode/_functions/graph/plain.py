@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._base.forks import short_lock
+from ..._base.latest import Latest
 from ..._core import StateFirst
 from ..filling import Filling
 from ..first_order import FirstOrderForm
@@ -89,9 +89,7 @@ class _Code(NamedTuple):
 
 
 #: What is known of codes; the oldest go first.
-_known: dict[CodeType, _Code] = {}
-_MOST_KNOWN = 1024
-_knowing = short_lock()
+_known: Latest[CodeType, _Code] = Latest(1024)
 
 
 def may_switch(fun: Any) -> bool:
@@ -136,8 +134,7 @@ class PlainGraph:
 
 
 #: Graphs by code and all that it uses, None where there is none; the oldest go first.
-_graphs: dict[Hashable, PlainGraph | None] = {}
-_MOST_GRAPHS = 64
+_graphs: Latest[Hashable, PlainGraph | None] = Latest()
 
 
 def plain_graph(
@@ -173,11 +170,7 @@ def plain_graph(
     size = n if size is None else size
     key = (*contents, type(fun), n, size, args.fixed(TRUTHS), is_complex)
     if key not in _graphs:
-        made = _traced(fun, n, args, size, is_complex=is_complex)
-        with _knowing:
-            while len(_graphs) >= _MOST_GRAPHS:
-                del _graphs[next(iter(_graphs))]
-            _graphs[key] = made
+        _graphs[key] = made = _traced(fun, n, args, size, is_complex=is_complex)
         return made
     return _graphs.get(key)
 
@@ -236,10 +229,7 @@ def _code_of(code: CodeType) -> _Code:
         plain = all(_is_plain(one, code) for one in codes)
         names = dict.fromkeys(name for one in codes for name in _names(one, code)) if plain else {}
         known = _Code(plain, plain and any(map(_switches, codes)), tuple(names), _read(codes))
-        with _knowing:
-            while len(_known) >= _MOST_KNOWN:
-                del _known[next(iter(_known))]
-            _known[code] = known
+        _known[code] = known
     return known
 
 

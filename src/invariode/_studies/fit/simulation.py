@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._base.arguments import Array, quietly
 from ..._base.failures import InvariantError
+from ..._base.latest import Latest
 from ..._base.types import MethodName
 from ..._functions.compile import compile
 from ..._functions.compiled import is_native
@@ -68,44 +69,30 @@ class _Runs:
     def __init__(self, problem: Problem, method: MethodName, options: Options) -> None:
         self._method, self._options = method, options
         self._problems = [problem]
+        self._solvers: Latest[Problem, PreparedSolver] = Latest()
         if problem.sensitivities is not None and has_llvm() and not is_native(problem.fun):
             with suppress(TypeError), np.errstate(all="ignore"):  # it cannot be traced
                 self._problems.insert(0, problem.replace(fun=compile(problem.fun, by="trace")))
-        self._solvers: list[PreparedSolver | None] = [None for _ in self._problems]
 
-    def __call__(self, args: tuple[Any, ...], y0: Array, wanted: Sensitivities | None) -> Solution | Failed:
+    def __call__(self, start: _Start, dy0dp: Array | None) -> Solution | Failed:
         """Return a run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f
-        as it was given says why, also by an exception. `wanted`: the sensitivities, if they differ from run to run."""
-        found: Solution | Failed = Failed("")
-        for which in range(len(self._problems)):
-            try:
-                found = self._run(which, args, y0, wanted)
-            except TypeError:  # the compiled f cannot be used
-                if which == len(self._problems) - 1:
-                    raise
-                continue
-            if not isinstance(found, Failed):
-                break
-        return found
+        as it was given says why, also by an exception. `dy0dp`: that of the run's sensitivities."""
+        *compiled, given = self._problems
+        for problem in compiled:
+            with suppress(TypeError):  # the compiled f cannot be used
+                if not isinstance(found := self._run(problem, start, dy0dp), Failed):
+                    return found
+        return self._run(given, start, dy0dp)
 
-    def _run(self, which: int, args: tuple[Any, ...], y0: Array, wanted: Sensitivities | None) -> Solution | Failed:
+    def _run(self, problem: Problem, start: _Start, dy0dp: Array | None) -> Solution | Failed:
         try:
             with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
-                if wanted is None:
-                    sol = self._solver(which)(args=args, y0=y0)
-                else:
-                    problem = self._problems[which].replace(args=args, y0=y0, sensitivities=wanted)
-                    sol = problem.solve(self._method, **self._options)
+                solver = self._solvers.find(problem, lambda: problem.prepare(self._method, **self._options))
+                sol = solver(args=start.args, y0=start.y0, dy0dp=dy0dp)
         except InvariantError as error:
             return Failed(str(error))
         return sol if sol.success else Failed(sol.message)
-
-    def _solver(self, which: int) -> PreparedSolver:
-        found = self._solvers[which]
-        if found is None:
-            found = self._solvers[which] = self._problems[which].prepare(self._method, **self._options)
-        return found
 
 
 class Simulation:
@@ -161,7 +148,7 @@ class Simulation:
         args, y0 = self._values(self._own, problem, values)  # floats, not integers
         self._problem = problem.replace(args=args, y0=y0, sensitivities=None)
         self._sizes = self._scale(values)
-        self._prepared: dict[tuple[bool, bytes], _Runs] = {}
+        self._prepared: Latest[tuple[bool, bytes], _Runs] = Latest()
 
     # Derivatives
 
@@ -224,21 +211,18 @@ class Simulation:
             sizes.append(float(max(size, floor[one.index]) if one.kind == "y0" else size) or 1.0)
         return sizes
 
-    def _wanted(self, start: _Start) -> Sensitivities | None:
-        """Return the sensitivities of a run."""
-        if not self._columns:
-            return None
-        names: Any = [one for _, one in self._columns]
-        if not self._moves_start:
-            return Sensitivities(names, scale=self._sizes)
-        assert start.slopes is not None
+    def _slopes_of_start(self, start: _Start) -> Array | None:
+        """Return the derivatives of the initial value for the numbers in args that a run has sensitivities for; None:
+        they are zero, or not wanted."""
         own = [j for j, one in self._columns if one.kind == "args"]
+        if start.slopes is None or not self._moves_start or not own:
+            return None
         S0, seen = np.zeros((len(start.y0), len(own))), set[int]()
         for column, j in enumerate(own):  # the first number of a parameter has the derivatives of the initial value
             if j not in seen:
                 S0[:, column] = start.slopes[:, j]
                 seen.add(j)
-        return Sensitivities(names, dy0dp=S0 if own else None, scale=self._sizes)
+        return S0
 
     def _parameters(self, S: Array, start: _Start, k: int) -> Array:
         """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, columns)."""
@@ -346,11 +330,11 @@ class Simulation:
             if len(times) and not self.experiment.events and times[-1] != t0:
                 tf = float(times[-1])
             own: Options = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-            wanted = self._wanted(start) if slopes else None
+            names: Any = [one for _, one in self._columns] if slopes else []
+            wanted = Sensitivities(names, scale=self._sizes) if names else None
             problem = self._problem.replace(t_span=(t0, tf), sensitivities=wanted)
             self._prepared[key] = _Runs(problem, self._method, {**self._options, **own})
-        again = self._wanted(start) if slopes and self._moves_start else None
-        return self._prepared[key](start.args, start.y0, again)
+        return self._prepared[key](start, self._slopes_of_start(start))
 
     def run(self, values: Array, slopes: bool = True) -> Simulated | Failed:
         """Return the model's values for the data."""
@@ -471,22 +455,14 @@ class Simulation:
 class _Known:
     """Steady states, of which the last ones are remembered: several experiments may begin with the same one."""
 
-    #: How many are remembered.
-    _MOST = 64
-
     def __init__(self, states: SteadyStates) -> None:
         self._states = states
-        self._last: dict[tuple[bytes, ...], Found | NotFound] = {}
+        self._last: Latest[tuple[bytes, ...], Found | NotFound] = Latest()
 
     def at(self, args: tuple[Any, ...], y0: Array, S0: Array | None) -> Found | NotFound:
         """Return the steady state for these arguments and this initial value, with derivatives for S0."""
-        numbers = layout_of(args).numbers
-        key = numbers.tobytes(), y0.tobytes(), b"" if S0 is None else S0.tobytes()
-        if key not in self._last:
-            while len(self._last) >= self._MOST:
-                self._last.pop(next(iter(self._last)))
-            self._last[key] = self._states.at(args, y0, S0)
-        return self._last[key]
+        key = layout_of(args).numbers.tobytes(), y0.tobytes(), b"" if S0 is None else S0.tobytes()
+        return self._last.find(key, lambda: self._states.at(args, y0, S0))
 
 
 class _Curves(NamedTuple):
