@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from .._functions.layout import ArgumentLayout, place_of
 from .._laws.bound import BoundInvariants
 from .._problem.options import ExtensionOptions
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
-from .._results.result import Names
+from .._results.result import Names, Origin
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .expressions import leaves, substituted
@@ -204,7 +204,7 @@ class _OnStates(BoundInvariants):
         return super().distance(t, self.states, *self.tolerances, pieces)
 
 
-class _Origin:
+class _Origin(Origin):
     """Origin of a solution of a DAE: the reduced solution, and the way back to the unknowns.
 
     Parameters
@@ -215,8 +215,8 @@ class _Origin:
         How it was reduced.
     present : callable
         ``present(solution, on_failure=None)`` expresses another solution of the reduced problem in the unknowns.
-    y : callable
-        ``y(t, state)``, the unknowns.
+    unknowns : callable
+        ``unknowns(t, state)``.
     derivatives : callable or None
         ``derivatives(t, names)``, those of the unknowns for the state, (n, s, m), and for parameters, (n, k, m), at
         times (m,). None: F has no expressions.
@@ -227,15 +227,12 @@ class _Origin:
         reduced: Solution,
         reduction: Any,
         present: Callable[..., Solution],
-        y: Callable[[float, Array], Array],
+        unknowns: Callable[[float, Array], Array],
         derivatives: Callable[[Array, Sequence[Any]], tuple[Array, Array]] | None,
     ) -> None:
-        self.reduced, self.reduction, self.present, self.y = reduced, reduction, present, y
+        self.reduced, self.reduction, self.present, self.unknowns = reduced, reduction, present, unknowns
         self.derivatives = derivatives
-        self.source = reduced._origin.source
-
-    def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        return type(None), ()  # functions do not travel with a pickled solution
+        self.source, self.y = reduced._origin.source, reduced._origin.y
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         """See `Solution.extend`."""
@@ -243,7 +240,7 @@ class _Origin:
         on_failure = own.pop("on_failure", None)
         own["on_failure"] = "return"
         if (callback := own.get("callback")) is not None:
-            own["callback"] = lambda t, state: callback(t, self.y(t, state))
+            own["callback"] = lambda t, state: callback(t, self.unknowns(t, state))
         return self.present(self.reduced.extend(t_end, **own), on_failure)
 
     def gradient(
@@ -282,20 +279,9 @@ class _Origin:
             direct = direct + real_numbers("dG_dp", dG_dp)
         return np.asarray(reduced.gradient(np.einsum("im,ism->sm", costs, of_state), direct, wrt, t=times))
 
-    def slopes(self, t: Array, y: Array) -> None:
-        """See `RunOrigin.slopes`: pictures join the outputs."""
-
-    def field(self, y: Array) -> None:
-        """See `RunOrigin.field`: a DAE has no f."""
-
-    def positions(self) -> int:
-        """See `RunOrigin.positions`: F does not say which unknowns are velocities of others."""
-        return 0
-
-    def parameters(self) -> Array:
-        """See `RunOrigin.parameters`: those of the reduced problem are the same."""
-        values: Array = self.reduced._origin.parameters()
-        return values
+    def parameters(self) -> Array | None:
+        """See `Origin.parameters`: those of the reduced problem are the same."""
+        return self.reduced._origin.parameters()
 
 
 class DaeSolution(Solution):
@@ -330,8 +316,7 @@ class DaeSolution(Solution):
         """The solution of the reduced problem, in its states."""
         if self._origin is None:
             raise ValueError("this solution comes from a file or a pickle, without its reduced problem")
-        found: Solution = self._origin.reduced
-        return found
+        return cast("_Origin", self._origin).reduced
 
     def impose(self) -> Solution:
         """Project the values to roundoff onto all constraints.
@@ -341,8 +326,7 @@ class DaeSolution(Solution):
         Solution
         """
         reduced = self.reduced.impose()
-        found: Solution = self._origin.present(reduced)
-        return found
+        return cast("_Origin", self._origin).present(reduced)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save t, y, yp, events, counts and residuals to a file that ``invariode.load`` reads.

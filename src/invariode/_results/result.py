@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, default_labels, flag, real_numbers
-from .._core import Dense, Run
+from .._core import MEMORY_VERSION, Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
 
@@ -47,18 +47,100 @@ def _none() -> None:
     return None
 
 
-def _made(record: Any, attributes: Callable[[Any], Mapping[str, Any]]) -> bool:
-    """Make a record's deferred values and set those it lacks as attributes; return whether there were any to make."""
-    make = record.__dict__.get("_make")
-    if make is None:
-        return False
-    record.__dict__.update({**attributes(make()), **record.__dict__})
-    record.__dict__.pop("_make", None)
-    return True
+class Deferred:
+    """An object whose attributes are made together, when one of them is first read."""
+
+    def _defer(self, make: Callable[[], Mapping[str, Any]]) -> Self:
+        self.__dict__["_make"] = make
+        return self
+
+    def _settle(self) -> bool:
+        """Make the deferred attributes, but for those set meanwhile; return whether there were any to make."""
+        make = self.__dict__.get("_make")
+        if make is None:
+            return False
+        self.__dict__.update({**make(), **self.__dict__})
+        self.__dict__.pop("_make", None)
+        return True
+
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Make the deferred attributes, for a name that is not there yet."""
+            if not self._settle() and name not in self.__dict__:  # another thread may have made it
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return getattr(self, name)
+
+
+class Origin(Protocol):
+    """What a solution was made from, and what it is asked for; the defaults are those of a run without functions.
+
+    Attributes
+    ----------
+    source : Solved or None
+        Problem, method and options.
+    y : ndarray
+        The state at the end of the run.
+    memory, memory_version
+        The internal state of the method there, as bytes of this version.
+    imposed : bool
+        The solution was projected afterwards, and so will be its extension.
+    """
+
+    source: Any
+    y: Array
+    memory: bytes = b""
+    memory_version: int = MEMORY_VERSION
+    imposed: bool = False
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        return type(None), ()  # functions do not travel with a pickled solution
+
+    def extend(self, sol: Any, t_end: float, options: Any) -> Any:
+        """See `Solution.extend`."""
+        raise ValueError(
+            "this solution comes from a file, without the functions of its problem: it cannot be extended. That of "
+            "load(path, problem) can"
+        )
+
+    def gradient(self, sol: Any, *given: Any) -> Array:
+        """See `Solution.gradient`."""
+        raise ValueError(
+            "this solution comes from a file, without the functions of its problem: it has no gradient. Solve it again"
+        )
+
+    def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
+        """Return the slopes of the solution after and before each output, (n, n_t), if these are the steps of a
+        differential equation."""
+        return None
+
+    def field(self, y: Array) -> Array | None:
+        """Return f at the start of the run, in other states (n, k)."""
+        return None
+
+    def positions(self) -> int:
+        """Return the number of leading components that are positions, whose velocities follow."""
+        return 0
+
+    def parameters(self) -> Array | None:
+        """Return the values of the parameters of the sensitivities, (k,)."""
+        return None
+
+    def continuous(self, sol: Any) -> Any:
+        """Return the solution as a function of t; None: it is not known."""
+        return sol.sol
+
+    def identity(self) -> Any:
+        """Return the identity of the run, which distinguishes it from others; None: it has none."""
+        return None
+
+    def imposing(self) -> Self:
+        """Return the origin for the projected solution: its extension will be projected too."""
+        return self
 
 
 @dataclasses.dataclass(eq=False)
-class Stats(Record):
+class Stats(Deferred, Record):
     """Counts of a run.
 
     Attributes
@@ -150,19 +232,9 @@ class Stats(Record):
     sensitivities: str | None = dataclasses.field(default_factory=_none)
 
     @classmethod
-    def when_needed(cls, make: Callable[[], Stats]) -> Stats:
-        """Make counts that are computed when one of them is first read."""
-        later = cls.__new__(cls)
-        later.__dict__["_make"] = make
-        return later
-
-    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
-
-        def __getattr__(self, name: str) -> Any:
-            """Make the deferred attributes, for a name that is not there yet."""
-            if not _made(self, vars) and name not in self.__dict__:  # another thread may have made it
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            return getattr(self, name)
+    def when_needed(cls, make: Callable[[], Mapping[str, Any]]) -> Stats:
+        """Return counts that are computed when one of them is first read."""
+        return cls.__new__(cls)._defer(make)
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self})
@@ -442,7 +514,7 @@ _ABSENT: Any = object()
 
 
 @dataclasses.dataclass(eq=False, repr=False, init=False)
-class Result(dict[str, Any]):
+class Result(Deferred, dict[str, Any]):
     """The data of a `Solution`, and what is computed from them.
 
     As in SciPy, it is a dict whose items are also attributes: the fields, and whatever the user adds. Names that start
@@ -471,7 +543,7 @@ class Result(dict[str, Any]):
     _names: Names
     _sensitivities: SensitivityData | None
     _y_end: Array
-    _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
+    _origin: Origin | Any  # None: of a pickle
 
     def __init__(
         self,
@@ -483,12 +555,12 @@ class Result(dict[str, Any]):
         """`private` holds what is not an item; a callable makes it when it is first needed."""
         super().__init__(items, **fields)
         if callable(private):
-            self.__dict__["_make"] = private
+            self._defer(private)
         else:
             self.__dict__.update(private)  # past __setattr__
 
     def __getstate__(self) -> dict[str, Any]:
-        _made(self, dict)
+        self._settle()
         return self.__dict__
 
     def changed(self, **changes: Any) -> Self:
@@ -502,13 +574,9 @@ class Result(dict[str, Any]):
     if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
 
         def __getattr__(self, name: str) -> Any:
-            """Called for names that are not attributes of the class or the object: items."""
+            """Return an item, for a name that is no attribute of the class or the object."""
             value = self.get(name, _ABSENT)
-            if value is not _ABSENT:
-                return value
-            if not _made(self, dict) and name not in self.__dict__:  # another thread may have made it
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            return getattr(self, name)
+            return super().__getattr__(name) if value is _ABSENT else value
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):

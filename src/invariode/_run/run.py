@@ -50,6 +50,7 @@ from .._results.result import (
     BeforeProjection,
     DenseSolution,
     DiscontinuityWarning,
+    Origin,
     Stats,
     Steps,
     at_events,
@@ -108,7 +109,7 @@ class Solved:
 
 
 @dataclasses.dataclass(eq=False, slots=True)
-class RunOrigin:
+class RunOrigin(Origin):
     """Origin of a solution, problem and end of the run: everything that is needed to continue it."""
 
     source: Solved
@@ -119,10 +120,6 @@ class RunOrigin:
     imposed: bool = False
     checkpoint: RunFiles | None = None
     sectioned: tuple[Sectioned, ...] = ()  # with adjoint="checkpoints": of the run, and of its extensions
-    memory_version: int = _core.MEMORY_VERSION
-
-    def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        return type(None), ()  # functions do not travel with a pickled solution
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RunOrigin:
         return self
@@ -143,12 +140,11 @@ class RunOrigin:
         return SectionedSolution(self.sectioned, sol, self.y, imposed=self.imposed)
 
     def identity(self) -> Identity:
-        """Return the identity of the run, which distinguishes it from others."""
+        """See `Origin.identity`."""
         return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
-        """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
-        equation."""
+        """See `Origin.slopes`."""
         problem, options = self.source.problem, self.source.options
         if problem.delays is not None:
             return None
@@ -204,27 +200,26 @@ class RunOrigin:
         return as_columns(after, y.dtype), as_columns(before, y.dtype)
 
     def field(self, y: Array) -> Array | None:
-        """f at the start of the run, in other states (n, k)."""
+        """See `Origin.field`."""
         problem = self.source.problem
         if problem.matrices.mass is not None or problem.delays is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
     def positions(self) -> int:
-        """Return the number of leading components that are positions, whose velocities follow: of mechanical systems
-        and second-order problems; otherwise 0."""
+        """See `Origin.positions`: of mechanical systems and second-order problems."""
         problem = self.source.problem
         if isinstance(problem.fun, CoreFunction):
             return problem.fun.positions
         return len(problem.y0) // 2 if problem.second_order else 0
 
     def parameters(self) -> Array:
-        """Return the values of the parameters of the sensitivities, (k,)."""
+        """See `Origin.parameters`."""
         problem = self.source.problem
         return values_of(problem.args, problem.y0, problem.parameter_names())
 
     def imposing(self) -> RunOrigin:
-        """Return the origin for the projected solution: its extension will be projected too."""
+        """See `Origin.imposing`."""
         return dataclasses.replace(self, imposed=True)
 
     @property
@@ -412,8 +407,8 @@ class Finished:
             ),
         }
 
-    def stats(self) -> Stats:
-        return _stats(self.run, self.plan)
+    def stats(self) -> dict[str, Any]:
+        return vars(_stats(self.run, self.plan))
 
 
 def presented(finished: Finished) -> Solution:
@@ -701,8 +696,10 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     sensitivities = None
     if old._sensitivities is not None and new._sensitivities is not None:
         sensitivities = old._sensitivities.joined(new._sensitivities, points)
-    known = old._origin.sectioned  # not of a run that was loaded
-    sectioned = known + new._origin.sectioned if known else ()
+    before, origin = old._origin, new._origin
+    assert isinstance(before, RunOrigin)
+    assert isinstance(origin, RunOrigin)
+    sectioned = before.sectioned + origin.sectioned if before.sectioned else ()  # not of a run that was loaded
     return new.changed(
         t=np.concatenate([old.t[:points], new.t]),
         y=np.concatenate([old.y[:, :points], new.y], axis=1),
@@ -713,7 +710,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         steps=steps,
         _invariants=bound,
         _sensitivities=sensitivities,
-        _origin=dataclasses.replace(new._origin, sectioned=sectioned),
+        _origin=dataclasses.replace(origin, sectioned=sectioned),
     )
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, NamedTuple, NoReturn, Unpack
+from typing import Any, Literal, NoReturn, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +23,9 @@ from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options, checked
+from .._problem.options import Options, checked
 from .._problem.problem import Problem
-from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
+from .._results.result import BeforeProjection, DenseSolution, Names, Origin, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
@@ -193,7 +193,8 @@ def _source(path: PathLike, origin: _OriginInFile, problem: Problem, options: Op
     return Solved(problem, method, whole)
 
 
-class _OriginInFile(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class _OriginInFile(Origin):
     """Identity, state and method history of a stored run, without its functions: needed to save the solution again."""
 
     known: Identity
@@ -204,34 +205,13 @@ class _OriginInFile(NamedTuple):
     imposed: bool
     source: None = None
 
-    def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> NoReturn:
-        raise ValueError(
-            "this solution comes from a file, without the functions of its problem: it cannot be extended. That of "
-            "load(path, problem) can"
-        )
-
-    def gradient(self, sol: Solution, *given: Any) -> NoReturn:
-        raise ValueError(
-            "this solution comes from a file, without the functions of its problem: it has no gradient. Solve it again"
-        )
-
-    def slopes(self, t: Array, y: Array) -> None:
-        return None
-
-    def field(self, y: Array) -> None:
-        return None
-
-    def positions(self) -> int:
-        return 0
-
-    def parameters(self) -> None:
-        return None
+    __reduce__ = object.__reduce__  # it has no functions
 
     def identity(self) -> Identity:
         return self.known
 
     def imposing(self) -> _OriginInFile:
-        return self._replace(imposed=True)
+        return dataclasses.replace(self, imposed=True)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -41,8 +41,9 @@ def curve(sol: Result) -> Curve:
     outputs."""
     if sol.sol is not None:
         return _by_interpolant(sol)
-    slopes = sol._origin and len(sol.t) <= _SLOPES and sol._origin.slopes(sol.t, sol.y)
-    if slopes is None or slopes is False:  # no functions, or too many points
+    known = sol._origin is not None and len(sol.t) <= _SLOPES
+    slopes = sol._origin.slopes(sol.t, sol.y) if known else None
+    if slopes is None:  # no functions, or too many points
         return Curve(interrupted(sol, sol.t), interrupted(sol, sol.y), smooth=False)
     return _by_slopes(sol, slopes)
 

@@ -65,7 +65,7 @@ def _columns(names: Sequence[str], chosen: Any) -> list[int]:
 
 def _factors(sol: Result) -> Array:
     """Return p_j / max |y_i|, (n, parameters), which makes sensitivities numbers without unit."""
-    values = sol._origin and sol._origin.parameters()
+    values = None if sol._origin is None else sol._origin.parameters()
     if values is None:
         raise ValueError(
             "relative sensitivities need the values of the parameters, which a solution from a file or a pickle does "

@@ -119,7 +119,7 @@ def _draw_field(ax: Axes, sol: Result, rows: list[int]) -> None:
     x, y = np.meshgrid(np.linspace(left, right, _ARROWS), np.linspace(low, high, _ARROWS))
     states = np.empty((2, x.size))
     states[rows[0]], states[rows[1]] = x.ravel(), y.ravel()
-    slopes = sol._origin and sol._origin.field(states)
+    slopes = None if sol._origin is None else sol._origin.field(states)
     if slopes is None:
         raise ValueError(
             "field=True needs the function of the problem, without a mass matrix; a solution from a file or a pickle "
