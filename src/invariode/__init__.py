@@ -9,8 +9,8 @@ from importlib import import_module as _import_module
 from types import FunctionType as _FunctionType
 
 from ._base.failures import FailureWarning, InvariantError, SolveError
-from ._base.public import public as _public
-from ._base.public import version as _version
+from ._base.package import public as _public
+from ._base.package import version as _version
 from ._base.suggestions import absent as _absent
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
@@ -18,11 +18,10 @@ from ._functions.compile import compile
 from ._functions.compiled import CompiledFunction
 from ._functions.second_order import SecondOrder
 from ._laws.imposing import ImposeResult, impose
-from ._problem.dissipation import Dissipated
 from ._problem.events import Event, Roots
 from ._problem.grouped import GMRES, Banded, Checkpoint, Limits
 from ._problem.inputs import Input
-from ._problem.invariants import AccuracyWarning, Invariants
+from ._problem.invariants import AccuracyWarning, Dissipated, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
 from ._problem.problem import Problem
@@ -50,9 +49,9 @@ if _typing.TYPE_CHECKING:
     from ._studies.fit.fit import fit
     from ._studies.fit.objective import Objective, objective
     from ._studies.fit.parameters import Parameter
-    from ._studies.fit.prediction import Prediction
     from ._studies.fit.profile import Profile
     from ._studies.fit.result import Fit
+    from ._studies.fit.uncertainty import Prediction
     from ._studies.search import PolynomialInvariant, find_invariants
     from ._studies.sensitivities import SensitivityReport, check_sensitivities
     from ._studies.steady import SteadyState, steady_state
@@ -153,7 +152,7 @@ _LATER = {
     "Objective": "._studies.fit.objective",
     "objective": "._studies.fit.objective",
     "Parameter": "._studies.fit.parameters",
-    "Prediction": "._studies.fit.prediction",
+    "Prediction": "._studies.fit.uncertainty",
     "Profile": "._studies.fit.profile",
     "Fit": "._studies.fit.result",
     "PolynomialInvariant": "._studies.search",

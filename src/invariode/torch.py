@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._base.extras import extra
+from ._base.package import extra
 from ._base.types import MethodName
 from ._problem.options import Options
 from ._problem.problem import Problem

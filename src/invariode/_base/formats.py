@@ -16,7 +16,7 @@ import numpy as np
 
 from .arguments import shown
 from .files import ABOUT, PathLike, arrays_in, damage_of, read_arrays, unreadable, write_arrays
-from .public import version
+from .package import version
 
 #: The version of the format: raised whenever the fields of any kind change.
 VERSION = 10

@@ -16,7 +16,7 @@ from time import perf_counter
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-from .extras import extra
+from .package import extra
 from .types import Progress
 
 #: Seconds between two updates, before a transient bar appears, and between two calls of a user's function.

@@ -22,7 +22,7 @@ from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .._run.interruption import stopped_by_interrupt
+from .._run.around import stopped_by_interrupt
 from .outcomes import UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of

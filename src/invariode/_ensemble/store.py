@@ -16,10 +16,10 @@ import numpy as np
 from .. import _core
 from .._base import arguments
 from .._base.arguments import Array, shown
-from .._base.extras import extra
 from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
+from .._base.package import extra
 from .._results.saving import apart, together
 from .outcomes import ROWS, UNSOLVED, Outcomes, counts_by_name
 from .solution import (

@@ -29,9 +29,9 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, call_name, shown
-from .._base.extras import extra
 from .._base.forks import compiling
 from .._base.latest import Latest
+from .._base.package import extra
 from .contents import Captured
 from .filling import Filling
 from .first_order import FirstOrderForm

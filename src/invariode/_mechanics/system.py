@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, extra_arguments, function, interval, shown, state, warn
 from .._base.failures import InvariantError
-from .._base.public import public
+from .._base.package import public
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants

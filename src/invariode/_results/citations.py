@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from .._base.arguments import shown
-from .._base.public import version
+from .._base.package import version
 from .._problem.methods import METHODS, find_method
 from .solution import Solution
 

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from .._base import arguments
 from .._base.arguments import Array
-from .._base.extras import extra
 from .._base.formats import write
-from .._base.public import version
+from .._base.package import extra, version
 from .result import Result
 from .saving import SOLUTION, require_whole
 from .sensitivities import named

@@ -73,7 +73,7 @@ class Deferred:
 
 
 class Origin(Protocol):
-    """What a solution was made from, and what it is asked for; the defaults are those of a run without functions.
+    """Origin of a solution, which can continue it and differentiate it; by default that of a run without functions.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
 from .pictures import derivatives, drift, over_time, phase, steps
 from .pictures.canvas import require_matplotlib
-from .pictures.thumbnail import thumbnail
+from .pictures.whole_run import thumbnail
 
 if TYPE_CHECKING:
     from .._problem.accepted import extension_options

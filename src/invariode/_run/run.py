@@ -58,8 +58,7 @@ from .._results.result import (
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
-from .agreement import compare
-from .interruption import stopped_by_interrupt
+from .around import compare, stopped_by_interrupt
 from .prepared import Prepared, prepared_or_plan
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, warn, weights_of
 from .._base.files import PathLike, damage_of, unreadable
 from .._base.formats import read, under
-from .._base.public import version
+from .._base.package import version
 from .._core import MEMORY_VERSION, Dense
 from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same

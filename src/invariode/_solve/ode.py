@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, choice, count, function, number, state, warn
-from .._base.public import public
+from .._base.package import public
 from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, weights_of
 from .._base.notebook import html_of_check
-from .._base.public import public
+from .._base.package import public
 from .._base.types import Function, Numbers
 from .._functions.compiled import native_parameters
 from .._laws.bound import BoundInvariants, bind

@@ -24,7 +24,7 @@ from .._base.arguments import (
     state,
 )
 from .._base.notebook import latex_of_polynomial
-from .._base.public import public
+from .._base.package import public
 from .._base.types import Span
 from .._linear.null_space import echelon, null_space
 from .._problem.invariants import Invariants

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, number, shown, state
-from .._base.public import public
+from .._base.package import public
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Given, Point
 from .._problem.problem import Problem

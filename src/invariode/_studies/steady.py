@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, positive, quietly, real_numbers, shown
-from .._base.public import public
+from .._base.package import public
 from .._base.rational import as_rows
 from .._base.suggestions import meant
 from .._base.types import MethodName

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._base.arguments import Array
-from .._base.public import public
+from .._base.package import public
 from .._base.style import BLACK, INK, LOOK, SHADE, STYLE
 from .._base.style import COLOURS as PALETTE
 from .._problem.methods import METHODS, find_method

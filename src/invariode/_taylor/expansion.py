@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
 from .._base.arguments import reals, warn
-from .._base.extras import extra
+from .._base.package import extra
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
 from .._functions.graph.derived import derived

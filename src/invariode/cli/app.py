@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from .._base.public import version
+from .._base.package import version
 from . import check, compare, methods, solve
 from .session import examples, paragraphs
 

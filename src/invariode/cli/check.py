@@ -11,9 +11,8 @@ from rich.text import Text
 
 from .._base.types import MethodName
 from .._problem.problem import Problem
-from .._studies.below_zero import Lowest, below_zero
 from .._studies.check import CheckReport, checked_at
-from .._studies.precision import unprojected
+from .._studies.precision import Lowest, below_zero, unprojected
 from .load import File, load
 from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop
 

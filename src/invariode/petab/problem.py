@@ -14,15 +14,13 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers
 from .._base.types import MethodName
-from .._studies.fit.experiment import Experiment
-from .._studies.fit.failed import Failed
+from .._studies.fit.experiment import Experiment, Failed
 from .._studies.fit.likelihood import Model as Fitted
 from .._studies.fit.parameters import Parameter
 from ..sbml.model import Model
 from ..sbml.reading import contents
 from .experiments import LN10, Experiments, Part, numbers, require_known
-from .priors import fit_prior, log_density
-from .tables import Measurement, ParameterRow, Tables, rows_of, tables
+from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
 
 
 @dataclass(frozen=True)

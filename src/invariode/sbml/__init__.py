@@ -6,9 +6,8 @@ import os
 from typing import Literal
 
 from .library import UnsupportedError
-from .model import Model, ModelEvent
+from .model import Model, ModelEvent, Table
 from .reading import contents
-from .table import Table
 
 __all__ = ["Model", "ModelEvent", "Table", "UnsupportedError", "load"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .._base.extras import extra
+from .._base.package import extra
 
 
 def libsbml() -> Any:

@@ -165,7 +165,7 @@ def _document(L: Any, source: str) -> tuple[Any, str]:
 
 
 def _from_antimony(path: str) -> str:
-    from .._base.extras import extra
+    from .._base.package import extra
 
     antimony = extra("antimony", "models in Antimony need", "sbml")
     antimony.clearPreviousLoads()

@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ..._base.arguments import shown
-from ..._base.public import version
+from ..._base.package import version
 
 #: The environment variable that names the folder, or switches the cache off.
 ENVIRONMENT = "INVARIODE_CACHE"

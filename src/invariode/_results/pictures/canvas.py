@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._base.arguments import EPS, Array, shown
-from ..._base.extras import extra
+from ..._base.package import extra
 from ..._base.style import COLOURS, DASHES, LOOK
 from ..._base.suggestions import meant
 from ..result import Result

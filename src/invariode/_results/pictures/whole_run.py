@@ -1,13 +1,18 @@
-"""A run on one page: components by their scales, and below them the drift of the invariants."""
+"""A run on one page: components by scale, and below them the drift of the invariants; and a small picture of it."""
 
 from __future__ import annotations
 
+import base64
+import io
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ..._base.style import COLOURS, LOOK
 from ..result import Result
 from . import drift
 from .canvas import components, drawable, log_axis, require_matplotlib, require_points
-from .curves import curve
+from .curves import Curve, curve, draw_over_t, interrupted
 from .over_time import draw_groups, groups_of, kinds_of
 
 if TYPE_CHECKING:
@@ -63,3 +68,35 @@ def _lay_out(figure: Figure, panels: list[Axes]) -> None:
     top, bottom = height - pad - above[0], pad + below[-1]
     panel = (top - bottom - gap * (len(panels) - 1)) / len(panels)  # their mean height
     figure.subplots_adjust(left / width, bottom / height, 1 - right / width, top / height, hspace=gap / panel)
+
+
+#: The most components that are drawn.
+_MOST = 12
+
+#: A picture of a run with more outputs would take longer than the eye waits.
+_PICTURED = 200_000
+
+
+def thumbnail(sol: Result) -> str:
+    """Return the components over t, as an image in HTML; empty if there is nothing to draw, or no matplotlib.
+
+    It does not evaluate f, which may be slow: without dense output, lines join the outputs.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        return ""
+    if not 2 <= len(sol.t) <= _PICTURED or not np.isfinite(sol.y).all():
+        return ""
+    whole = Curve(interrupted(sol, sol.t), interrupted(sol, sol.y), smooth=False) if sol.sol is None else curve(sol)
+    file = io.BytesIO()
+    with matplotlib.rc_context({**LOOK, "font.size": 7}):
+        figure = Figure(figsize=(3.2, 2.0), layout="constrained")
+        ax = figure.add_subplot()
+        for k, values in enumerate(whole.y[:_MOST]):
+            look = {"color": COLOURS[k % len(COLOURS)], "linewidth": 1, "marker": "none"}
+            draw_over_t(ax, sol, whole.t, values.real, whole.smooth, look)
+        figure.savefig(file, format="png", dpi=100)
+    picture = base64.b64encode(file.getvalue()).decode()
+    return f'<img alt="components over t" src="data:image/png;base64,{picture}">'

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, call_name, choice, items, number, real_numbers, shown
-from ..._base.public import public
+from ..._base.package import public
 from ..._base.suggestions import meant
 from ..._base.types import MethodName
 from ..._functions.compiled import CompiledFunction, is_native
@@ -21,6 +21,13 @@ from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
 from ..._problem.problem import Problem
 from .data import Data, in_order, is_table, read
+
+
+class Failed(NamedTuple):
+    """Marker in the place of the model's values, with the reason of the failure."""
+
+    reason: str
+
 
 #: Types of `observe`: components by label or index, or a function.
 Observed = str | int | Sequence[str | int] | Callable[..., Any] | None

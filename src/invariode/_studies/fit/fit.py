@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Literal, NamedTuple, Unpack
 
 from ..._base.arguments import Array, choice, flag, positive_integer, warn
-from ..._base.public import public
+from ..._base.package import public
 from ..._base.types import MethodName
 from ..._ensemble.worker_processes import may_start, solve_rows
 from ..._problem.options import Options

@@ -15,8 +15,7 @@ from ..._base.types import MethodName
 from ..._problem.options import TABLE, Options, unknown_option
 from ..._problem.problem import Problem
 from .data import is_table
-from .experiment import Experiment
-from .failed import Failed
+from .experiment import Experiment, Failed
 from .parameters import Parameter, Space, to_parameters
 from .simulation import Simulation
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, real_numbers
-from ..._base.public import public
+from ..._base.package import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .experiment import Noise

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 
 from ..._base.arguments import Array, choice, flag, items, number, shown
-from ..._base.public import public
+from ..._base.package import public
 from ..._base.suggestions import meant
 from ..._functions.derivatives import OfNumbers
 from .priors import Prior, PriorLike, to_prior

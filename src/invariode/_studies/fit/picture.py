@@ -13,7 +13,7 @@ from ..._results.pictures.canvas import drawable, legend, new, new_panels, once
 from ..._results.pictures.over_time import axis_label, groups_of, units_of
 from ..._results.solution import Solution
 from .experiment import Experiment, Series
-from .prediction import Prediction
+from .uncertainty import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array
-from ..._base.public import public
+from ..._base.package import public
 from . import picture
 from .likelihood import Evaluation, Model
 from .search import Found, NoStartError, search

@@ -12,16 +12,15 @@ from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, number, real_numbers, shown
 from ..._base.notebook import html_of_fit
-from ..._base.public import public
+from ..._base.package import public
 from ..._base.suggestions import meant
 from ..._results.solution import Solution
 from . import picture
-from .failed import Failed
+from .experiment import Failed
 from .likelihood import Model
-from .prediction import Prediction
 from .profile import Profile, Scale, profile
 from .search import Found
-from .uncertainty import Uncertainty, degrees_of_freedom, unit_of_variance
+from .uncertainty import Prediction, Uncertainty, degrees_of_freedom, unit_of_variance
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes

@@ -29,8 +29,7 @@ from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..steady import Found, NotFound, SteadyStates
-from .experiment import Experiment, Series
-from .failed import Failed
+from .experiment import Experiment, Failed, Series
 from .through import Curves, Settings, Through
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array
+from ..._base.package import public
+from ..._results.result import Record
 from .likelihood import Evaluation, Model
 from .search import Found
 
@@ -147,3 +150,30 @@ def _plain(vectors: Array) -> Array:
             if other != row:
                 basis[other] -= basis[other, column] * basis[row]
     return basis
+
+
+@public
+@dataclass(frozen=True, eq=False)
+class Prediction(Record):
+    """Values of a fitted model at given times, with bands.
+
+    Attributes
+    ----------
+    t : ndarray, (n_t,)
+        The times.
+    y : ndarray, (m, n_t)
+        The observed quantities.
+    standard_error : ndarray, (m, n_t)
+        Their standard errors, from those of the parameters.
+    lower, upper : ndarray, (m, n_t)
+        The ends of the band.
+    names : list of str
+        The quantities.
+    """
+
+    t: Array
+    y: Array
+    standard_error: Array
+    lower: Array
+    upper: Array
+    names: list[str]

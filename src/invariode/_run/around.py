@@ -1,11 +1,16 @@
-"""The first run of a compiled f in a process: does it compute what the Python function computes?"""
+"""Company of a run: Ctrl-C as a request, and the comparison of a compiled f with the Python function."""
 
 from __future__ import annotations
 
-from typing import Literal
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Literal
 
 import numpy as np
 
+from .. import _core
 from .._base.arguments import Array, warn
 from .._functions.compiled import NativeWithInputs, native_parameters
 from .._functions.graph.function import TracedFunction
@@ -53,3 +58,24 @@ def _difference(problem: Problem, traced: TracedFunction, t: Array, y: Array) ->
         if found is not None:
             return f"at t = {at:.6g} {found}"
     return None
+
+
+@contextmanager
+def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
+    """Within the block the first Ctrl-C makes the request; the second is as before. None if no Ctrl-C arrives: outside
+    the main thread, or if the process ignores it."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
+        yield None
+        return
+    request = _core.StopRequest()
+
+    def make(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        request.make()
+
+    signal.signal(signal.SIGINT, make)
+    try:
+        yield request
+    finally:
+        signal.signal(signal.SIGINT, before)
