@@ -180,6 +180,24 @@ def test_each_thing_has_one_mechanism():
         assert {path.relative_to(PACKAGE).as_posix() for path in found} == files, pattern
 
 
+def test_a_solve_of_a_known_kind_reaches_the_core_in_four_hops():
+    """From the call to the core: the call, the run, its prepared plan with the options, and with the state."""
+    hops = []
+
+    def fun(t, y):
+        frame, names = sys._getframe(1), []
+        while frame is not None:
+            if frame.f_code.co_filename.startswith(str(PACKAGE)):
+                names.append(frame.f_code.co_qualname)
+            frame = frame.f_back
+        hops[:] = names[::-1]
+        return -y
+
+    for _ in range(2):  # the first makes the plan of the kind
+        iv.solve_ivp(fun, (0, 1), [1.0])
+    assert hops == ["solve_ivp", "solve", "Prepared.run_of", "Prepared.run"]
+
+
 def test_the_package_imports_numpy_alone():
     """SciPy, whose sparse matrices take longer than everything else, and the extras are imported when they are used."""
     code = "import sys, invariode; print(*{name.partition('.')[0] for name in sys.modules})"

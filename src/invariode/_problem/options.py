@@ -69,7 +69,7 @@ __all__ = [
     "StepperOptions",
     "changed",
     "checked",
-    "keep_arrays",
+    "keeping_arrays",
     "parted",
     "refused",
     "table_of",
@@ -840,12 +840,14 @@ def _hint(name: str, known: Iterable[str]) -> str:
     return f": {_ELSEWHERE[lower]}" if lower in _ELSEWHERE else meant(name, known)
 
 
-def keep_arrays(options: Options) -> None:
-    """Puts copies in the place of what the caller could change later."""
+def keeping_arrays(given: Options) -> Options:
+    """Return the options with copies of what the caller could change later."""
+    options = given.copy()
     for name in _OF_ARRAYS:
         value = options.get(name)
         if value is not None and type(value) is not float:
             options[name] = kept(value)
+    return options
 
 
 def changed(options: Options, changes: Mapping[str, Any]) -> Options:

@@ -48,11 +48,7 @@ def _none() -> None:
 
 
 class Deferred:
-    """An object whose attributes are made together, when one of them is first read."""
-
-    def _defer(self, make: Callable[[], Mapping[str, Any]]) -> Self:
-        self.__dict__["_make"] = make
-        return self
+    """An object whose attributes are made together by a function ``_make()``, when one of them is first read."""
 
     def _settle(self) -> bool:
         """Make the deferred attributes, but for those set meanwhile; return whether there were any to make."""
@@ -234,7 +230,9 @@ class Stats(Deferred, Record):
     @classmethod
     def when_needed(cls, make: Callable[[], Mapping[str, Any]]) -> Stats:
         """Return counts that are computed when one of them is first read."""
-        return cls.__new__(cls)._defer(make)
+        later = cls.__new__(cls)
+        later.__dict__["_make"] = make
+        return later
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self})
@@ -555,7 +553,7 @@ class Result(Deferred, dict[str, Any]):
         """`private` holds what is not an item; a callable makes it when it is first needed."""
         super().__init__(items, **fields)
         if callable(private):
-            self._defer(private)
+            self.__dict__["_make"] = private
         else:
             self.__dict__.update(private)  # past __setattr__
 

@@ -27,12 +27,12 @@ from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._laws.traced_jacobian import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .._plan.plan import Plan, make_plan, ordered_breakpoints, say_established, solver
+from .._plan.plan import Course, Plan, make_plan, ordered_breakpoints, say_established, solver
 from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options, changed, keep_arrays
+from .._problem.options import ExtensionOptions, Options, changed, keeping_arrays
 from .._problem.parameters import values_of
 from .._problem.problem import Problem
 from .._results.messages import (
@@ -231,14 +231,14 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
     try:
         found = prepared_or_plan(problem, method, options)
-        given = options.copy()
+        given = keeping_arrays(options)
         given.pop("progress", None)
-        keep_arrays(given)
         source = Solved(problem, method, given)
-        finished = _run_of(found, problem, options, source)
-        if finished is None:
-            return _solved(_plan_of(found, problem, method, options), source)
-        return concluded(presented(finished), finished.general.on_failure)
+        if isinstance(found, Prepared):
+            if (solved := found.run_of(problem, options)) is not None:
+                return concluded(presented(Finished.by(found, *solved, source)), found.plan.on_failure)
+            found = make_plan(problem, method, options)
+        return _solved(found, source)
     except (TypeError, ValueError) as error:
         explain(error, problem)
         raise
@@ -249,37 +249,21 @@ def points(problem: Problem, method: MethodName, options: Options) -> Points:
     try:
         found = prepared_or_plan(problem, method, options)
         source = Solved(problem, method, options)
-        finished = _run_of(found, problem, options, source, remember=False)
-        if finished is None:
-            sol = _solved(_plan_of(found, problem, method, options), source)
-            return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
-        run = finished.run
-        if run.ordinary:
-            return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
-        _require_start(finished)
-        _warn(finished)
-        return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
+        if isinstance(found, Prepared):
+            if (solved := found.run_of(problem, options, remember=False)) is not None:
+                run = solved[0]
+                if run.ordinary:
+                    return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
+                finished = Finished.by(found, *solved, source)
+                _require_start(finished)
+                _warn(finished)
+                return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
+            found = make_plan(problem, method, options)
+        sol = _solved(found, source)
+        return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
     except (TypeError, ValueError) as error:
         explain(error, problem)
         raise
-
-
-def _run_of(
-    found: Prepared | Plan, problem: Problem, options: Options, source: Solved, remember: bool = True
-) -> Finished | None:
-    """Return the run of a problem by a prepared plan; None if it needs a plan of its own."""
-    if not isinstance(found, Prepared):
-        return None
-    solved = found.run_of(problem, options, remember=remember)
-    if solved is None:
-        return None
-    run, course = solved
-    return Finished(run, found.plan, source, found.members, partial(found.plan_of, problem, course, run))
-
-
-def _plan_of(found: Prepared | Plan, problem: Problem, method: MethodName, options: Options) -> Plan:
-    """Return the plan of this problem alone."""
-    return make_plan(problem, method, options) if isinstance(found, Prepared) else found
 
 
 def _solved(plan: Plan, source: Solved) -> Solution:
@@ -368,6 +352,11 @@ class Finished:
         self.sensitivities: SensitivityData | None = None
         self.y_end: Array | None = None  # None: the end of the run is that of y
         self.sectioned: tuple[Sectioned, ...] = ()
+
+    @classmethod
+    def by(cls, prepared: Prepared, run: _core.Run, course: Course, source: Solved) -> Finished:
+        """Return a run of a prepared plan, whose own plan is made when it is needed."""
+        return cls(run, prepared.plan, source, prepared.members, lambda: prepared.plan_of(source.problem, course, run))
 
     @cached_property
     def plan(self) -> Plan:

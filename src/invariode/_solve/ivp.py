@@ -118,11 +118,12 @@ def solve_ivp(
     describing, running = parted(options, DescribingOptions)
     if describing:
         unused(method, describing)
-    alone = one_column(fun, describing) if flag("vectorized", vectorized) else fun
+    if vectorized is not False and flag("vectorized", vectorized):
+        fun = one_column(fun, describing)
     running["t_eval"], running["dense_output"] = t_eval, dense_output
     if events is None and not describing:
-        return solve(Problem.plain(alone, t_span, y0, args), method, running)
-    return solve(Problem(alone, t_span, y0, args=args, events=events, **describing), method, running)
+        return solve(Problem.plain(fun, t_span, y0, args), method, running)
+    return solve(Problem(fun, t_span, y0, args=args, events=events, **describing), method, running)
 
 
 def one_column(fun: Any, describing: Mapping[str, Any]) -> Any:

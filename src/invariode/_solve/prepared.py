@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from .._base.arguments import Array, extra_arguments, interval, require_no_unit
 from .._base.types import MethodName, Span
-from .._plan.plan import Course, Plan, choose, course_of, planned
-from .._problem.options import Options, ProblemArguments, keep_arrays
+from .._plan.plan import choose, course_of, planned
+from .._problem.options import Options, ProblemArguments, keeping_arrays
 from .._problem.problem import Problem
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
@@ -39,8 +38,7 @@ class PreparedSolver:
     def __init__(self, problem: Problem, method: MethodName, options: Options) -> None:
         self.problem = problem
         self.method = method
-        self._options = options.copy()
-        keep_arrays(self._options)
+        self._options = keeping_arrays(options)
         choice = choose(method, self._options)
         plan = planned(problem, choice)
         self._prepared = Prepared(problem, choice, plan)
@@ -104,16 +102,9 @@ class PreparedSolver:
                     self.method,
                     self._options,
                 )
-                plan_of_run = partial(_plan_of, prepared, source, course, run)
-                sol = presented(Finished(run, prepared.plan, source, prepared.members, plan_of_run))
-                return concluded(sol, prepared.plan.on_failure)
+                return concluded(presented(Finished.by(prepared, run, course, source)), prepared.plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
-
-
-def _plan_of(prepared: Prepared, source: Solved, course: Course, run: _core.Run) -> Plan:
-    """Return the plan of a run, whose problem is made when it is needed."""
-    return prepared.plan_of(source.problem, course, run)
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
