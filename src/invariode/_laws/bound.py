@@ -319,24 +319,8 @@ def bind(
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
         kind, size, rows, spent = _by_expressions(one, m, t, y, args, p)
         evaluations += spent
-        if kind == "complex-step" and np.iscomplexobj(y):
-            raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        forms = one.fun
-        if kind in (None, "complex-step") and is_native(one.fun):
-            code = None if np.iscomplexobj(y) else complex_form(fun)
-            forms = None if code is None else as_python(fun, m, code)
-        if kind == "complex-step" and forms is None:
-            raise ValueError(
-                f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
-                "invariode.compile that numba compiles for complex y"
-            )
-        if kind is None and forms is None:
-            kind = "3-point"
-        elif kind is None:
-            given = (p.numbers,) if is_native(one.fun) else args
-            fits, spent = complex_steps_fit(partial(_values_at, forms, t, given), y, threshold)
-            kind = "complex-step or 3-point" if fits else "3-point"
-            evaluations += 0 if is_native(one.fun) else spent
+        kind, spent = _formed(one, kind, name, fun, m, (t, y, args, p), threshold)
+        evaluations += spent
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, size, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
@@ -352,6 +336,40 @@ def bind(
     negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
     names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def _formed(
+    one: Invariants,
+    kind: Any,
+    name: str,
+    fun: Any,
+    m: int,
+    at: tuple[float, Array, tuple[Any, ...], ArgumentLayout],
+    threshold: float | Array,
+) -> tuple[Any, int]:
+    """Return how the Jacobian of an invariant is formed, and the evaluations of g that the choice took."""
+    (t, y, args, p), native = at, is_native(one.fun)
+    if kind not in (None, "complex-step"):
+        return kind, 0
+    is_complex = np.iscomplexobj(y)
+    code = complex_form(fun) if native and not is_complex else None
+    at_complex = one.fun if not native else None if code is None else as_python(fun, m, code)
+    match kind, at_complex:
+        case "complex-step", _ if is_complex:
+            raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
+        case "complex-step", None:
+            raise ValueError(
+                f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
+                "invariode.compile that numba compiles for complex y"
+            )
+        case "complex-step", _:
+            return kind, 0
+        case None, None:
+            return "3-point", 0
+    assert at_complex is not None
+    values = partial(_values_at, at_complex, t, (p.numbers,) if native else args)
+    fits, spent = complex_steps_fit(values, y, threshold)
+    return "complex-step or 3-point" if fits else "3-point", 0 if native else spent
 
 
 def values_at_start(
