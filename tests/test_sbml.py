@@ -327,6 +327,38 @@ def test_delays_are_numbers_parameters_and_sums_and_columns_show_delayed_values(
     assert abs(slower.y[0, -1] - (1 - 4 + (4 - 2) ** 2 / 2)) < 1e-7
 
 
+def test_values_before_the_start_and_delays_in_events():
+    """x = sin(t) until 0 and then e^-t - 1, u = x², v = u'(t - 1); an event takes effect at d after x(t - d) has fallen
+    below -1/2, with the x of (t - 2 d)."""
+    rules = (
+        f'<rateRule variable="x">{formula("-x - 1")}</rateRule><assignmentRule variable="u">{formula("x^2")}'
+        f'</assignmentRule><assignmentRule variable="v">{formula("delay(rateOf(u), 1)")}</assignmentRule>'
+        f'<assignmentRule variable="w">{formula("delay(x, d + 1)")}</assignmentRule>'
+    )
+    symbols = "".join(parameter(name, 0, "false") for name in "xuvwn") + parameter("d", 0.5)
+    made = sbml.load(
+        model(
+            "",
+            symbols,
+            rules,
+            initial=f'<initialAssignment symbol="x">{formula("sin(time)")}</initialAssignment>',
+            events=event("a", "delay(x, d) < -0.5", {"n": "delay(x, 2 * d)"}, delay="d"),
+        )
+    )
+    assert {"delayed value 1 of events", "delayed value 2 of events"} < {*made.states}
+    t = np.linspace(0, 3, 13)
+    table = made.simulate(0, 3, 13, ["v", "w", "n"])
+
+    def x(t):
+        return np.where(t < 0, np.sin(t), np.exp(-t) - 1)
+
+    slope = np.where(t < 1, np.cos(t - 1), -np.exp(1 - t))
+    np.testing.assert_allclose(table["v"], 2 * x(t - 1) * slope, atol=1e-7)
+    np.testing.assert_allclose(table["w"], x(t - 1.5), atol=1e-7)
+    expected = np.where(t < math.log(2) + 1, 0, x(math.log(2) - 0.5))
+    np.testing.assert_allclose(table["n"], expected, atol=1e-7)
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # What is refused
 
@@ -335,7 +367,7 @@ def test_delays_are_numbers_parameters_and_sums_and_columns_show_delayed_values(
     ("text", "feature"),
     [
         (model("", parameter("x", 1, "false"), CLOCK.replace(formula("1"), formula("-delay(x, x)"))), "delay"),
-        (clocked(event("a", "delay(x, 1) > 1", {"n": "7"})), "delay"),
+        (clocked(event("a", "delay(n, 1) > 1", {"n": "7"})), "delay"),
         (
             ENZYME.replace('level="3" version="2"', 'level="3" version="1"')
             .replace("level3/version2", "level3/version1")

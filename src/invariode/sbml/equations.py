@@ -90,8 +90,14 @@ class Equations:
         graph = self.graph
         self.delays: list[Node] = []
         self._now = Translator(graph, self.value, self.rate, graph.t, self._delayed)
-        self._then = Translator(
-            graph, self.start, self._rate_at_start, graph.node(0.0), lambda one, value, delay: value
+        self._then = Translator(graph, self.start, self._rate_at_start, graph.node(0.0), self._delayed_at_start)
+        self._befores: dict[str, Node | None] = {}
+        self._earlier = Translator(
+            graph,
+            self._before,
+            self._rate_before,
+            graph.t,
+            lambda one, value, delay: replaced([value], {graph.t: graph.t - delay})[0],
         )
         for name in (*contents.rules, *contents.initial):  # a cycle is an error, even if nobody asks for its values
             self.value(name)
@@ -239,14 +245,18 @@ class Equations:
 
     def _delayed(self, formula: Expression, value: Node, delay: Node) -> Node:
         """Return a value at t - delay: of states behind y, those of the first delay, of the second, and so on."""
-        if self._has_rates(formula, set()):
-            raise UnsupportedError("delay", "a formula uses delay() of a rateOf, which jumps at the start")
-        if any(part.op == "time" for initial in self.contents.initial.values() for part in initial.parts()):
-            raise UnsupportedError("delay", "values before the start are an initial assignment that depends on time")
         if used([delay], "y") or any(one.op == "t" for one in in_order([delay])):
             raise UnsupportedError("delay", "a formula uses delay() with a delay that changes")
         if delay.op == "number" and delay.value == 0:
             return value
+        late, graph = self._shifted(value, delay), self.graph
+        if not self._varies_before(formula, set()):
+            return late  # the history of states is their value at the start
+        early = replaced([self._earlier.number(formula)], {graph.t: graph.t - delay})[0]
+        return graph.select(graph.make("less", graph.t, delay), early, late)
+
+    def _shifted(self, value: Node, delay: Node) -> Node:
+        """Return a value at t - delay, with a history that is constant."""
         n, graph = len(self.states) or 1, self.graph
         earlier: dict[Node, Node] = {}
         for one in in_order([value]):
@@ -258,14 +268,39 @@ class Equations:
                 earlier[one] = graph.y(n * (1 + self._number_of(whole)) + i)
         return replaced([value], earlier)[0] if earlier else value
 
-    def _has_rates(self, one: Expression, seen: set[str]) -> bool:
-        """Return whether an expression depends on rates of change, with assignment rules followed."""
-        if any(part.op == "rate_of" for part in one.parts()):
-            return True
+    def _varies_before(self, one: Expression, seen: set[str]) -> bool:
+        """Return whether an expression is not at all times before the start what it is at the start: it depends on
+        rates of change, which are 0 there, or on initial assignments with time."""
         names = one.names() - seen
         seen |= names
-        rules = self.contents.rules
-        return any(self._has_rates(rules[name], seen) for name in names if name in rules)
+        if any(part.op == "rate_of" for part in one.parts()):
+            return True
+        formulas = {**self.contents.rules, **{n: f for n, f in self.contents.initial.items() if n not in self._given}}
+        inside = [formulas[name] for name in names if name in formulas]
+        return any(part.op == "time" for each in inside for part in each.parts()) or any(
+            self._varies_before(each, seen) for each in inside
+        )
+
+    def _before(self, name: str) -> Node:
+        """Return the value of a symbol before the start, at graph.t: by its initial assignment or rule, or constant."""
+        contents = self.contents
+        formula = (
+            contents.rules.get(name) if name in self._given else contents.initial.get(name, contents.rules.get(name))
+        )
+        if formula is None:
+            return self.start(name)
+        return self._memo(self._befores, name, lambda: self._earlier.number(formula))
+
+    def _rate_before(self, name: str) -> Node:
+        """Return the time derivative of a symbol before the start."""
+        (row,) = jacobian([self._before(name)], [self.graph.t])
+        return row.get(0, self.graph.node(0.0))
+
+    def _delayed_at_start(self, formula: Expression, value: Node, delay: Node) -> Node:
+        """Return a value at -delay."""
+        if not self._varies_before(formula, set()):
+            return value
+        return replaced([self._earlier.number(formula)], {self.graph.t: -delay})[0]
 
     def _number_of(self, delay: Node) -> int:
         if delay not in self.delays:
@@ -355,11 +390,23 @@ class Equations:
         used = sorted(one.value for one in in_order([value]) if one.op == "y")
         variables = [graph.t, *map(graph.y, used)]
         (row,) = jacobian([value], variables)
-        along = [graph.node(1.0), *(self.slope(self.states[i]) for i in used)]
+        along = [graph.node(1.0), *map(self._slope_of_entry, used)]
         total = graph.node(0.0)
         for j, slope in row.items():
             total = total + slope * along[j]
         return total
+
+    def _slope_of_entry(self, i: int) -> Node:
+        """Return the time derivative of y_i, or of a delayed value behind y."""
+        graph, n = self.graph, len(self.states) or 1
+        which, i = divmod(i, n)
+        name = self.states[i]
+        if which == 0:
+            return self.slope(name)
+        delay = self.delays[which - 1]
+        (row,) = jacobian([self.as_state(name, self._before(name), self._before)], [graph.t])
+        early = replaced([row.get(0, graph.node(0.0))], {graph.t: graph.t - delay})[0]
+        return graph.select(graph.make("less", graph.t, delay), early, self._shifted(self.slope(name), delay))
 
     def slope(self, name: str) -> Node:
         """Return y' of a state."""

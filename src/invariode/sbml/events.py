@@ -106,7 +106,7 @@ class EventCode:
         self.differences = differences
         self.nodes += differences
         if max(used(self.nodes, "y"), default=-1) >= (len(equations.states) or 1):
-            raise UnsupportedError("delay", "an event uses delay(): values of the past")
+            raise UnsupportedError("delay", "an event uses what an assignment rule takes from the past by delay()")
         self.roots = ArrayFunction(differences)
         self.slopes = ArrayFunction([self._along(one) for one in differences])
         self.has_delays = any(one.delay is not None for one in self.events)

@@ -25,6 +25,7 @@ from .._problem.methods import METHODS
 from .._problem.problem import Problem
 from .equations import FAST, Equations, used
 from .events import SAME_TIME, EventCode, Machine, times_of_roots
+from .past import with_past_as_states
 from .reading import Contents
 
 
@@ -111,6 +112,7 @@ class Model:
     """
 
     def __init__(self, contents: Contents, fast: bool = False, given: Iterable[str] = ()) -> None:
+        with_past_as_states(contents)
         self._contents, self._fast = contents, fast
         self._equations = Equations(contents, fast, given)
         self._others: dict[frozenset[str], Model] = {}
