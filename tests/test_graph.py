@@ -79,7 +79,7 @@ def in_python(outputs, t=TIME, y=Y, p=ARGS):
 
 def compiled(outputs, **form):
     """(t, y, p) → values, by machine code."""
-    code = machine.machine_code(outputs, objects.Form(**form))
+    code = machine.machine_code(outputs, objects.CodeForm(**form))
     kinds = [ctypes.c_double, *[ctypes.c_void_p] * 3] if form.get("lanes", 1) == 1 else [ctypes.c_void_p] * 5
     call = ctypes.CFUNCTYPE(None, *kinds)(code.address)
 
@@ -316,9 +316,9 @@ def test_code_of_a_large_repeating_graph_does_not_grow_with_it():
 
 
 def test_code_of_equal_graphs_is_made_once():
-    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, objects.Form()) for _ in range(2)]
+    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, objects.CodeForm()) for _ in range(2)]
     assert codes[0] is codes[1]
-    assert machine.machine_code(orbit_outputs(), objects.Form(own=False)) is not codes[0]
+    assert machine.machine_code(orbit_outputs(), objects.CodeForm(own=False)) is not codes[0]
 
 
 def orbit_outputs():
@@ -494,5 +494,5 @@ def test_kept_code_is_limited_in_bytes(monkeypatch):
         node = Graph().t
         for _ in range(length):
             node = node.graph.elementary("sin", node)
-        sizes.append(machine.machine_code([node], objects.Form()).size)
+        sizes.append(machine.machine_code([node], objects.CodeForm()).size)
     assert sizes[1] > sizes[0] + 100 * 1000

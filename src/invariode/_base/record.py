@@ -16,9 +16,9 @@ class Record(tuple[Any, ...]):
     methods of tuples.
     """
 
-    names: Names
+    names: RecordNames
 
-    def __new__(cls, names: Names, values: Iterable[Any]) -> Record:
+    def __new__(cls, names: RecordNames, values: Iterable[Any]) -> Record:
         made = super().__new__(cls, values)
         made.__dict__["names"] = names
         if len(made) != len(names.names):
@@ -83,7 +83,7 @@ class Record(tuple[Any, ...]):
         return f"Record({', '.join(f'{name}={value!r}' for name, value in self.items())})"
 
 
-class Names:
+class RecordNames:
     """The names of a record, in order; called with values they make one."""
 
     __slots__ = ("names", "places")
@@ -96,13 +96,13 @@ class Names:
         return Record(self, values)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Names) and self.names == other.names
+        return isinstance(other, RecordNames) and self.names == other.names
 
     def __hash__(self) -> int:
         return hash(self.names)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Names, (self.names,)
+        return RecordNames, (self.names,)
 
 
 def record_of(given: Any) -> Record:
@@ -117,4 +117,4 @@ def record_of(given: Any) -> Record:
         return given
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
         raise TypeError(f'parameters must be a dict of numbers by name, such as {{"k1": 0.1}}, got {shown(given)}')
-    return Record(Names(given), [number(f"parameter {name}", value) for name, value in given.items()])
+    return Record(RecordNames(given), [number(f"parameter {name}", value) for name, value in given.items()])

@@ -22,7 +22,7 @@ from .executors import on_executor, packed, places_of, shares_memory
 from .outcomes import Outcomes, joined
 from .rows import Locally, attempted, unsolved
 from .solution import EnsembleSolution
-from .sources import Part, Rows, rejoined, rows_of
+from .sources import RowBlock, Rows, rejoined, rows_of
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .task import Ensemble, first_plan
 
@@ -52,7 +52,7 @@ class Place(NamedTuple):
     seed: Any
 
 
-class _Packed(NamedTuple):
+class _Travelling(NamedTuple):
     """An ensemble with a row that has a plan, as it travels."""
 
     ensemble: Ensemble
@@ -63,7 +63,7 @@ class _Packed(NamedTuple):
         return [self.ensemble.task(self.y0, self.args, k).plan(0) for k in range(len(self.ensemble.attempts))]
 
 
-class _Prepared(NamedTuple):
+class _Planned(NamedTuple):
     """An ensemble with a plan for each attempt."""
 
     ensemble: Ensemble
@@ -71,14 +71,14 @@ class _Prepared(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _unpacked(data: bytes) -> _Prepared:
+def _unpacked(data: bytes) -> _Planned:
     """Return the ensemble from its pickle, with its plans: functions are compiled once in a process."""
-    found: _Packed = pickle.loads(data)
+    found: _Travelling = pickle.loads(data)
     with quietly():  # where it comes from has said it
-        return _Prepared(found.ensemble, found.plans())
+        return _Planned(found.ensemble, found.plans())
 
 
-def _solve_part(what: bytes | _Prepared, y0: Array, args: Any, workers: int) -> Outcomes:
+def _solve_part(what: bytes | _Planned, y0: Array, args: Any, workers: int) -> Outcomes:
     """Solve the rows of a part where an executor runs this."""
     with quietly():
         return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, Locally(workers))
@@ -97,7 +97,7 @@ def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> flo
         k = min(4 * k, len(y0))
 
 
-def _seconds_of_one(what: bytes | _Prepared, y0: Array, args: Any) -> float:
+def _seconds_of_one(what: bytes | _Planned, y0: Array, args: Any) -> float:
     """Return the seconds that one of the first trajectories takes where an executor solves it."""
     return _seconds(lambda y0, args: _solve_part(what, y0, args, 1), y0, args)
 
@@ -109,8 +109,8 @@ class _Parted:
         self.ensemble, self.rows, self.means = ensemble, rows, means
         y0, args = rows.first(_PILOTS)
         first, self.plan = first_plan(ensemble.task(y0, args))
-        one = _Packed(ensemble, y0[first : first + 1], rows_of(args, slice(first, first + 1)))
-        self._here = _Prepared(ensemble, [self.plan, *one.plans()[1:]])
+        one = _Travelling(ensemble, y0[first : first + 1], rows_of(args, slice(first, first + 1)))
+        self._here = _Planned(ensemble, [self.plan, *one.plans()[1:]])
         alone = means.executor is None or shares_memory(means.executor)
         self._sent = self._here if alone else packed(one)
         self._pilot = y0, args
@@ -124,7 +124,7 @@ class _Parted:
             alone = 1 if solver(self.plan).native else min(2, self.means.workers)  # fun may end its process
             seconds = _seconds(lambda y0, args: self._solved_here(y0, args, alone), y0, args)
         else:
-            rows = Part(0, 0, y0, args)
+            rows = RowBlock(0, 0, y0, args)
             ((_, seconds),) = on_executor(self.means.executor, _seconds_of_one, self._arguments, [rows])
         n, m, times = y0.shape[1], len(self.plan.bound), self.plan.course.times
         row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 136
@@ -134,14 +134,14 @@ class _Parted:
         wanted = int(enough * self.means.workers / max(seconds, 1e-9))
         return max(1, min(wanted, size))
 
-    def _arguments(self, part: Part) -> tuple[Any, ...]:
+    def _arguments(self, part: RowBlock) -> tuple[Any, ...]:
         return self._sent, part.y0, part.args
 
     def _solved_here(self, y0: Array, args: Any, workers: int) -> Outcomes:
         with quietly():  # the first plan has said it
             return attempted(*self._here, y0, args, Locally(workers))
 
-    def outcomes(self, parts: Iterator[Part]) -> Generator[tuple[Part, Outcomes]]:
+    def outcomes(self, parts: Iterator[RowBlock]) -> Generator[tuple[RowBlock, Outcomes]]:
         """Yield each part with its outcomes, as parts are finished."""
         means = self.means
         if means.executor is None:
@@ -156,9 +156,9 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
     run = _Parted(ensemble, rows, means)
     done: dict[int, Outcomes] = {}
     parts = rows.parts(run.length())
-    drawn: list[Part] = []
+    drawn: list[RowBlock] = []
 
-    def remembered() -> Iterator[Part]:
+    def remembered() -> Iterator[RowBlock]:
         for part in parts:
             drawn.append(part)
             yield part
@@ -208,7 +208,7 @@ def _fill(writer: StoreWriter, run: _Parted, rows: Rows, means: Means, remarks: 
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
     size = done = 0
 
-    def counted() -> Iterator[Part]:
+    def counted() -> Iterator[RowBlock]:
         nonlocal size
         for part in rows.parts(writer.length):
             size = part.start + len(part.y0)

@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 
 from .._base.arguments import shown
 from .._functions.compiled import CompiledFunction
-from .sources import Part
+from .sources import RowBlock
 
 T = TypeVar("T")
 
@@ -104,8 +104,8 @@ def _with_code(cloudpickle: Any, value: Any) -> bytes:
 
 
 def on_executor(
-    given: Any, call: Callable[..., T], arguments: Callable[[Part], tuple[Any, ...]], parts: Iterable[Part]
-) -> Generator[tuple[Part, T]]:
+    given: Any, call: Callable[..., T], arguments: Callable[[RowBlock], tuple[Any, ...]], parts: Iterable[RowBlock]
+) -> Generator[tuple[RowBlock, T]]:
     """Yield each part with the value of ``call(*arguments(part))``, as an executor finishes them. If the generator is
     closed early, parts that have not begun are cancelled.
 
@@ -116,7 +116,7 @@ def on_executor(
     """
     executor, left = executor_of(given), iter(parts)
     places = _Places(given, executor)
-    pending: dict[Future[T], Part] = {}
+    pending: dict[Future[T], RowBlock] = {}
     try:
         while True:
             for part in islice(left, max(0, AHEAD * places.count() - len(pending))):
@@ -132,7 +132,7 @@ def on_executor(
             future.cancel()
 
 
-def _submitted(executor: Executor, part: Part, call: Callable[..., T], *args: Any) -> Future[T]:
+def _submitted(executor: Executor, part: RowBlock, call: Callable[..., T], *args: Any) -> Future[T]:
     try:
         return executor.submit(call, *args)
     except (BrokenProcessPool, RuntimeError) as error:
@@ -143,7 +143,7 @@ def _failed(future: Future[Any]) -> bool:
     return future.cancelled() or future.exception() is not None
 
 
-def _result(future: Future[T], part: Part) -> T:
+def _result(future: Future[T], part: RowBlock) -> T:
     try:
         return future.result()
     except (BrokenProcessPool, CancelledError) as error:
@@ -154,7 +154,7 @@ def _result(future: Future[T], part: Part) -> T:
         raise
 
 
-def _lost(part: Part, error: BaseException) -> RuntimeError:
+def _lost(part: RowBlock, error: BaseException) -> RuntimeError:
     return RuntimeError(
         f"the executor lost trajectories {part.start} to {part.stop - 1} ({type(error).__name__}: {error}): a process "
         "died, of a function that ended it or of too little memory, and this executor starts no other. Make a new one; "

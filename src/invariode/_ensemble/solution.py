@@ -22,7 +22,7 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
+from .._results.result import BeforeProjection, DataRecord, Drift, Names, Stats, at_events
 from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
@@ -82,7 +82,7 @@ def final_states(y_end: Array, status: Array) -> Array:
 
 
 @dataclasses.dataclass(eq=False, repr=False)
-class EnsembleEvents(Record):
+class EnsembleEvents(DataRecord):
     """Occurrences of one event, those of a trajectory one after the other.
 
     Attributes
@@ -109,7 +109,7 @@ def none_of(states: Array) -> dict[str, Array]:
 
 
 @dataclasses.dataclass(eq=False, repr=False)
-class EnsembleStats(Record):
+class EnsembleStats(DataRecord):
     """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
 
     `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0, and `stiff_since` says

@@ -19,7 +19,7 @@ BATCH = 256
 DIGEST = 8
 
 
-class Part(NamedTuple):
+class RowBlock(NamedTuple):
     """Consecutive rows of an ensemble."""
 
     number: int
@@ -59,7 +59,7 @@ class Rows:
         y0, args = _joined(taken)
         return y0[:count], rows_of(args, slice(count))
 
-    def parts(self, length: int) -> Iterator[Part]:
+    def parts(self, length: int) -> Iterator[RowBlock]:
         """Yield all rows, once, in parts of that length; the last may be shorter."""
         left: list[tuple[Array, Any]] = []
         number = start = waiting = 0
@@ -71,12 +71,12 @@ class Rows:
             y0, args = _joined(left)
             for begin in range(0, waiting - length + 1, length):
                 here = slice(begin, begin + length)
-                yield Part(number, start, y0[here], rows_of(args, here))
+                yield RowBlock(number, start, y0[here], rows_of(args, here))
                 number, start = number + 1, start + length
             rest = slice(waiting - waiting % length, None)
             left, waiting = [(y0[rest], rows_of(args, rest))], waiting % length
         if waiting:
-            yield Part(number, start, *_joined(left))
+            yield RowBlock(number, start, *_joined(left))
 
 
 class GivenRows(Rows):
@@ -136,13 +136,13 @@ def _joined(blocks: list[tuple[Array, Any]]) -> tuple[Array, Any]:
     return y0, listed
 
 
-def rejoined(parts: list[Part]) -> tuple[Array, Any]:
+def rejoined(parts: list[RowBlock]) -> tuple[Array, Any]:
     """Return the rows of all parts, in their order."""
     y0, args = _joined([(part.y0, part.args) for part in parts])
     return y0, parts[0].args if isinstance(parts[0].args, tuple) else args
 
 
-def digest(part: Part) -> int:
+def digest(part: RowBlock) -> int:
     """Return a number that tells the rows of a part from others; never 0."""
     found = hashlib.blake2b(np.ascontiguousarray(part.y0).tobytes(), digest_size=DIGEST)
     for piece in _pieces(part.args):

@@ -32,7 +32,7 @@ from .solution import (
     final_states,
     none_of,
 )
-from .sources import Part, digest
+from .sources import RowBlock, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import xarray
@@ -206,7 +206,7 @@ class StoreWriter:
         group.attrs.update({**header("store"), **about})
         return group
 
-    def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
+    def missing(self, parts: Iterator[RowBlock]) -> Iterator[RowBlock]:
         """Yield the parts that are missing.
 
         Raises
@@ -224,7 +224,7 @@ class StoreWriter:
                     "resume with the same rows (and seed), or give another name"
                 )
 
-    def write(self, part: Part, found: Outcomes) -> None:
+    def write(self, part: RowBlock, found: Outcomes) -> None:
         """Store the outcomes of a part."""
         if part.stop > self._arrays["status"].shape[0]:
             self._grow(max(part.stop, 2 * self._arrays["status"].shape[0]))
@@ -245,7 +245,7 @@ class StoreWriter:
         self._group["checksum"][number] = np.array([_checksum(written, happened, messages)], dtype=np.uint64)
         self._digests[number] = np.array([digest(part)], dtype=np.uint64)
 
-    def _write_apart(self, part: Part, found: Outcomes) -> tuple[dict[str, str], dict[str, Array]]:
+    def _write_apart(self, part: RowBlock, found: Outcomes) -> tuple[dict[str, str], dict[str, Array]]:
         """Write what only some trajectories have, messages and events, in a group of the part, and return it."""
         happened = together(found.events, none_of(part.y0))
         if not found.messages and not len(happened["t"]):

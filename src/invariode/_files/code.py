@@ -36,7 +36,7 @@ _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove
 _FEW = 8
 
 
-class Method(NamedTuple):
+class BoundFunction(NamedTuple):
     """A function, and the object whose attributes it uses: None if it is a function alone."""
 
     function: FunctionType
@@ -74,7 +74,7 @@ def parts_of_array(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
     yield np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode()
 
 
-def _method(value: Any) -> Method | None:
+def _method(value: Any) -> BoundFunction | None:
     """The Python function behind a function or a callable object, if there is one."""
     if isinstance(value, CompiledFunction):
         value = value.fun
@@ -93,7 +93,7 @@ def _method(value: Any) -> Method | None:
         owner = None
     if not isinstance(value, (FunctionType, type)):
         owner, value = value, inspect.getattr_static(type(value), "__call__", None)
-    return Method(value, owner) if isinstance(value, FunctionType) else None
+    return BoundFunction(value, owner) if isinstance(value, FunctionType) else None
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def _method(value: Any) -> Method | None:
 class _Uses:
     """Names that the code of one function uses, and names that it changes, which are its state and not its code."""
 
-    def __init__(self, method: Method) -> None:
+    def __init__(self, method: BoundFunction) -> None:
         function, owner = method
         self.codes = list(_nested(function.__code__))
         free = set(function.__code__.co_freevars)
@@ -179,7 +179,7 @@ def _attributes(objects: list[Any], names: list[str]) -> list[tuple[str, str, An
     return found
 
 
-def _reached(first: Method) -> list[_Uses]:
+def _reached(first: BoundFunction) -> list[_Uses]:
     """Return the uses of a function and of the functions of its module that it calls."""
     found: list[_Uses] = []
     waiting, seen = [first], set()
@@ -195,7 +195,7 @@ def _reached(first: Method) -> list[_Uses]:
     return found
 
 
-def _code(method: Method) -> Iterator[bytes]:
+def _code(method: BoundFunction) -> Iterator[bytes]:
     """The code of a function and of those that it uses, with their constants, and the content of what they use."""
     reached = _reached(method)
     changed = set().union(*(uses.changed for uses in reached))

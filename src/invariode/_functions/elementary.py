@@ -305,7 +305,7 @@ def has_half_powers(x: Value) -> Value:
     return x.compared(">=", 2.0**-200) & x.compared("<=", 2.0**200)
 
 
-class Formula(NamedTuple):
+class TwoFormulas(NamedTuple):
     """Formulas of a function: `usual` where `is_usual` is true, `unusual` elsewhere, which may take one number at a
     time."""
 
@@ -316,15 +316,15 @@ class Formula(NamedTuple):
 
 
 FORMULAS = {
-    "sin": Formula(sine, is_small_angle, sine_of_large, one_at_a_time=True),
-    "cos": Formula(cosine, is_small_angle, cosine_of_large, one_at_a_time=True),
-    "exp": Formula(exponential, is_small_exponent, exponential_of_large, one_at_a_time=False),
-    "log": Formula(logarithm, is_normal_and_positive, logarithm_of_any, one_at_a_time=False),
+    "sin": TwoFormulas(sine, is_small_angle, sine_of_large, one_at_a_time=True),
+    "cos": TwoFormulas(cosine, is_small_angle, cosine_of_large, one_at_a_time=True),
+    "exp": TwoFormulas(exponential, is_small_exponent, exponential_of_large, one_at_a_time=False),
+    "log": TwoFormulas(logarithm, is_normal_and_positive, logarithm_of_any, one_at_a_time=False),
 }
 #: Constant exponents of its power that have formulas, and their names.
 POWERS = {n / 2: f"half_power_{n}".replace("-", "minus_") for n in (-5, -3, -1, 3, 5)}
 FORMULAS |= {
-    name: Formula(
+    name: TwoFormulas(
         partial(half_power, n=round(2 * exponent)),
         has_half_powers,
         partial(Value.library_power, exponent=exponent),

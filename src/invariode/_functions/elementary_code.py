@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from llvmlite import ir
 
-from .elementary import FORMULAS, LARGEST, Formula
+from .elementary import FORMULAS, LARGEST, TwoFormulas
 from .llvm_values import Value
 
 #: More calls of our functions in one code are not inlined: they would take long to compile.
@@ -77,7 +77,7 @@ class Definitions:
         builder.function.linkage = "private"
         return builder.function
 
-    def _unusual(self, one: Function, formula: Formula) -> Any:
+    def _unusual(self, one: Function, formula: TwoFormulas) -> Any:
         """The function for unusual arguments, which is not inlined."""
         name = f"{one.symbol}_unusual"
         if name in self._module.globals:

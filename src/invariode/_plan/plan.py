@@ -50,7 +50,7 @@ from .._problem.options import Options, checked
 from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
-    Laws,
+    LawNames,
     Stated,
     discontinuous,
     inconsistent_start,
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
     from .._sensitivity.variations import Variations
-    from .._taylor.expansion import Expansion, System
+    from .._taylor.expansion import Expansion, SeriesSystem
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -118,7 +118,7 @@ class Settings(NamedTuple):
     time_limit: float = math.inf
 
 
-class Functions(NamedTuple):
+class CoreFunctions(NamedTuple):
     """Functions that the core evaluates."""
 
     fun: Any
@@ -152,7 +152,7 @@ class Plan(NamedTuple):
     settings: Settings
     bound: BoundInvariants
     called: Names  # the names in tables and pictures
-    functions: Functions
+    functions: CoreFunctions
     y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
     method: Method
     tolerances: Weights
@@ -197,9 +197,9 @@ class Plan(NamedTuple):
         }
 
     @property
-    def laws(self) -> Laws:
+    def laws(self) -> LawNames:
         """Description of the invariants for messages."""
-        return Laws(self.names, self.bound.demanded, self.bound.senses)
+        return LawNames(self.names, self.bound.demanded, self.bound.senses)
 
     @property
     def _stated(self) -> Stated:
@@ -466,7 +466,7 @@ def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoi
     )
 
 
-def _with_expansion(plan: Plan, problem: Problem, system: System) -> Plan:
+def _with_expansion(plan: Plan, problem: Problem, system: SeriesSystem) -> Plan:
     """The plan with the series of the solution, and of the events along it."""
     from .._taylor.expansion import make_expansion, order_of
 
@@ -650,9 +650,9 @@ def _functions(
     watch: Watch | None,
     breakpoints: list[Breakpoint],
     options: Options,
-) -> Functions:
+) -> CoreFunctions:
     n = reals(problem.y0)
-    return Functions(
+    return CoreFunctions(
         fun=fun,
         args=problem.args,
         n=n,
@@ -682,7 +682,7 @@ def _on_graph(problem: Problem, method: Method) -> Problem:
     return on_graph(problem, method)
 
 
-def _system(problem: Problem, parameters: ArgumentLayout, schedule: Schedule | None) -> System:
+def _system(problem: Problem, parameters: ArgumentLayout, schedule: Schedule | None) -> SeriesSystem:
     """Return the graph of f as a system for Taylor series; its module is imported only when it is used."""
     from .._taylor.expansion import system_of
 

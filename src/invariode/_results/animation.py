@@ -71,7 +71,7 @@ _ICONS = {
 }
 
 
-class Motion(NamedTuple):
+class FramePoints(NamedTuple):
     """Points at the times of the frames, and between the frames if their paths are drawn."""
 
     times: Array  # (frames,)
@@ -125,18 +125,18 @@ def _motion(
     trace: Iterable[int],
     duration: float | None,
     fps: float,
-) -> Motion:
+) -> FramePoints:
     """Return the positions in a film of these points. `points`: a function, or indices of components (k, 2 or 3)."""
     times = _frame_times(sol, duration, fps)
     states = _states(sol)
     shown = _positions(states, points, times)
     (traced,) = _polylines("trace", [trace], shown.shape[1])
     if not traced:
-        return Motion(times, shown, shown[:, traced], 1)
+        return FramePoints(times, shown, shown[:, traced], 1)
     length = min(max(_PATH, _PATH_PER_STEP * len(sol.t)), _LONGEST_PATH)
     finer = math.ceil(length / len(times))
     between = np.interp(np.arange(1 + finer * (len(times) - 1)) / finer, np.arange(len(times)), times)
-    return Motion(times, shown, _positions(states, points, between)[:, traced], finer)
+    return FramePoints(times, shown, _positions(states, points, between)[:, traced], finer)
 
 
 def _film_size(points: Array) -> tuple[float, float]:
@@ -234,7 +234,7 @@ class Film(FuncAnimation):
         Where the points are.
     """
 
-    def __init__(self, ax: Any, shown: Motion, links: list[list[int]], fps: float, line: dict[str, Any]) -> None:
+    def __init__(self, ax: Any, shown: FramePoints, links: list[list[int]], fps: float, line: dict[str, Any]) -> None:
         self.figure, self.times, self.points = ax.figure, shown.times, shown.points
         self._shown, self._links = shown, links
         _frame(ax, shown.points)

@@ -35,7 +35,7 @@ _LIMITS = {
 }
 
 
-class Laws(NamedTuple):
+class LawNames(NamedTuple):
     """The invariants of a run: names, whether values were demanded, and which may only fall (-1) or rise (1)."""
 
     names: list[str]
@@ -54,7 +54,7 @@ class Stated(NamedTuple):
     pairs: bool  # whether states are complex: pairs of reals for the core
 
 
-def status_and_message(run: Run, laws: Laws, stated: Stated) -> tuple[int, str]:
+def status_and_message(run: Run, laws: LawNames, stated: Stated) -> tuple[int, str]:
     """Return the status of the Solution and its message."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, stated)
     return status, remarked(message, run, stated.events)
@@ -142,7 +142,7 @@ def _sentence(text: str) -> str:
     return f"{_capitalized(text)}."
 
 
-def _ended(run: Run, laws: Laws, stated: Stated) -> tuple[int, str]:
+def _ended(run: Run, laws: LawNames, stated: Stated) -> tuple[int, str]:
     pairs, labels = stated.pairs, stated.labels
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
@@ -374,7 +374,7 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     )
 
 
-def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
+def _convicted(run: Run, laws: LawNames, pairs: bool) -> str:
     names = laws.names
     if run.finding == "off_value" and laws.senses[run.finding_invariant]:
         return (
@@ -408,7 +408,7 @@ def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
     return _not_conserved(run, laws)
 
 
-def _not_conserved(run: Run, laws: Laws) -> str:
+def _not_conserved(run: Run, laws: LawNames) -> str:
     names, demanded = laws.names, laws.demanded
     if sense := laws.senses[run.finding_invariant]:
         return (
@@ -453,7 +453,7 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
     )
 
 
-def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
+def refusal(run: Run, laws: LawNames, rtol: float, pairs: bool) -> str:
     """Return the message of the InvariantError raised at the start of a run."""
     names = laws.names
     name = names[run.finding_invariant]

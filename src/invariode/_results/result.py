@@ -25,7 +25,7 @@ def at_events(states: Array) -> Array:
     return states if len(states) else states.reshape(0)
 
 
-class Record(Mapping[str, Any]):
+class DataRecord(Mapping[str, Any]):
     """A dataclass whose fields are also items, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
 
     def __getitem__(self, key: str) -> Any:
@@ -136,7 +136,7 @@ class Origin(Protocol):
 
 
 @dataclasses.dataclass(eq=False)
-class Stats(Deferred, Record):
+class Stats(Deferred, DataRecord):
     """Counts of a run.
 
     Attributes
@@ -250,7 +250,7 @@ class DiscontinuityWarning(UserWarning):
     jumps; or the actions of an event accumulate in a finite time."""
 
 
-class Steps(Record):
+class Steps(DataRecord):
     """The accepted steps, arrays of one value each.
 
     Attributes
@@ -313,7 +313,7 @@ class Steps(Record):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Drift(Record):
+class Drift(DataRecord):
     """The drift of the invariants; prints as a table. Arrays have one value per invariant.
 
     Attributes

@@ -21,7 +21,7 @@ _DEEPEST = 50
 OUTCOME = {"nfev": int, "njev": int, "nlu": int, "status": int, "message": str, "success": bool, "t_end": float}
 
 
-class _Identity(TypedDict):
+class _StoredIdentity(TypedDict):
     """Method, options and problem that identify a run: see `identity_of_run`. There are arrays too."""
 
     method: str
@@ -122,7 +122,7 @@ RUN = {
     "names": Field(Names, of=lambda sol: vars(sol._names)),
     "invariants": Field(Annotated[list[str], "invariant"], of=lambda sol: sol._invariants.names),
     "sensitivities": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
-    "identity": Field(_Identity | None, GROUP, _identity),  # None: there is nothing to go on with
+    "identity": Field(_StoredIdentity | None, GROUP, _identity),  # None: there is nothing to go on with
     "rtol": Field(float, "component?", attrgetter("_rtol"), within=(0, np.finfo(float).max)),
     "atol": Field(float, "component?", attrgetter("_atol"), within=(0, np.finfo(float).max)),
 }

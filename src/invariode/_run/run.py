@@ -76,7 +76,7 @@ class Resumed(NamedTuple):
     anew: bool  # the method is to start again
 
 
-class Points(NamedTuple):
+class Outputs(NamedTuple):
     """Output points of a run, its end, and its outcome."""
 
     y: Array  # (n, n_t)
@@ -244,7 +244,7 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
         raise
 
 
-def points(problem: Problem, method: MethodName, options: Options) -> Points:
+def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
     """The outputs of a solve that needs nothing else: the same run, without making a solution of it."""
     try:
         found = prepared_or_plan(problem, method, options)
@@ -253,14 +253,14 @@ def points(problem: Problem, method: MethodName, options: Options) -> Points:
             if (solved := found.run_of(problem, options, remember=False)) is not None:
                 run = solved[0]
                 if run.ordinary:
-                    return Points(run.take_points()[1], run.t_end, *MESSAGES[run.state])
+                    return Outputs(run.take_points()[1], run.t_end, *MESSAGES[run.state])
                 finished = Finished.by(found, *solved, source)
                 _require_start(finished)
                 _warn(finished)
-                return Points(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
+                return Outputs(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
             found = make_plan(problem, method, options)
         sol = _solved(found, source)
-        return Points(sol["y"], sol["t_end"], sol["status"], sol["message"])
+        return Outputs(sol["y"], sol["t_end"], sol["status"], sol["message"])
     except (TypeError, ValueError) as error:
         explain(error, problem)
         raise

@@ -32,7 +32,7 @@ from .._problem.methods import METHODS, find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
 from .._results.solution import Solution
-from .._run.run import Points, points, solve
+from .._run.run import Outputs, points, solve
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
@@ -217,7 +217,7 @@ def odeint(
         _tell(found, call)
         return _rows(found.y, asked)
     sol = solve(problem, call.method, given)
-    message = _tell(Points(sol.y, sol.t_end, sol.status, sol.message), call)
+    message = _tell(Outputs(sol.y, sol.t_end, sol.status, sol.message), call)
     return _rows(sol.y, asked), _information(sol, asked, counter, message)
 
 
@@ -444,7 +444,7 @@ def _rows(y: Array, asked: _Times) -> Array:
     return rows if asked.place is None else rows[asked.place]
 
 
-def _tell(found: Points, call: _Call) -> str:
+def _tell(found: Outputs, call: _Call) -> str:
     """Return the message on how the run ended; issue a warning if it did not reach the last time."""
     status = found.status
     message = "Integration successful." if status == 0 else found.message

@@ -296,7 +296,7 @@ def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | Non
 # Cost at equal error
 
 
-class _Curve:
+class _CostCurve:
     """The cost of an error: interpolated, in logarithms, between the runs that no other run beats in both."""
 
     def __init__(self, runs: Sequence[Run], cost: str, floor: float) -> None:
@@ -392,7 +392,7 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
     return found
 
 
-def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
+def _cheapest(curves: Mapping[str, tuple[_CostCurve, _CostCurve]], way: int, error: float) -> tuple[float, str]:
     """Return the least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
@@ -403,7 +403,7 @@ def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | No
     """Return an error in the middle of those that plain runs reach, the method cheapest there, and its time; or
     None."""
     by_method = {method: list(group) for method, group in groupby(rows, key=lambda row: row.method)}
-    curves = {method: _Curve([row.plain for row in own], "seconds", floor) for method, own in by_method.items()}
+    curves = {method: _CostCurve([row.plain for row in own], "seconds", floor) for method, own in by_method.items()}
     errors = _decades(min(c.least for c in curves.values()), max(c.largest for c in curves.values()))
     if not errors:
         return None
@@ -412,10 +412,10 @@ def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | No
     return error, method, seconds
 
 
-def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curve]:
+def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_CostCurve, _CostCurve]:
     return (
-        _Curve([row.plain for row in rows], cost, floor),
-        _Curve([row.projected for row in rows if row.projected is not None], cost, floor),
+        _CostCurve([row.plain for row in rows], cost, floor),
+        _CostCurve([row.projected for row in rows if row.projected is not None], cost, floor),
     )
 
 

@@ -173,7 +173,7 @@ def find_invariants(
             f"{_MOST_MONOMIALS}: give a smaller degree"
         )
     names = [f"y[{i}]" for i in range(n)] if labels is None else distinct_labels(labels, n)
-    search = _Search(fun, (t0, tf), start, extra)
+    search = _Samples(fun, (t0, tf), start, extra)
     found: list[PolynomialInvariant] = []
     in_units: list[PolynomialInvariant] = []
     for d in range(1, degree + 1):
@@ -185,7 +185,7 @@ def find_invariants(
     return found
 
 
-class _Search:
+class _Samples:
     """Sample points of a problem, and the rates of polynomials there.
 
     The unit of y is a power of two of the size of y0: powers of components of any size neither overflow nor underflow,

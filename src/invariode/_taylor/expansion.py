@@ -133,7 +133,7 @@ def _graph_of_event(fun: Any, problem: Problem) -> list[Node] | None:
     return fun.graph(shape)
 
 
-class System(NamedTuple):
+class SeriesSystem(NamedTuple):
     """f of a problem as a graph.
 
     Attributes
@@ -151,7 +151,7 @@ class System(NamedTuple):
     own: bool
 
 
-def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[Node] = ()) -> System:
+def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[Node] = ()) -> SeriesSystem:
     """The graph of f, which is known to have one. `unknown`: branches that change with t alone, and not where landings
     are."""
     n = reals(problem.y0)
@@ -160,7 +160,7 @@ def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[No
     outputs = with_inputs(found.outputs, problem.inputs)
     differences = kinks(outputs, unknown)
     conditions = differences if len(differences) <= _MOST_CONDITIONS else []
-    return System(outputs, conditions, found.elementary == "own")
+    return SeriesSystem(outputs, conditions, found.elementary == "own")
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ class Expansion(NamedTuple):
 
 def make_expansion(
     problem: Problem,
-    system: System,
+    system: SeriesSystem,
     order: Callable[[float], int],
     events: Sequence[EventSpec],
     varied: Variations | None,

@@ -26,7 +26,7 @@ from .vocabulary import Vocabulary
 class Multibody(Mechanical):
     """Equations of motion of SymPy's mechanics: y = (q, u), or (q, q') by Lagrange's method."""
 
-    def __init__(self, *arguments: Any, start: Start | None = None) -> None:
+    def __init__(self, *arguments: Any, start: SpecifiedStart | None = None) -> None:
         super().__init__(*arguments)
         self._given = start
 
@@ -107,14 +107,14 @@ class Multibody(Mechanical):
         if not found.converged:
             raise InvariantError(
                 f"no state near y0 satisfies the constraints at t = {t}: {held[0].name} and others are "
-                f"{found.residual} at the best one found. Start from a y0 nearer to a solution"
+                f"{found.residual} at the best one found. SpecifiedStart from a y0 nearer to a solution"
             )
         if (moved := np.abs(found.y - start)).max() > 0:
             warn(f"the start was moved onto the constraints: components of y0 by up to {moved.max():.3g}")
         return [float(one) for one in found.y]
 
 
-class Start(NamedTuple):
+class SpecifiedStart(NamedTuple):
     """The initial values that a PyDy system specifies."""
 
     y0: Mapping[Any, Any]
@@ -230,7 +230,7 @@ def from_pydy(
     for one, value in specified.items():
         if callable(value) and not isinstance(value, sympy.Basic):
             raise TypeError(f"{one} is specified by a function: give specifieds={{{one}: a SymPy expression}}")
-    return _multibody(method, invariants, constants, points, specified, Start(y0, times))
+    return _multibody(method, invariants, constants, points, specified, SpecifiedStart(y0, times))
 
 
 def _each(specifieds: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -251,7 +251,7 @@ def _multibody(
     parameters: Mapping[Any, Any] | None,
     points: Sequence[Any] | None,
     specified: Mapping[Any, Any],
-    start: Start | None,
+    start: SpecifiedStart | None,
 ) -> Multibody:
     if not isinstance(method, (KanesMethod, LagrangesMethod)):
         raise TypeError(

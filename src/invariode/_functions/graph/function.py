@@ -50,9 +50,9 @@ class OnGraph(CompiledFunction):
         if outputs is None:
             return super()._make(shape)
         from .machine import machine_code  # needs llvmlite
-        from .objects import Form
+        from .objects import CodeForm
 
-        return machine_code(outputs, Form(returns=shape.event, own=self.elementary == "own"))
+        return machine_code(outputs, CodeForm(returns=shape.event, own=self.elementary == "own"))
 
     def lane_code(self, shape: Shape, lanes: int) -> Any:
         """The code for this many points side by side; or why the function {f} has none; None: it has no graph."""
@@ -62,9 +62,9 @@ class OnGraph(CompiledFunction):
         if any(node.op == "entry" for node in in_order(outputs)):
             return "{f} solves a linear system"
         from .machine import machine_code
-        from .objects import Form
+        from .objects import CodeForm
 
-        return machine_code(outputs, Form(lanes=lanes, own=self.elementary == "own"))
+        return machine_code(outputs, CodeForm(lanes=lanes, own=self.elementary == "own"))
 
 
 class GraphFunction(OnGraph):

@@ -38,25 +38,25 @@ def kinks(outputs: Sequence[Node], others: Iterable[Node] = ()) -> list[Node]:
     return [*found.values()]
 
 
-class _Crossing(NamedTuple):
+class _SignChange(NamedTuple):
     """A difference that changes its sign where a branch changes."""
 
     difference: Node
     pair: tuple[Node, Node] | None = None
 
 
-def _crossings(node: Node) -> list[_Crossing]:
+def _crossings(node: Node) -> list[_SignChange]:
     a, b, *_ = (*node.arguments, node, node)
     if node.op in ("less", "less_equal", "minimum", "maximum"):
-        return [_Crossing(a - b, (a, b))]
+        return [_SignChange(a - b, (a, b))]
     if node.op in ("sign", "abs"):
-        return [_Crossing(*((a, None) if a.op != "subtract" else (a, a.arguments)))]
+        return [_SignChange(*((a, None) if a.op != "subtract" else (a, a.arguments)))]
     if node.op in ("floor", "ceil", "modulo"):
         x = a / b if node.op == "modulo" else a
         below = x.graph.make("floor", x)
-        return [_Crossing(x - end, (x, end)) for end in (below, below + 1.0)]
+        return [_SignChange(x - end, (x, end)) for end in (below, below + 1.0)]
     if node.op == "piece":
-        return [_Crossing(a - one, (a, a.graph.node(one))) for one in node.value]
+        return [_SignChange(a - one, (a, a.graph.node(one))) for one in node.value]
     return []
 
 

@@ -281,7 +281,7 @@ class _OverTime:
         return _OPERATIONS[node.op](*given)
 
 
-class _Form(NamedTuple):
+class _Periodic(NamedTuple):
     """A function s t + π(t), where π has the period; 0: it is a constant."""
 
     slope: float
@@ -297,15 +297,15 @@ _LINEAR = {"add", "subtract", "negate", "number", "t", "p", "floor", "ceil", "mo
 _LINEAR |= {"sign", "piece", "pick", "select", "less", "less_equal", "and", "or", "not"}
 
 
-class _Forms:
+class _Classifier:
     """Classifier of the functions of t that are lines, or periodic."""
 
     def __init__(self, values: _OverTime) -> None:
         self._values = values
-        self._known: dict[Node, _Form | None] = {}
+        self._known: dict[Node, _Periodic | None] = {}
         self._straight: dict[Node, bool] = {}
 
-    def of(self, node: Node) -> _Form | None:
+    def of(self, node: Node) -> _Periodic | None:
         """The form of a function of t; None: another one."""
         for one in in_order([node]):
             if one not in self._known:
@@ -321,7 +321,7 @@ class _Forms:
         return self._straight[node]
 
     def _is_constant(self, node: Node) -> bool:
-        return self.of(node) == _Form(0.0, 0.0)
+        return self.of(node) == _Periodic(0.0, 0.0)
 
     def _is_multiple(self, node: Node) -> bool:
         if node.op == "divide":
@@ -331,10 +331,10 @@ class _Forms:
     def _number(self, node: Node) -> float:
         return float(self._values(node, np.zeros(1))[0])
 
-    def _found(self, node: Node, given: list[_Form | None]) -> _Form | None:
+    def _found(self, node: Node, given: list[_Periodic | None]) -> _Periodic | None:
         op = node.op
         if op == "t":
-            return _Form(1.0, 0.0)
+            return _Periodic(1.0, 0.0)
         if any(one is None for one in given):
             return None
         forms = [one for one in given if one is not None]
@@ -342,34 +342,34 @@ class _Forms:
         if period is None:
             return None
         if all(one.slope == 0 for one in forms):
-            return _Form(0.0, period)
+            return _Periodic(0.0, period)
         if op in ("add", "subtract", "negate"):
             slopes = [one.slope for one in forms]
             total = -slopes[0] if op == "negate" else slopes[0] + (slopes[1] if op == "add" else -slopes[1])
-            return _Form(0.0 if abs(total) <= _ROUNDOFF * max(map(abs, slopes)) else total, period)
+            return _Periodic(0.0 if abs(total) <= _ROUNDOFF * max(map(abs, slopes)) else total, period)
         if op in ("multiply", "divide"):
             return self._scaled(node, forms)
         if op in ("floor", "ceil", "modulo", "sin", "cos", "tan"):
             return self._repeated(node, forms)
         return None
 
-    def _scaled(self, node: Node, forms: list[_Form]) -> _Form | None:
+    def _scaled(self, node: Node, forms: list[_Periodic]) -> _Periodic | None:
         a, b = node.arguments
-        if forms[1] == _Form(0.0, 0.0):
+        if forms[1] == _Periodic(0.0, 0.0):
             by, of = self._number(b), forms[0]
-        elif node.op == "multiply" and forms[0] == _Form(0.0, 0.0):
+        elif node.op == "multiply" and forms[0] == _Periodic(0.0, 0.0):
             by, of = self._number(a), forms[1]
         else:
             return None
         slope = of.slope / by if node.op == "divide" and by else of.slope * by
-        return _Form(slope, of.period) if math.isfinite(slope) else None
+        return _Periodic(slope, of.period) if math.isfinite(slope) else None
 
-    def _repeated(self, node: Node, forms: list[_Form]) -> _Form | None:
+    def _repeated(self, node: Node, forms: list[_Periodic]) -> _Periodic | None:
         """Return the form of a function that repeats, or grows by as much, when its argument has grown by `unit`; None:
         unknown."""
         unit = 1.0 if node.op in ("floor", "ceil") else 2 * math.pi
         if node.op == "modulo":
-            if forms[1] != _Form(0.0, 0.0):
+            if forms[1] != _Periodic(0.0, 0.0):
                 return None
             unit = abs(self._number(node.arguments[1]))
         x = forms[0]
@@ -379,7 +379,7 @@ class _Forms:
         turns = x.slope * period / unit
         if abs(turns - round(turns)) > _ROUNDOFF * max(abs(turns), 1):
             return None
-        return _Form(x.slope if node.op in ("floor", "ceil") else 0.0, period)
+        return _Periodic(x.slope if node.op in ("floor", "ceil") else 0.0, period)
 
 
 def _common(periods: Iterable[float]) -> float | None:
@@ -417,7 +417,7 @@ def landings(crossings: Sequence[Crossing], p: Array, t0: float, tf: float) -> L
 @lru_cache(maxsize=64)
 def _landings(crossings: tuple[Crossing, ...], p: bytes, t0: float, tf: float) -> Landings:
     values = _OverTime(np.frombuffer(p))
-    search = _Search(values, _Forms(values), min(t0, tf), max(t0, tf))
+    search = _ChangeSearch(values, _Classifier(values), min(t0, tf), max(t0, tf))
     known: dict[Node, Source] = {}
     left_out: dict[Node, str] = {}
     for one in crossings:
@@ -436,11 +436,11 @@ def _in_words(node: Node) -> str:
 
 
 @dataclass
-class _Search:
+class _ChangeSearch:
     """The changes of conditions between two times."""
 
     _values: _OverTime
-    _forms: _Forms
+    _forms: _Classifier
     low: float
     high: float
 
@@ -458,7 +458,7 @@ class _Search:
         except KeyError:
             raise _UnknownError("solves a linear system") from None
         none = np.zeros(0)
-        if form == _Form(0.0, 0.0):
+        if form == _Periodic(0.0, 0.0):
             return Source(crossing, none, none, 0.0)
         if form is not None and form.is_line and crossing.levels is not None:
             return Source(crossing, self._of_line(crossing, form.slope), none, 0.0)
@@ -467,7 +467,7 @@ class _Search:
             return self._of_periods(crossing, inner, period, straight)
         return Source(crossing, self._of_interval(crossing, inner, straight), none, 0.0)
 
-    def _period(self, crossing: Crossing, form: _Form | None) -> float:
+    def _period(self, crossing: Crossing, form: _Periodic | None) -> float:
         """The time after which a condition changes again and again alike; 0: there is none."""
         if form is None or (form.slope and crossing.levels is not None):
             return 0.0

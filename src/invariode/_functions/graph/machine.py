@@ -15,7 +15,7 @@ from llvmlite import ir
 
 from ..._base.forks import compiling
 from .nodes import Node, as_rows, in_order
-from .objects import NAME, Form, MachineCode, made_of, object_file, target_machine
+from .objects import NAME, CodeForm, MachineCode, made_of, object_file, target_machine
 from .operations import DOUBLE, INDEX, POINTER, Operations
 from .rolled import Group, rolled
 
@@ -28,11 +28,11 @@ _ROLLED = 300
 _MOST_WORK = 2**15
 
 
-def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
+def machine_code(outputs: Sequence[Node], form: CodeForm) -> MachineCode:
     """Return the machine code of a function with these values; code of an equal graph compiled in this process, or kept
     by another one, is reused."""
     return made_of(
-        (form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _Writer(module, form), outputs)
+        (form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _NodeWriter(module, form), outputs)
     )
 
 
@@ -151,10 +151,10 @@ class Writer:
         return self._load(node.op, node.value) if node.op in ("y", "p") else self._ops.value(node, a)
 
 
-class _Writer(Writer):
+class _NodeWriter(Writer):
     """Writes the nodes of a graph into one function of LLVM's."""
 
-    def __init__(self, module: Any, form: Form) -> None:
+    def __init__(self, module: Any, form: CodeForm) -> None:
         given = [POINTER, *[POINTER] * 4] if form.lanes > 1 else [DOUBLE, *[POINTER] * (2 if form.returns else 3)]
         names = ["unused"] * (form.lanes > 1) + ["t", "y"] + ["out"] * (not form.returns) + ["p"]
         arguments = dict(zip(names, given, strict=True))

@@ -93,7 +93,7 @@ class Node:
         return self.graph.power(self, self.graph.node(exponent))
 
 
-class System(NamedTuple):
+class LinearSystem(NamedTuple):
     """The value of a linear system A X = B, whose arguments are entries of A, then those of B (k, m), by rows.
 
     Attributes
@@ -244,7 +244,7 @@ class Graph:
 
     def solve(self, matrix: Sequence[Sequence[Node]], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
         """The solution X of A X = B, A of shape (k, k), B of shape (k, m), by rows: by elimination with row pivots."""
-        return self.solved(System(len(matrix), len(right[0])), [one for row in matrix for one in row], right)
+        return self.solved(LinearSystem(len(matrix), len(right[0])), [one for row in matrix for one in row], right)
 
     def solve_sparse(self, matrix: Sequence[Mapping[int, Node]], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
         """The solution X of A X = B, with the entries of each row of A by column: a large system by sparse factors."""
@@ -252,9 +252,9 @@ class Graph:
         if k < _SPARSE_SYSTEM or sum(map(len, matrix)) > _SPARSE_PART * k * k:
             return self.solve([[row.get(j, zero) for j in range(k)] for row in matrix], right)
         entries = {i * k + j: row[j] for i, row in enumerate(matrix) for j in sorted(row)}
-        return self.solved(System(k, len(right[0]), tuple(entries)), [*entries.values()], right)
+        return self.solved(LinearSystem(k, len(right[0]), tuple(entries)), [*entries.values()], right)
 
-    def solved(self, system: System, matrix: Sequence[Node], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
+    def solved(self, system: LinearSystem, matrix: Sequence[Node], right: Sequence[Sequence[Node]]) -> list[list[Node]]:
         """Return the entries, by rows, of the solution X of A X = B with these entries of A and of B."""
         node = self.make("solve", *matrix, *(one for row in right for one in row), value=system)
         k, m = system.k, system.m

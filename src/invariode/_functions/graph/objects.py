@@ -33,7 +33,7 @@ class MachineCode(NamedTuple):
     size: int
 
 
-class Form(NamedTuple):
+class CodeForm(NamedTuple):
     """Form of machine code: its arguments and its results.
 
     Attributes

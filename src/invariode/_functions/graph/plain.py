@@ -79,7 +79,7 @@ _SWITCHING |= {"sign", "copysign", "select", "piecewise", "interp", "less", "les
 _SWITCHING_OPERATORS = {"%", "//", "%=", "//="}
 
 
-class _Code(NamedTuple):
+class _CodeSummary(NamedTuple):
     """Summary of the code of a function, with the functions inside it."""
 
     plain: bool  # nothing that could be noticed
@@ -89,7 +89,7 @@ class _Code(NamedTuple):
 
 
 #: What is known of codes; the oldest go first.
-_known: Latest[CodeType, _Code] = Latest(1024)
+_known: Latest[CodeType, _CodeSummary] = Latest(1024)
 
 
 def may_switch(fun: Any) -> bool:
@@ -222,13 +222,13 @@ def _may_switch(function: FunctionType, around: tuple[CodeType, ...]) -> bool:
     return False
 
 
-def _code_of(code: CodeType) -> _Code:
+def _code_of(code: CodeType) -> _CodeSummary:
     known = _known.get(code)
     if known is None:
         codes = [*_nested(code)]
         plain = all(_is_plain(one, code) for one in codes)
         names = dict.fromkeys(name for one in codes for name in _names(one, code)) if plain else {}
-        known = _Code(plain, plain and any(map(_switches, codes)), tuple(names), _read(codes))
+        known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), _read(codes))
         _known[code] = known
     return known
 
@@ -280,7 +280,7 @@ def _names(code: CodeType, whole: CodeType) -> Iterator[str]:
             yield one.argval
 
 
-def _outside(function: FunctionType, code: _Code) -> Iterator[Any]:
+def _outside(function: FunctionType, code: _CodeSummary) -> Iterator[Any]:
     """Iterate over the objects that a function uses: variables of enclosing functions, globals, default values."""
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     for name in code.outside:

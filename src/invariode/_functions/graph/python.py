@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
 from .arrays import CALLED
-from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, System, as_rows, in_order
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, LinearSystem, Node, as_rows, in_order
 
 #: The name of the function that is executed.
 _CODE = "graph_code"
@@ -148,7 +148,7 @@ def _restored(
     graph = Graph()
     nodes: list[Node] = []
     for op, value, arguments in rows:
-        value = System(*value) if op == "solve" else value
+        value = LinearSystem(*value) if op == "solve" else value
         nodes.append(graph.make(op, *(nodes[i] for i in arguments), value=value))
     return Formula(name, lambda: [nodes[i] for i in outputs], layout, parameters)
 

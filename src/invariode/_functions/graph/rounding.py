@@ -16,7 +16,7 @@ _OPERATION = 4 * EPS
 _SYSTEM = 1e-9
 
 
-class _Value(NamedTuple):
+class _Bounded(NamedTuple):
     value: float
     error: float
 
@@ -24,25 +24,25 @@ class _Value(NamedTuple):
 def bounds(outputs: Sequence[Node], t: float, y: Sequence[float], p: Sequence[float]) -> list[float]:
     """Return how far apart two evaluations of each value may be: infinite where a condition is that near to
     changing."""
-    known: dict[Node, _Value] = {}
+    known: dict[Node, _Bounded] = {}
     systems: dict[Node, list[float]] = {}
     for node in in_order(outputs):
         if node.op in ("t", "y", "p"):
-            known[node] = _Value(t if node.op == "t" else (y if node.op == "y" else p)[node.value], 0.0)
+            known[node] = _Bounded(t if node.op == "t" else (y if node.op == "y" else p)[node.value], 0.0)
         elif node.op == "solve":
             systems[node] = solved([known[one].value for one in node.arguments], *node.value)
-            known[node] = _Value(max(map(abs, systems[node])), 0.0)
+            known[node] = _Bounded(max(map(abs, systems[node])), 0.0)
         elif node.op == "entry":
             size = known[node.arguments[0]].value
-            known[node] = _Value(systems[node.arguments[0]][node.value], _SYSTEM * size)
+            known[node] = _Bounded(systems[node.arguments[0]][node.value], _SYSTEM * size)
         else:
             known[node] = _bounded(node, [known[one] for one in node.arguments])
     return [known[one].error for one in outputs]
 
 
-def _bounded(node: Node, a: Sequence[_Value]) -> _Value:
+def _bounded(node: Node, a: Sequence[_Bounded]) -> _Bounded:
     if node.op == "number":
-        return _Value(node.value, 0.0)
+        return _Bounded(node.value, 0.0)
     if node.op in COMPARISONS:
         return _compared(node.op, *a)
     if node.op in ("and", "or", "not", "select"):
@@ -55,7 +55,7 @@ def _bounded(node: Node, a: Sequence[_Value]) -> _Value:
             continue
         moved = [of(*(b.value + sign * one.error if i == j else b.value for j, b in enumerate(a))) for sign in (1, -1)]
         error += max(abs(other - value) for other in moved)
-    return _Value(value, error if math.isfinite(error) else math.inf)
+    return _Bounded(value, error if math.isfinite(error) else math.inf)
 
 
 _made: dict[tuple[object, ...], Callable[..., float]] = {}
@@ -72,19 +72,19 @@ def _operation(node: Node) -> Callable[..., float]:
     return _made[key]
 
 
-def _compared(op: str, a: _Value, b: _Value) -> _Value:
+def _compared(op: str, a: _Bounded, b: _Bounded) -> _Bounded:
     """Return the value of a comparison, 1 or 0, with an infinite error if roundoff may change it."""
     truths = {"less": a.value < b.value, "less_equal": a.value <= b.value, "equal": a.value == b.value}
     value = truths.get(op, a.value != b.value)
     near = a.error + b.error > 0 and abs(a.value - b.value) <= a.error + b.error
-    return _Value(float(value), math.inf if near else 0.0)
+    return _Bounded(float(value), math.inf if near else 0.0)
 
 
-def _decided(op: str, a: Sequence[_Value]) -> _Value:
+def _decided(op: str, a: Sequence[_Bounded]) -> _Bounded:
     doubtful = math.inf if any(one.error for one in (a[:1] if op == "select" else a)) else 0.0
     if op == "select":
         chosen = a[1] if a[0].value else a[2]
-        return _Value(chosen.value, chosen.error + doubtful)
+        return _Bounded(chosen.value, chosen.error + doubtful)
     truths = [bool(one.value) for one in a]
     value = all(truths) if op == "and" else any(truths) if op == "or" else not truths[0]
-    return _Value(float(value), doubtful)
+    return _Bounded(float(value), doubtful)

@@ -52,7 +52,7 @@ def selecting(function: types.FunctionType) -> types.CodeType | None:
         found = [one for one in found if one.name == code.co_name][:1]
     if len(found) != 1 or _has_private_names(found[0]):
         return None
-    writer = _Writer()
+    writer = _Rewriter()
     made = writer.function(found[0])
     if not writer.count:
         return None
@@ -101,7 +101,7 @@ def _has_private_names(tree: ast.AST) -> bool:
 # The rewriting
 
 
-class _Writer(ast.NodeTransformer):
+class _Rewriter(ast.NodeTransformer):
     """Rewrites one function."""
 
     def __init__(self) -> None:
@@ -254,7 +254,7 @@ def _is_target(target: ast.expr) -> bool:
 _REBOUND, _AUGMENTED, _FILLED = "{0} = {1}", "{0} = " + _OURS + "fill({0}, {1})", _OURS + "fill({0}, {1})"
 
 
-class _Stored(dict[str, str]):
+class _Assigned(dict[str, str]):
     """The variables that statements assign to, or to whose elements, and how."""
 
     changed: set[str]  # in place
@@ -265,7 +265,7 @@ class _Stored(dict[str, str]):
         return ", ".join(f"{one}={_OURS}{way}(lambda: {one})" for one, way in how.items())
 
 
-def _stored(body: Iterable[ast.stmt]) -> _Stored:
+def _stored(body: Iterable[ast.stmt]) -> _Assigned:
     nodes = [one for tree in body for one in ast.walk(tree)]
     augmented = {one.target.id for one in nodes if isinstance(one, ast.AugAssign) and isinstance(one.target, ast.Name)}
     elements = [one.value for one in nodes if isinstance(one, ast.Subscript) and isinstance(one.ctx, ast.Store)]
@@ -275,7 +275,7 @@ def _stored(body: Iterable[ast.stmt]) -> _Stored:
     rebound = {one.id for one in names if id(one) not in targets}
     rebound |= {one.name for one in nodes if isinstance(one, ast.FunctionDef)}
     kinds = dict.fromkeys(filled, _FILLED) | dict.fromkeys(augmented, _AUGMENTED) | dict.fromkeys(rebound, _REBOUND)
-    stored = _Stored(sorted(kinds.items()))
+    stored = _Assigned(sorted(kinds.items()))
     stored.changed = augmented | filled
     return stored
 

@@ -29,7 +29,7 @@ _MOST_FILES, _MOST_BYTES = 1000, 200_000_000
 _DIGEST = hashlib.sha256().digest_size
 
 
-class _Choice:
+class _Folder:
     """The folder chosen in this process; None: nothing is kept."""
 
     folder: Path | None
@@ -70,16 +70,16 @@ def code_cache(where: bool | str | os.PathLike[str] | None = None) -> Path | Non
     """
     if where is not None:
         if isinstance(where, bool):
-            _Choice.folder = _default() if where else None
+            _Folder.folder = _default() if where else None
         elif isinstance(where, (str, os.PathLike)):
-            _Choice.folder = Path(where).expanduser().absolute() if os.name == "posix" else None
+            _Folder.folder = Path(where).expanduser().absolute() if os.name == "posix" else None
         else:
             raise TypeError(f"code_cache takes a folder, True or False, got {shown(where)}")
-        _Choice.is_made = True
-    elif not _Choice.is_made:
-        _Choice.folder = _by_environment()
-        _Choice.is_made = True
-    return _Choice.folder
+        _Folder.is_made = True
+    elif not _Folder.is_made:
+        _Folder.folder = _by_environment()
+        _Folder.is_made = True
+    return _Folder.folder
 
 
 def _by_environment() -> Path | None:

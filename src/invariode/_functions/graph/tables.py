@@ -53,7 +53,7 @@ def is_table(value: Any) -> bool:
     return module.startswith("scipy.interpolate") and (named or getattr(value, "__name__", "") in _KINDS)
 
 
-class Table:
+class TracedTable:
     """An interpolator of SciPy's that takes traced points; with the attributes of the interpolator."""
 
     def __init__(self, table: Any, decide: Callable[[Node], bool]) -> None:
@@ -66,17 +66,17 @@ class Table:
 
         def call(*args: Any, **kwargs: Any) -> Any:
             made = found(*args, **kwargs)  # derivative(), say
-            return Table(made, self._decide) if is_table(made) else made
+            return TracedTable(made, self._decide) if is_table(made) else made
 
         return call
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if isinstance(self._table, type) or hasattr(self._table, "__wrapped__") or not callable(self._table):
-            return Table(self._table(*args, **kwargs), self._decide)
+            return TracedTable(self._table(*args, **kwargs), self._decide)
         (x, *others) = args
         if not has_traced(x):
             found = self._table(*args, **kwargs)
-            return Table(found, self._decide) if is_table(found) else found
+            return TracedTable(found, self._decide) if is_table(found) else found
         if others or kwargs:
             raise TraceError(f"{type(self._table).__name__} with further arguments: take its derivative() first")
         graph = _graph(x)

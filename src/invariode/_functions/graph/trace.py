@@ -23,7 +23,7 @@ from ..layout import ArgumentLayout, Numbers
 from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
 from .selections import helpers, selecting
-from .tables import Table, is_table
+from .tables import TracedTable, is_table
 from .traced import (
     _BINARY,
     _UNARY,
@@ -115,14 +115,14 @@ def trace(
     """
     args, limits = ArgumentLayout() if args is None else args, limits or TraceLimits()
     given = (fun, n - second, second, args, inplace, limits, is_complex, conditions)
-    found = _Run(*given).traced(alone=True)
+    found = _Tracing(*given).traced(alone=True)
     if found is not None:
         return found
     try:
-        found = _Run(*given, selections=True).traced()
+        found = _Tracing(*given, selections=True).traced()
     except TraceError:  # an index, say, that only a single path knows
         found = None
-    return found or _required(_Run(*given).traced())
+    return found or _required(_Tracing(*given).traced())
 
 
 def _required(found: Traced | None) -> Traced:
@@ -141,7 +141,7 @@ def _is_of_user(error: BaseException) -> bool:
     return not (isinstance(error, unlike) or file.startswith(PACKAGE) or "site-packages" in file)
 
 
-class _Run:
+class _Tracing:
     """Trace of one function, along each of its paths."""
 
     def __init__(
@@ -358,7 +358,7 @@ class _Copies:
         if isinstance(value, types.ModuleType):
             return _Interpolation(value, self._run) if value.__name__ == "scipy.interpolate" else value
         if is_table(value):
-            return Table(value, self._run.decide)
+            return TracedTable(value, self._run.decide)
         if isinstance(value, _POLYNOMIALS):
             return _Polynomial(value)
         if isinstance(value, np.ndarray):
@@ -575,7 +575,7 @@ class _Interpolation:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._module, name)
-        return Table(found, self._run.decide) if is_table(found) else found
+        return TracedTable(found, self._run.decide) if is_table(found) else found
 
 
 def _gathered(value: Any, run: Any) -> Any:

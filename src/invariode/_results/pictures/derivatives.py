@@ -25,7 +25,7 @@ _ROW, _AROUND = 0.28, 1.3
 _SEPARATOR = 1.2
 
 
-class _Curves(NamedTuple):
+class _SensitivityCurves(NamedTuple):
     """t (k,) and derivatives (n, parameters, k), NaN where the solution jumps."""
 
     t: Array
@@ -76,12 +76,14 @@ def _factors(sol: Result) -> Array:
     return found
 
 
-def _curves(sol: Result, factors: Array | None) -> _Curves:
+def _curves(sol: Result, factors: Array | None) -> _SensitivityCurves:
     if hasattr(sol.sol, "sensitivities"):  # that of a DAE is continuous in its unknowns alone
         t, cuts = continuous_times(sol)
-        found = _Curves(np.insert(t, cuts, np.nan), np.insert(sol.sol.sensitivities(t), cuts, np.nan, axis=2), True)
+        found = _SensitivityCurves(
+            np.insert(t, cuts, np.nan), np.insert(sol.sol.sensitivities(t), cuts, np.nan, axis=2), True
+        )
     else:
-        found = _Curves(interrupted(sol, sol.t), interrupted(sol, sol.sensitivities), False)
+        found = _SensitivityCurves(interrupted(sol, sol.t), interrupted(sol, sol.sensitivities), False)
     return found if factors is None else found._replace(S=found.S * factors[:, :, None])
 
 

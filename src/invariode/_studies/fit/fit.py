@@ -17,7 +17,7 @@ from ..._problem.options import Options
 from .experiment import Noise
 from .likelihood import Model, to_model
 from .result import Fit
-from .search import LOSSES, Found, NoStartError, search, start_points
+from .search import LOSSES, NoStartError, Optimum, search, start_points
 from .uncertainty import Uncertainty, uncertainty, unknown_uncertainty
 
 
@@ -132,7 +132,7 @@ def fit(
     return found
 
 
-def _uncertainty(model: Model, found: Found) -> Uncertainty:
+def _uncertainty(model: Model, found: Optimum) -> Uncertainty:
     """Return the uncertainty of the best parameters: NaN, with a warning, if it cannot be computed. The search may have
     taken hours, and its result does not depend on the uncertainty."""
     try:
@@ -143,33 +143,33 @@ def _uncertainty(model: Model, found: Found) -> Uncertainty:
         return unknown_uncertainty(len(model.space.free))
 
 
-class _End(NamedTuple):
+class _SearchEnd(NamedTuple):
     """End of one of the searches.
 
     Attributes
     ----------
     number : int
         Which of the searches.
-    found : Found or NoStartError
+    found : Optimum or NoStartError
         What it found.
     runs, failures : int and Counter
         What it has cost.
     """
 
     number: int
-    found: Found | NoStartError
+    found: Optimum | NoStartError
     runs: int
     failures: Counter[str]
 
 
-def _searched(model: Model, points: list[Array], loss: str, workers: int) -> list[_End]:
+def _searched(model: Model, points: list[Array], loss: str, workers: int) -> list[_SearchEnd]:
     """Run all searches, in this process or in others, and return their ends in order."""
     if workers > 1 and not may_start():
         warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
         workers = 1
     if workers == 1 or len(points) == 1:
         return [_search(model, points, loss, i) for i in range(len(points))]
-    ends: list[_End] = []
+    ends: list[_SearchEnd] = []
     with closing(solve_rows(partial(_search, model, points, loss), len(points), workers, _died)) as chunks:
         for chunk in chunks:
             ends += chunk
@@ -179,27 +179,29 @@ def _searched(model: Model, points: list[Array], loss: str, workers: int) -> lis
     return sorted(ends, key=lambda one: one.number)
 
 
-def _search(model: Model, points: list[Array], loss: str, i: int) -> _End:
+def _search(model: Model, points: list[Array], loss: str, i: int) -> _SearchEnd:
     runs, failures = model.runs, model.failures.copy()
-    found: Found | NoStartError
+    found: Optimum | NoStartError
     try:
         found = search(model, points[i], loss)
     except NoStartError as error:
         found = error
-    return _End(i, found, model.runs - runs, model.failures - failures)
+    return _SearchEnd(i, found, model.runs - runs, model.failures - failures)
 
 
-def _died(i: int) -> _End:
-    return _End(i, NoStartError("the worker process died: fun ended the process, or memory ran out"), 0, Counter())
+def _died(i: int) -> _SearchEnd:
+    return _SearchEnd(
+        i, NoStartError("the worker process died: fun ended the process, or memory ran out"), 0, Counter()
+    )
 
 
-def _best(ends: list[_End]) -> tuple[Found, list[tuple[float, bool]]]:
+def _best(ends: list[_SearchEnd]) -> tuple[Optimum, list[tuple[float, bool]]]:
     """Return the best result, and the cost and success of each search."""
     found = [one.found for one in ends]
-    ended = [one for one in found if isinstance(one, Found)]
+    ended = [one for one in found if isinstance(one, Optimum)]
     if not ended:
         raise ValueError(str(found[0])) from None
-    costs = [(one.cost, one.success) if isinstance(one, Found) else (math.inf, False) for one in found]
+    costs = [(one.cost, one.success) if isinstance(one, Optimum) else (math.inf, False) for one in found]
     return min(ended, key=lambda one: (one.cost, not one.success)), costs
 
 

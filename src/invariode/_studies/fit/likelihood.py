@@ -31,7 +31,7 @@ IMPLIED = "sigma"
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 
-class Level(NamedTuple):
+class NoiseLevel(NamedTuple):
     """A noise level in one experiment: its data, its value and how it follows from the free parameters."""
 
     data: Array  # which, of all
@@ -55,7 +55,7 @@ class Evaluation(NamedTuple):
         absolute deviation.
     spread : ndarray, (N, k), or None
         The derivatives of ln sigma; None: no parameter changes sigma.
-    levels : list of Level
+    levels : list of NoiseLevel
         Noise levels among the parameters.
     """
 
@@ -65,7 +65,7 @@ class Evaluation(NamedTuple):
     slopes: Array
     sigma: Array
     spread: Array | None
-    levels: list[Level]
+    levels: list[NoiseLevel]
 
     @property
     def residuals(self) -> Array:
@@ -180,7 +180,7 @@ class Model:
                 value, slope = float(local.values[i]), local.slopes[i]
                 sigma[data] *= value
                 spread[data] += slope / value
-                levels.append(Level(data, value, slope))
+                levels.append(NoiseLevel(data, value, slope))
         model, rows = np.concatenate(values), np.concatenate(slopes)
         compared = self._scaled(model)
         if isinstance(compared, Failed):

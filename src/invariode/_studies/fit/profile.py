@@ -12,7 +12,7 @@ from ..._base.arguments import Array
 from ..._base.package import public
 from . import picture
 from .likelihood import Evaluation, Model
-from .search import Found, NoStartError, search
+from .search import NoStartError, Optimum, search
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
@@ -90,18 +90,18 @@ class Scale(NamedTuple):
     variance: float  # of which half the cost is in units
 
 
-class _Point(NamedTuple):
+class _OnProfile(NamedTuple):
     u: float
     z: float  # of the other sign than at the minimum if the end is passed: |z| − quantile is looked for
     at: Array
 
 
-class Walk:
+class ProfileWalk:
     """Walk along the profile from the best fit towards one end of the interval.
 
     Parameters
     ----------
-    model, found : Model, Found
+    model, found : Model, Optimum
         The fit.
     place : int
         The parameter.
@@ -113,7 +113,7 @@ class Walk:
         The quantile to reach.
     """
 
-    def __init__(self, model: Model, found: Found, place: int, direction: Array, step: float, scale: Scale) -> None:
+    def __init__(self, model: Model, found: Optimum, place: int, direction: Array, step: float, scale: Scale) -> None:
         self._model, self._found, self._place, self._scale = model, found, place, scale
         self._direction = direction
         self._start = model.space.coordinates(found.at.free)
@@ -121,12 +121,12 @@ class Walk:
         self._lower, self._upper = lower, upper
         self._bound = float(upper[place] if step > 0 else lower[place])
         self._step = step
-        self.points: list[_Point] = []
+        self.points: list[_OnProfile] = []
 
     def end(self) -> float:
         """Return the end of the interval, in the parameter's values."""
-        inside = _Point(float(self._start[self._place]), 0.0, self._start)
-        outside: _Point | None = None
+        inside = _OnProfile(float(self._start[self._place]), 0.0, self._start)
+        outside: _OnProfile | None = None
         u = self._within(inside.u + self._step)
         for _ in range(_ATTEMPTS):
             point = self._refit(u, inside)
@@ -147,7 +147,7 @@ class Walk:
             u = self._within(self._next(inside, outside))
         return self._value(u) if outside is not None else math.copysign(math.inf, self._step)
 
-    def _next(self, inside: _Point, outside: _Point | None) -> float:
+    def _next(self, inside: _OnProfile, outside: _OnProfile | None) -> float:
         """Return the next u: where a straight line reaches the quantile; without an outer point farther by at most a
         factor."""
         start = float(self._start[self._place])
@@ -161,7 +161,7 @@ class Walk:
     def _within(self, u: float) -> float:
         return min(u, self._bound) if self._step > 0 else max(u, self._bound)
 
-    def _refit(self, u: float, near: _Point) -> _Point | None:
+    def _refit(self, u: float, near: _OnProfile) -> _OnProfile | None:
         """Return the best fit with the parameter at u, from that of the nearest point."""
         coordinates = near.at + (u - near.u) * self._direction
         inner = np.clip(coordinates, self._lower, self._upper)
@@ -171,10 +171,10 @@ class Walk:
                 found = search(self._model, self._model.space.natural(start), held=[self._place])
             except NoStartError:
                 continue
-            return _Point(u, math.sqrt(max(self._gained(found), 0.0)), self._model.space.coordinates(found.at.free))
+            return _OnProfile(u, math.sqrt(max(self._gained(found), 0.0)), self._model.space.coordinates(found.at.free))
         return None
 
-    def _gained(self, found: Found) -> float:
+    def _gained(self, found: Optimum) -> float:
         """Return twice the increase of the cost; that of the data in units of the variance, which priors do not
         have."""
         before, now = (self._model.space.priors(one.at.free).cost for one in (self._found, found))
@@ -187,7 +187,7 @@ class Walk:
         return float(self._model.space.natural(free)[self._place])
 
 
-def profile(model: Model, found: Found, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
+def profile(model: Model, found: Optimum, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
     """Return the profile of a parameter; `covariance` of all in coordinates."""
     assert isinstance(found.at, Evaluation)
     own = covariance[place, place]
@@ -200,9 +200,9 @@ def profile(model: Model, found: Found, place: int, covariance: Array, scale: Sc
         direction = np.where(np.isfinite(direction), direction, 0.0)
     u = float(model.space.coordinates(found.at.free)[place])
     step = scale.quantile * math.sqrt(own) if determined else _FIRST_STEP * max(abs(u), 1.0)
-    ends, points = [], [_Point(u, 0.0, np.zeros(k))]
+    ends, points = [], [_OnProfile(u, 0.0, np.zeros(k))]
     for sign in (-1.0, 1.0):
-        walk = Walk(model, found, place, direction, sign * step, scale)
+        walk = ProfileWalk(model, found, place, direction, sign * step, scale)
         ends.append(walk.end())
         points += [one._replace(z=sign * one.z) for one in walk.points]
     points.sort(key=lambda one: one.u)

@@ -19,7 +19,7 @@ from . import picture
 from .experiment import Failed
 from .likelihood import Model
 from .profile import Profile, Scale, profile
-from .search import Found
+from .search import Optimum
 from .uncertainty import Prediction, Uncertainty, degrees_of_freedom, unit_of_variance
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
@@ -76,7 +76,7 @@ class Fit:
         is infinite if the model could not be evaluated at the start.
     """
 
-    def __init__(self, model: Model, found: Found, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]):
+    def __init__(self, model: Model, found: Optimum, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]):
         self._model, self._found, self._known, self._loss = model, found, known, loss
         self.starts = starts
         self.success, self.message = found.success, found.message

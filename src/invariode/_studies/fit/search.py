@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._base.arguments import EPS, Array
 from .likelihood import Evaluation, Model
-from .trust_region import Quadratic, minimise
+from .trust_region import QuadraticModel, minimise
 
 #: A noise level below this part of the data is that of a model that fits without errors.
 _NO_NOISE = 1e4 * EPS
@@ -72,7 +72,7 @@ def weighted(loss: str, residuals: Array) -> Weighted:
     return Weighted(0.5 * float(value.sum()), first, np.sqrt(np.maximum(first + 2 * second * z, EPS)))
 
 
-class Found(NamedTuple):
+class Optimum(NamedTuple):
     """End of a search.
 
     Attributes
@@ -98,7 +98,7 @@ class NoStartError(Exception):
     """The model cannot be evaluated at a start."""
 
 
-def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Found:
+def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Optimum:
     """Return the best parameters near a start; those `held` stay there.
 
     Raises
@@ -114,7 +114,7 @@ def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int]
     return _searched(model, start, loss, held)
 
 
-def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Found:
+def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Optimum:
     """Return the minimum of −log L, or of the loss, over the parameters that are not held."""
     space = model.space
     moving = np.array([i for i in range(len(start)) if i not in held], dtype=int)
@@ -132,7 +132,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
             found[there] = own[there]
         return found
 
-    def at(u: Array) -> Quadratic | None:
+    def at(u: Array) -> QuadraticModel | None:
         here = model.evaluate(free(u))
         if not isinstance(here, Evaluation):
             return None
@@ -140,7 +140,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
         degrees = max(model.size - len(moving), 1)
         known = loss != "linear" or model.estimates_noise
         unit = 1.0 if known else float(np.sum(here.residuals**2)) / degrees
-        return Quadratic(found.cost, found.gradient[moving], found.information[np.ix_(moving, moving)], unit)
+        return QuadraticModel(found.cost, found.gradient[moving], found.information[np.ix_(moving, moving)], unit)
 
     def ends(u: Array) -> str | None:
         values = free(u)
@@ -151,7 +151,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
     end = minimise(at, np.clip(whole[moving], lower[moving], upper[moving]), lower[moving], upper[moving], ends)
     best = model.evaluate(free(end.u))
     assert isinstance(best, Evaluation)
-    return Found(best, _cost(model, best, loss), end.success, end.message, weighted(loss, best.residuals).second)
+    return Optimum(best, _cost(model, best, loss), end.success, end.message, weighted(loss, best.residuals).second)
 
 
 def _cost(model: Model, at: Evaluation, loss: str) -> float:
@@ -163,7 +163,7 @@ def _cost(model: Model, at: Evaluation, loss: str) -> float:
     return data + model.space.priors(at.free).cost
 
 
-def quadratic(model: Model, at: Evaluation, loss: str) -> Quadratic:
+def quadratic(model: Model, at: Evaluation, loss: str) -> QuadraticModel:
     """Return the cost with its derivatives in coordinates."""
     slope, priors = model.space.slope(at.free), model.space.priors(at.free)
     rows = model.information(at) * slope
@@ -175,7 +175,7 @@ def quadratic(model: Model, at: Evaluation, loss: str) -> Quadratic:
         rows *= known.second[:, None]
     of_priors = priors.slopes * slope
     gradient = gradient + of_priors.T @ priors.residuals
-    return Quadratic(_cost(model, at, loss), gradient, rows.T @ rows + of_priors.T @ of_priors, 1.0)
+    return QuadraticModel(_cost(model, at, loss), gradient, rows.T @ rows + of_priors.T @ of_priors, 1.0)
 
 
 def _size(model: Model) -> float:

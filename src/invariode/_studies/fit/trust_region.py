@@ -36,7 +36,7 @@ _BISECTIONS, _ACCURATE = 60, 1e-3
 _MOST = 100
 
 
-class Quadratic(NamedTuple):
+class QuadraticModel(NamedTuple):
     """A cost at a point, with its gradient (k,) and the expected matrix of its second derivatives (k, k); `unit` is
     twice the increase of the cost by a change of the parameters of one standard error."""
 
@@ -55,7 +55,7 @@ class End(NamedTuple):
 
 
 def minimise(
-    at: Callable[[Array], Quadratic | None],
+    at: Callable[[Array], QuadraticModel | None],
     start: Array,
     lower: Array,
     upper: Array,

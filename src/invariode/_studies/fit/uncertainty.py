@@ -10,9 +10,9 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.package import public
-from ..._results.result import Record
+from ..._results.result import DataRecord
 from .likelihood import Evaluation, Model
-from .search import Found
+from .search import Optimum
 
 #: Singular values of the Jacobian, its columns scaled to length 1, below this part of the largest are zero: derivatives
 #: from runs are accurate to their tolerance, and a factor of safety.
@@ -50,7 +50,7 @@ def unknown_uncertainty(k: int) -> Uncertainty:
     return Uncertainty(nothing, nothing.copy(), [], [], math.inf)
 
 
-def uncertainty(model: Model, found: Found) -> Uncertainty:
+def uncertainty(model: Model, found: Optimum) -> Uncertainty:
     """Compute the uncertainty of the best parameters."""
     space, at = model.space, found.at
     at_bound = _at_bounds(model, at)
@@ -74,7 +74,7 @@ def uncertainty(model: Model, found: Found) -> Uncertainty:
     return Uncertainty(scaled, fisher / np.outer(slope, slope), named, undetermined, degrees)
 
 
-def _information(model: Model, found: Found, variance: float) -> Array:
+def _information(model: Model, found: Optimum, variance: float) -> Array:
     """Return a matrix A with AᵀA / variance the expected information in coordinates: of the data, of sigma,
     and of the priors, whose standard deviations that variance does not change."""
     at, slope = found.at, model.space.slope(found.at.free)
@@ -154,7 +154,7 @@ def _plain(vectors: Array) -> Array:
 
 @public
 @dataclass(frozen=True, eq=False)
-class Prediction(Record):
+class Prediction(DataRecord):
     """Values of a fitted model at given times, with bands.
 
     Attributes
