@@ -16,21 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._functions.compiled import CompiledFunction, CoreFunction
-from .._functions.filling import Filling
+from .._functions.contents import captured, nested
 from .._functions.first_order import FirstOrderForm
 from .._functions.graph.python import Formula
-
-#: Instructions that take a name from outside, or an attribute.
-_ATTRIBUTES = ("LOAD_ATTR", "LOAD_METHOD")
-_LOADS = dict.fromkeys(_ATTRIBUTES, "attribute") | {"LOAD_GLOBAL": "name", "LOAD_DEREF": "name"}
-#: Instructions that bind a name from outside, or an attribute, anew.
-_BINDS = {"STORE_GLOBAL": "name", "STORE_DEREF": "name", "DELETE_GLOBAL": "name", "DELETE_DEREF": "name"}
-_BINDS |= {"STORE_ATTR": "attribute", "DELETE_ATTR": "attribute"}
 
 #: Instructions that change the items of what stands before them in the source,
 _CHANGES_ITEMS = ("STORE_SUBSCR", "DELETE_SUBSCR", "STORE_SLICE")
 #: and methods of lists, dicts and arrays that do.
 _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove", "setdefault", "sort", "update"}
+#: What else instructions load, bind and delete besides variables of the function.
+_KINDS = {"GLOBAL": "name", "DEREF": "name", "ATTR": "attribute", "METHOD": "attribute"}
 
 #: Elements of a list of numbers that is taken as a whole.
 _FEW = 8
@@ -75,23 +70,19 @@ def parts_of_array(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
 
 
 def _method(value: Any) -> BoundFunction | None:
-    """The Python function behind a function or a callable object, if there is one."""
+    """Return the Python function behind a function or a callable object, if there is one."""
     if isinstance(value, CompiledFunction):
         value = value.fun
     value = value.fun if isinstance(value, FirstOrderForm) else value
-    value = value.__wrapped__ if isinstance(value, Filling) else value
     value = getattr(value, "py_func", value)  # numba's
-    if not isinstance(value, (FunctionType, type)):  # a cfunc of numba's, what functools.cache returns
+    if not isinstance(value, (FunctionType, type)):  # a cfunc of numba's, what functools.cache returns, a `Filling`
         value = inspect.getattr_static(value, "__wrapped__", value)
-    if isinstance(value, (staticmethod, classmethod)):
-        value = value.__func__
-    if isinstance(value, property):
-        value = value.fget
+    value = value.__func__ if isinstance(value, (staticmethod, classmethod)) else value
+    value = value.fget if isinstance(value, property) else value
+    owner = None
     if isinstance(value, MethodType):
         owner, value = value.__self__, value.__func__
-    else:
-        owner = None
-    if not isinstance(value, (FunctionType, type)):
+    elif not isinstance(value, (FunctionType, type)):
         owner, value = value, inspect.getattr_static(type(value), "__call__", None)
     return BoundFunction(value, owner) if isinstance(value, FunctionType) else None
 
@@ -105,43 +96,33 @@ class _Uses:
 
     def __init__(self, method: BoundFunction) -> None:
         function, owner = method
-        self.codes = list(_nested(function.__code__))
+        self.codes = list(nested(function.__code__))
         free = set(function.__code__.co_freevars)
-        self.changed: set[tuple[str, str]] = set()
-        names: dict[str, None] = {}
-        attributes: dict[str, None] = {}
-        for code in self.codes:
-            instructions = list(dis.get_instructions(code))
-            self._note_changes(instructions, free)
-            for one in instructions:
-                if one.opname.startswith("LOAD_GLOBAL"):
-                    names[one.argval] = None
-                elif one.opname in _ATTRIBUTES:
-                    attributes[one.argval] = None
-        cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
-        found: list[tuple[str, Any]] = [(name, cell.cell_contents) for name, cell in cells if _is_filled(cell)]
-        found += [(name, function.__globals__[name]) for name in names if name in function.__globals__]
-        defaults = (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
-        self.values = [("name", name, value) for name, value in [*(("", one) for one in defaults), *found]]
-        objects = [] if owner is None else [owner]
-        objects += [value for _, value in found if _has_attributes(value)]
-        self.values += _attributes(objects, list(attributes))
+        instructions = [list(dis.get_instructions(code)) for code in self.codes]
+        self.changed = {change for one in instructions for change in _changes(one, free)}
+        used = list(captured(function))
+        objects = [one for one in (owner, *(value for *_, value in used)) if one is not None and _has_attributes(one)]
+        attributes = dict.fromkeys(one.argval for part in instructions for one in part if _kind(one) == "attribute")
+        self.values = [("name", name, value) for name, _, value in used] + _attributes(objects, list(attributes))
 
-    def _note_changes(self, instructions: list[dis.Instruction], free: set[str]) -> None:
-        """Instructions that change the items of something begin in the source where its name does."""
-        places = {
-            _place(one)
-            for one in instructions
-            if one.opname in _CHANGES_ITEMS or (one.opname in _ATTRIBUTES and one.argval in _CHANGES)
-        }
-        for one in instructions:
-            if one.opname in _BINDS:
-                kind = _BINDS[one.opname]
-                if one.opname.endswith("DEREF") and one.argval not in free:
-                    continue
-                self.changed.add((kind, one.argval))
-            elif one.opname in _LOADS and _place(one) in places:
-                self.changed.add((_LOADS[one.opname], one.argval))
+
+def _kind(one: dis.Instruction) -> str | None:
+    return _KINDS.get(one.opname.partition("_")[2])
+
+
+def _changes(instructions: list[dis.Instruction], free: set[str]) -> Iterator[tuple[str, str]]:
+    """Yield the kinds and names of what instructions bind anew, or change the items of: the latter begin in the source
+    where its name does."""
+    places = {
+        _place(one)
+        for one in instructions
+        if one.opname in _CHANGES_ITEMS or (_kind(one) == "attribute" and one.argval in _CHANGES)
+    }
+    for one in instructions:
+        if (kind := _kind(one)) is not None:
+            own = one.opname.endswith("DEREF") and one.argval not in free
+            if _place(one) in places if one.opname.startswith("LOAD") else not own:
+                yield kind, one.argval
 
 
 def _place(one: dis.Instruction) -> tuple[int | None, int | None] | None:
@@ -235,21 +216,6 @@ def _content(value: Any) -> Iterator[bytes]:
             yield from parts_of_array(one)
         elif isinstance(one, (bool, int, float, complex, str, bytes, np.generic)):
             yield repr(one).encode()
-
-
-def _nested(code: CodeType) -> Iterator[CodeType]:
-    """The code of a function, and of those inside it."""
-    yield code
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _nested(one)
-
-
-def _is_filled(cell: Any) -> bool:
-    try:
-        return cell.cell_contents is not cell
-    except ValueError:
-        return False
 
 
 def _in_order(constant: Any) -> Any:

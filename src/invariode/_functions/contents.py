@@ -71,7 +71,7 @@ def _content(value: Any, seen: dict[int, int], module: str | None) -> Any:
     if isinstance(value, FunctionType):
         if _named_elsewhere(value, module):
             return _Opaque(value)
-        uses = _uses(value)
+        uses = captured(value)
         module = value.__module__ if module is None else module
         return kind, value.__code__, tuple((name, _content(one, seen, module)) for name, _, one in uses)
     try:
@@ -96,8 +96,8 @@ def _named_elsewhere(function: FunctionType, module: str | None) -> bool:
     return found is function
 
 
-def _uses(function: FunctionType) -> Iterator[tuple[str, CellType | dict[str, Any] | FunctionType, Any]]:
-    """Defaults, closure and globals of a function: the name, where the value is found, and the value."""
+def captured(function: FunctionType) -> Iterator[tuple[str, CellType | dict[str, Any] | FunctionType, Any]]:
+    """Yield defaults, closure and globals of a function: the name, the place of the value, and the value."""
     for name, default in (("__defaults__", function.__defaults__), ("__kwdefaults__", function.__kwdefaults__)):
         if default is not None:
             yield name, function, default
@@ -107,16 +107,17 @@ def _uses(function: FunctionType) -> Iterator[tuple[str, CellType | dict[str, An
         except ValueError:  # an empty cell
             continue
     scope = function.__globals__
-    for name in dict.fromkeys(_global_names(function.__code__)):
+    for name in dict.fromkeys(name for code in nested(function.__code__) for name in code.co_names):
         if name in scope:
             yield name, scope, scope[name]
 
 
-def _global_names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _global_names(constant)
+def nested(code: CodeType) -> Iterator[CodeType]:
+    """Yield the code of a function, and of those inside it."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from nested(one)
 
 
 class Captured:
@@ -143,7 +144,7 @@ class Captured:
                 current = getattr(current, "__func__", None) or inspect.getattr_static(type(current), "__call__", None)
             if not isinstance(current, FunctionType):
                 continue
-            for name, place, value in _uses(current):
+            for name, place, value in captured(current):
                 fixed = isinstance(value, (*_IMMUTABLE, FunctionType))
                 self._places.append((name, place, value, None if fixed else content(value)))
                 if isinstance(value, FunctionType) and value.__module__ == current.__module__ and id(value) not in seen:

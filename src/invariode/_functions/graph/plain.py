@@ -21,6 +21,7 @@ import numpy as np
 
 from ..._base.latest import Latest
 from ..._core import StateFirst
+from ..contents import nested
 from ..filling import Filling
 from ..first_order import FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
@@ -225,19 +226,12 @@ def _may_switch(function: FunctionType, around: tuple[CodeType, ...]) -> bool:
 def _code_of(code: CodeType) -> _CodeSummary:
     known = _known.get(code)
     if known is None:
-        codes = [*_nested(code)]
+        codes = [*nested(code)]
         plain = all(_is_plain(one, code) for one in codes)
         names = dict.fromkeys(name for one in codes for name in _names(one, code)) if plain else {}
         known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), _read(codes))
         _known[code] = known
     return known
-
-
-def _nested(code: CodeType) -> Iterator[CodeType]:
-    yield code
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _nested(one)
 
 
 def _is_plain(code: CodeType, whole: CodeType) -> bool:
