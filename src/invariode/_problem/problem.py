@@ -425,8 +425,9 @@ class Problem:
         Returns
         -------
         PreparedSolver
-            Called as ``solver(y0=..., args=..., t_span=...)``, by any number of threads at once, it returns the
-            `Solution` that ``problem.replace(y0=..., args=..., t_span=...).solve(method, **options)`` returns.
+            Called as ``solver(y0=..., args=..., t_span=..., dy0dp=...)``, by any number of threads at once, it returns
+            the `Solution` that ``problem.replace(y0=..., args=..., t_span=...).solve(method, **options)`` returns, with
+            these derivatives of y0 in its `Sensitivities`.
 
         Raises
         ------
