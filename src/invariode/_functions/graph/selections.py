@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import functools
 import inspect
 import itertools
 import textwrap
@@ -22,6 +23,8 @@ from .traced import JOURNALS, TracedArray, cells_of, has_traced, number, truth, 
 
 #: Names in the rewritten function begin with this.
 _OURS = "_invariode_"
+#: Number of codes for which the results of their analysis are kept.
+MOST_CODES = 256
 
 
 class _Unbound:
@@ -40,9 +43,14 @@ class _DifferError(Exception):
 
 def selecting(function: types.FunctionType) -> types.CodeType | None:
     """The code of the function with selections; None: it has no branches that can be, or no source."""
-    code = function.__code__
+    return _rewritten(function.__code__, function.__code__.co_filename)
+
+
+@functools.lru_cache(MOST_CODES)
+def _rewritten(code: types.CodeType, file: str) -> types.CodeType | None:
+    """The code with selections, or None; equal codes of two files are rewritten apart, since errors name the file."""
     try:
-        source = textwrap.dedent(inspect.getsource(function))
+        source = textwrap.dedent(inspect.getsource(code))
         tree = ast.parse(source)
     except (OSError, TypeError, SyntaxError, ValueError):
         return None
@@ -57,7 +65,7 @@ def selecting(function: types.FunctionType) -> types.CodeType | None:
     if not writer.count:
         return None
     outer = _module(made, code)
-    compiled = compile(outer, code.co_filename, "exec")
+    compiled = compile(outer, file, "exec")
     return next((one for one in _codes(compiled) if one.co_name == code.co_name), None)
 
 

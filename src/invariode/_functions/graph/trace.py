@@ -22,7 +22,7 @@ from ..._base.arguments import PACKAGE, call_name, raised_in
 from ..layout import ArgumentLayout, Numbers
 from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node, TraceError
-from .selections import helpers, selecting
+from .selections import MOST_CODES, helpers, selecting
 from .tables import TracedTable, is_table
 from .traced import (
     _BINARY,
@@ -474,15 +474,14 @@ def _is_full(cell: Any) -> bool:
     return True
 
 
-def _names(code: types.CodeType) -> set[str]:
+@functools.lru_cache(MOST_CODES)
+def _names(code: types.CodeType) -> frozenset[str]:
     """Return the set of names that code and the functions in it use."""
-    found = set(code.co_names)
-    for one in code.co_consts:
-        if isinstance(one, types.CodeType):
-            found |= _names(one)
-    return found
+    nested = [_names(one) for one in code.co_consts if isinstance(one, types.CodeType)]
+    return frozenset(code.co_names).union(*nested)
 
 
+@functools.lru_cache(MOST_CODES)
 def _written(code: types.CodeType) -> str | None:
     """A variable from outside that code assigns to."""
     for one in dis.get_instructions(code):
@@ -492,6 +491,7 @@ def _written(code: types.CodeType) -> str | None:
     return None
 
 
+@functools.lru_cache(MOST_CODES)
 def _has_handlers(code: types.CodeType) -> bool:
     """Return whether code has `except` or `finally`; `with` and generators have tables of exceptions too."""
     names = [one.opname for one in dis.get_instructions(code)]
