@@ -20,7 +20,8 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest test-newer test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize metadata fuzz fuzz-sanitize lint analyze format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-newer test-threads test-jax test-torch test-kernels native native-clang native-aarch64 sanitize sanitize-threads metadata fuzz fuzz-sanitize lint analyze format stubs bench docs dist \
+  wheel requirements clean
 
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
@@ -32,6 +33,12 @@ paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-
 PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal \
   $(if $(CI),-W error::DeprecationWarning -W error::PendingDeprecationWarning)
 test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
+
+# The extra whose requirements are installed while the package is built.
+WITH := test
+paper: WITH := paper
+docs: WITH := docs
+test-threads: WITH :=
 
 test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
 	$(BIN)/python $(PYTEST)
@@ -98,10 +105,12 @@ endif
 # Line tables are what the reports need of -g; -O1 keeps them, and runs the tests several times as fast.
 SANITIZED_FLAGS := -DCMAKE_BUILD_TYPE=Debug "-DCMAKE_CXX_FLAGS_DEBUG=-g1 -O1"
 
-sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
+sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
 	$(CMAKE) -S . -B $(NATIVE)-sanitize $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(CTEST) --test-dir $(NATIVE)-sanitize
+
+sanitize-threads: $(VENV)/.installed-test  ## the tests of runs and ensembles on threads under TSan
 	$(CMAKE) -S . -B $(NATIVE)-threads $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=thread
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads
 	$(CTEST) --test-dir $(NATIVE)-threads -R '^native_(threads|run|ensemble|lanes)$$'
@@ -205,12 +214,20 @@ clean:
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# The package as it is now, built once. Warnings are errors where nobody but us is bothered by them.
+# The package as it is now, built once; meanwhile its requirements are installed, with those of the extra WITH. Warnings
+# are errors where nobody but us is bothered by them.
 $(WHEEL)/.built: $(VENV)/bin/python $(SOURCES)
 	rm -rf $(WHEEL)
-	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
+	+$(MAKE) -s -j 2 wheel requirements WITH=$(WITH)
 	$(PIP) install --force-reinstall --no-deps $(WHEEL)/invariode-*.whl
 	@touch $@
+
+wheel:
+	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
+
+requirements:
+	$(BIN)/python .ci/requirements.py $(WITH) > $(VENV)/requirements.txt
+	$(PIP) install --no-compile -r $(VENV)/requirements.txt
 
 # .installed-a-b: that package, with the extras a and b; of these, what is imported is compiled then.
 comma := ,

@@ -133,6 +133,7 @@ def forced(number):
 OF_EACH = 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [*METHODS, *SERIES])
 def test_both_ways_agree_within_100_tolerances(method):
     """G = y0 − 0.7 y1 at the end: one tolerance of dG/dp is Σ |∂G/∂y_i| (rtol |S_ij| + atol / |p_j|). What f does with

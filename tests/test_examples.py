@@ -31,6 +31,7 @@ def test_examples_say_what_they_are_and_where_they_are_from():
         assert any(line.startswith("Source: ") for line in text), example.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_draws_and_keeps_its_laws(example, capsys):
     """Plain and projected runs print their drifts first, others how far off they are."""

@@ -79,6 +79,7 @@ def fingerprints() -> str:
     return "\n".join([*loaded(), *lines])
 
 
+@pytest.mark.slow
 def test_small_runs_of_every_implicit_method_have_the_same_bits_under_every_kernel():
     kernels = runnable()
     if len(kernels) < 2:

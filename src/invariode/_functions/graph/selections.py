@@ -329,7 +329,7 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
             return None
         try:
             found = [_tried(branch) for branch in (yes, no)]
-        except TraceError:
+        except (TraceError, RecursionError):  # both branches of a recursion are called without end, at each level
             raise
         except Exception:  # whatever a branch raises that is not taken: then they are followed one by one
             return None
