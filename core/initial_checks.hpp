@@ -8,30 +8,34 @@
 
 namespace invariode {
 
-/// Each test returns `created` if the run may start, or else the state in which it ends, with what the report says of
-/// it.
 class InitialChecks {
  public:
+  /// `created` if the run may start; else the state in which it ends, with what is to be reported of it.
+  struct [[nodiscard]] Result {
+    State state = State::created;
+    Finding finding = {};
+    int component = -1;
+  };
+
   /// All of these belong to the loop.
-  InitialChecks(Manifold& manifold, const Weights& weights, const Settings& settings, Report& report)
-      : manifold_(manifold), weights_(weights), settings_(settings), report_(report) {}
+  InitialChecks(Manifold& manifold, const Weights& weights, const Settings& settings)
+      : manifold_(manifold), weights_(weights), settings_(settings) {}
 
   /// Moves y0 onto the bounds and the manifold, if it is off by less than the tolerance, and tests the Jacobians there.
-  [[nodiscard]] State inspect(double* y0);
-  /// Moves y onto the bounds that it is outside of by less than the tolerance. False: there is a component that is
-  /// outside by more, and that the report names.
-  [[nodiscard]] bool move_within_bounds(double* y);
+  Result inspect(double* y0);
+  /// Moves y onto the bounds that it is outside of by less than the tolerance. Returns the component that is outside by
+  /// more, and y stays; −1: none is.
+  [[nodiscard]] int move_within_bounds(double* y);
   /// Tests the rates of the invariants, with y' and the first step of signed size h.
-  [[nodiscard]] State inspect_rates(const double* y0, const double* slope, double h);
+  Result inspect_rates(const double* y0, const double* slope, double h);
 
  private:
-  [[nodiscard]] State project_within_bounds(double* y0);
-  [[nodiscard]] State judged(const Finding& finding);
+  Result project_within_bounds(double* y0);
+  static Result judged(const Finding& finding);
 
   Manifold& manifold_;
   const Weights& weights_;
   const Settings& settings_;
-  Report& report_;
 };
 
 }  // namespace invariode

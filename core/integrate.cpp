@@ -38,7 +38,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty() || !functions.breakpoints.empty()),
-      initial_checks_(manifold_, weights, settings_, report_),
+      initial_checks_(manifold_, weights, settings_),
       breaks_(std::move(functions.breakpoints), std::move(functions.landings), functions.piece, settings_.tf, forward_),
       limits_(settings_),
       stiffness_(weights),
@@ -48,7 +48,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
                    manifold_.projector(), manifold_.bounds()),
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
-      jumps_({events_, breaks_, manifold_, initial_checks_, report_, emitter_.output.occurrences},
+      jumps_({events_, breaks_, manifold_, initial_checks_, emitter_.output.occurrences},
              std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f, extent_),
       y0_(n_) {
   assert(step_->n() == n_);
@@ -59,21 +59,28 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   if (!events_.empty()) event_y_.resize(n_);
 }
 
-bool Integration::end(State state) {
+Integration::Course Integration::end(State state) {
   state_ = state;
-  return false;
+  return Course::ended;
 }
 
-Integration::Verdict Integration::ended(State state) {
-  end(state);
+Integration::Verdict Integration::end_attempt(State state) {
+  state_ = state;
   return Verdict::ended;
 }
 
-bool Integration::refuse(const Finding& finding) {
-  if (finding.kind == Finding::Kind::none) return true;
+Integration::Course Integration::refuse(const Finding& finding) {
+  if (finding.kind == Finding::Kind::none) return Course::goes_on;
   if (finding.kind == Finding::Kind::stop) return end(State::interrupted);
   report_.finding = finding;
   return end(state_ == State::created ? State::invariant_refused : State::invariant_convicted);
+}
+
+Integration::Course Integration::pass(const InitialChecks::Result& check) {
+  if (check.state == State::created) return Course::goes_on;
+  report_.finding = check.finding;
+  report_.component = check.component;
+  return end(check.state);
 }
 
 // ---------------------------------------------------------------------------------------------------------- the start
@@ -86,21 +93,19 @@ State Integration::start(const double* y0) {
   reached_ = {t, y};
   report_.t = t;
   breaks_.start(t);
-  if (const State found = initial_checks_.inspect(y); found != State::created) return state_ = found;
+  if (ended(pass(initial_checks_.inspect(y)))) return state_;
   if (jumps_.follow_equations(t, y) == State::interrupted) return state_ = State::interrupted;
-  if (!unless_stopped(manifold_.start(t, y))) return state_;
+  if (ended(unless_stopped(manifold_.start(t, y)))) return state_;
   emitter_.begin(reached_);
-  if (delays_ != nullptr && !begin_past(y)) return state_;
+  if (delays_ != nullptr && ended(begin_past(y))) return state_;
   const bool breaks = breaks_.at(t);
-  if (breaks && !note_values()) return state_;
+  if (breaks && ended(note_values())) return state_;
   begin_piece();
-  if (!emit(breaks) || !start_memory(t, y)) return state_;
+  if (ended(emit(breaks)) || ended(start_memory(t, y))) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
-  if (const State found = initial_checks_.inspect_rates(y, step_->slope(), forward_ * step_->h());
-      found != State::created)
-    return state_ = found;
-  if (!watch_events(events_.start(t, y))) return state_;
-  if (breaks && !land({.acts = false, .breaks = true, .noted = true})) return state_;
+  if (ended(pass(initial_checks_.inspect_rates(y, step_->slope(), forward_ * step_->h())))) return state_;
+  if (ended(watch_events(events_.start(t, y)))) return state_;
+  if (breaks && ended(land({.acts = false, .breaks = true, .noted = true}))) return state_;
   if (t == settings_.tf || n_ == 0)
     nothing_to_integrate();
   else
@@ -116,7 +121,7 @@ void Integration::move_start(double t, const double* y) {
 }
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
-bool Integration::start_memory(double t, const double* y) {
+Integration::Course Integration::start_memory(double t, const double* y) {
   memory_outdated_ = false;
   if (delays_ != nullptr) delays_->restart();
   discontinuities_.restart();
@@ -128,7 +133,7 @@ bool Integration::start_memory(double t, const double* y) {
     y = at_rest.data();
   }
   switch (step_->start(t, y, aim_.span(t))) {
-    case Outcome::ok: return settings_.first_step > 0 || t == settings_.tf || resolve_first_step(t, y);
+    case Outcome::ok: return settings_.first_step > 0 || t == settings_.tf ? Course::goes_on : resolve_first_step(t, y);
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite: break;
   }
@@ -140,14 +145,15 @@ bool Integration::start_memory(double t, const double* y) {
 
 /// A first step shorter than the spacing of t becomes as long as that, unless f changes within it: nothing that a
 /// method could see would then be what f is beside the start.
-bool Integration::resolve_first_step(double t, const double* y) {
+Integration::Course Integration::resolve_first_step(double t, const double* y) {
   const double h = step_->h(), spacing = ulp(t);
-  if (h >= spacing) return true;
+  if (h >= spacing) return Course::goes_on;
   bool changes = false;
-  if (!unless_stopped(discontinuities_.changes_at_once(t, y, step_->slope(), forward_, 1, changes))) return false;
+  if (ended(unless_stopped(discontinuities_.changes_at_once(t, y, step_->slope(), forward_, 1, changes))))
+    return Course::ended;
   if (!changes) {
     step_->set_h(spacing);
-    return true;
+    return Course::goes_on;
   }
   report_.t = t;
   report_.h = h;
@@ -156,19 +162,19 @@ bool Integration::resolve_first_step(double t, const double* y) {
   return end(State::step_failed);
 }
 
-bool Integration::watch_events(Outcome outcome) {
-  if (outcome == Outcome::ok) return true;
+Integration::Course Integration::watch_events(Outcome outcome) {
+  if (outcome == Outcome::ok) return Course::goes_on;
   if (outcome == Outcome::stop) return end(State::interrupted);
   report_.event = events_.undefined().event;
   report_.t = events_.undefined().t;
   return end(State::event_undefined);
 }
 
-bool Integration::nothing_to_integrate() {
+void Integration::nothing_to_integrate() {
   memory_outdated_ = true;
   reached_.t = settings_.tf;
   emitter_.constant(y0_.data());
-  return end(State::reached_end);
+  state_ = State::reached_end;
 }
 
 // ------------------------------------------------------------------------------------------------------------- a step
@@ -181,10 +187,10 @@ State Integration::run() {
 
 State Integration::advance() {
   if (state_ != State::running) return state_;
-  if (!std::exchange(in_step_, false) && !begin_step()) return state_;
+  if (!std::exchange(in_step_, false) && ended(begin_step())) return state_;
   for (;;) {
     if (!std::isfinite(aim_.t1())) {
-      if (explain_failure(Cause::not_finite)) end(State::step_failed);
+      if (!ended(explain_failure(Cause::not_finite))) state_ = State::step_failed;
       return state_;
     }
     switch (attempt()) {
@@ -200,8 +206,8 @@ State Integration::advance() {
   }
 }
 
-bool Integration::begin_step() {
-  if (bounded_slope_ != nullptr && !meet_bounds()) return false;
+Integration::Course Integration::begin_step() {
+  if (bounded_slope_ != nullptr && ended(meet_bounds())) return Course::ended;
   const double t = step_->t();
   if (composite_ != nullptr && discontinuities_.sticks_since()) composite_->stay_explicit();
   if (composite_ != nullptr && composite_->hand_over(aim_.span(t)) == Outcome::stop) return end(State::interrupted);
@@ -209,14 +215,14 @@ bool Integration::begin_step() {
   if (delays_ != nullptr) delays_->begin_step(t, step_->y(), step_->slope(), delayed_->stages_on_extension());
   attempt_ = {};
   aim_.begin(t, step_->h());
-  return true;
+  return Course::goes_on;
 }
 
 /// Where components come to rest at bounds, or leave them, f is another function from here on: the method starts anew.
-bool Integration::meet_bounds() {
+Integration::Course Integration::meet_bounds() {
   bool changed = false;
-  if (!unless_stopped(bounded_slope_->begin_step(step_->t(), step_->y(), changed))) return false;
-  if (!changed) return true;
+  if (ended(unless_stopped(bounded_slope_->begin_step(step_->t(), step_->y(), changed)))) return Course::ended;
+  if (!changed) return Course::goes_on;
   const std::vector<double> y(step_->y(), step_->y() + n_);
   return start_memory(step_->t(), y.data());
 }
@@ -240,7 +246,7 @@ Integration::Verdict Integration::attempt() {
   if (manifold_.any())
     if (const Verdict verdict = place(ends); verdict != Verdict::accepted) return verdict;
   switch (step_->accept(ends.y1)) {
-    case Outcome::stop: return ended(State::interrupted);
+    case Outcome::stop: return end_attempt(State::interrupted);
     case Outcome::not_finite: return reject(Cause::not_finite);
     case Outcome::ok: break;
   }
@@ -274,7 +280,7 @@ Step::Attempt Integration::propose() {
 
 /// The error test.
 Integration::Verdict Integration::test(const Step::Attempt& proposal) {
-  if (proposal.outcome == Outcome::stop) return ended(State::interrupted);
+  if (proposal.outcome == Outcome::stop) return end_attempt(State::interrupted);
   attempt_.error = proposal.error;
   if (!proposal.converged) return reject(Cause::newton);
   if (proposal.outcome == Outcome::not_finite || !std::isfinite(proposal.error)) return reject(Cause::not_finite);
@@ -288,8 +294,8 @@ Integration::Verdict Integration::pass_jump(const double* candidate) {
   if (trust == Step::Trust::always) return Verdict::accepted;
   const double h = std::abs(aim_.h());
   double longest = h;
-  if (!unless_stopped(discontinuities_.passes(t0_, y0_.data(), aim_.t1(), candidate, trust == Step::Trust::never,
-                                              counts_.steps + counts_.failed, longest)))
+  if (ended(unless_stopped(discontinuities_.passes(t0_, y0_.data(), aim_.t1(), candidate, trust == Step::Trust::never,
+                                                   counts_.steps + counts_.failed, longest))))
     return Verdict::ended;
   if (longest >= h || h <= aim_.hmin()) return Verdict::accepted;
   ++counts_.failed;
@@ -303,11 +309,14 @@ Integration::Verdict Integration::pass_jump(const double* candidate) {
 /// y₁ from the candidate: a candidate outside of the bounds, or a correction that is too large, fails the attempt.
 Integration::Verdict Integration::place(StepEnds& ends) {
   const double* candidate = ends.y1;
-  switch (manifold_.place(*step_, ends, counts_)) {
+  const Manifold::Placement placement = manifold_.place(*step_, ends, counts_.steps);
+  counts_.projections += placement.projected ? 1 : 0;
+  counts_.skipped += placement.skipped ? 1 : 0;
+  switch (placement.placed) {
     case Manifold::Placed::outside: return reject(Cause::bounds);
     case Manifold::Placed::too_far: return oversized(candidate);
     case Manifold::Placed::undefined: return reject(Cause::not_finite);
-    case Manifold::Placed::stop: return ended(State::interrupted);
+    case Manifold::Placed::stop: return end_attempt(State::interrupted);
     case Manifold::Placed::accepted: break;
   }
   return Verdict::accepted;
@@ -321,7 +330,7 @@ Integration::Verdict Integration::oversized(const double* candidate) {
   attempt_.refused[1] = manifold_.correction();
   const bool falls = manifold_.correction() < before / expected_decrease;
   if (++attempt_.refusals >= most_refusals && settings_.check && !falls && !breaks_.at_end_of(aim_) &&
-      !refuse(manifold_.guard()->confirm(aim_.t1(), candidate, aim_.h())))
+      ended(refuse(manifold_.guard()->confirm(aim_.t1(), candidate, aim_.h()))))
     return Verdict::ended;
   return reject(Cause::projection);
 }
@@ -330,9 +339,10 @@ Integration::Verdict Integration::reject(Cause cause) {
   ++counts_.failed;
   discontinuities_.failed(cause, aim_.t1(), aim_.h());
   if (!step_->reject(cause, aim_.hmin())) {
-    if ((cause == Cause::error || cause == Cause::newton) && reconcile()) return Verdict::rejected;
-    if (state_ == State::running && settle_at_bounds()) return Verdict::rejected;
-    return ended(state_ == State::running && explain_failure(cause) ? State::step_failed : state_);
+    Cure cure = cause == Cause::error || cause == Cause::newton ? reconcile() : Cure::none;
+    if (cure == Cure::none) cure = settle_at_bounds();
+    if (cure == Cure::none && !ended(explain_failure(cause))) state_ = State::step_failed;
+    return cure == Cure::cured ? Verdict::rejected : Verdict::ended;
   }
   aim_.retry(t0_, step_->h());
   return Verdict::rejected;
@@ -340,39 +350,45 @@ Integration::Verdict Integration::reject(Cause cause) {
 
 /// An attempt that fails however small h is may not be what is wrong: Newton's iteration, with an old Jacobian of an f
 /// that is very nonlinear, has left the start of the step off the algebraic equations. Moves it onto them, once, and
-/// starts the method again there. False: it was not that, or the run has ended.
-bool Integration::reconcile() {
-  if (!consistent_ || manifold_.projector() != nullptr || attempt_.reconciled) return false;
+/// starts the method again there.
+Integration::Cure Integration::reconcile() {
+  if (!consistent_ || manifold_.projector() != nullptr || attempt_.reconciled) return Cure::none;
   std::vector<double> y = y0_;
   const Consistency verdict = consistent_(t0_, y.data());
-  if (verdict == Consistency::stop) return end(State::interrupted);
-  if (verdict != Consistency::corrected || !start_step_anew(y.data())) return false;
-  return attempt_.reconciled = true;
+  if (verdict == Consistency::stop) state_ = State::interrupted;
+  if (verdict != Consistency::corrected) return verdict == Consistency::stop ? Cure::ended : Cure::none;
+  if (ended(start_step_anew(y.data()))) return Cure::ended;
+  attempt_.reconciled = true;
+  return Cure::cured;
 }
 
 /// Attempts that fail however small h is may end at a bound where f has no derivative, as √y at 0. Moves components
 /// that f has led there, but for roundoff, onto it, where they do not depend on parameters, and starts the method
-/// again. False: there were none, or the run has ended.
-bool Integration::settle_at_bounds() {
-  if (manifold_.bounds() == nullptr) return false;
+/// again.
+Integration::Cure Integration::settle_at_bounds() {
+  if (manifold_.bounds() == nullptr) return Cure::none;
   std::vector<double> y = y0_;
-  if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return false;
+  if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return Cure::none;
   if (rest_at_bounds(*manifold_.bounds(), extent_, y0_.data(), y.data()) &&
-      jumps_.follow_equations(t0_, y.data()) != State::running)
-    return end(State::interrupted);
+      jumps_.follow_equations(t0_, y.data()) != State::running) {
+    state_ = State::interrupted;
+    return Cure::ended;
+  }
   ++counts_.clipped;
-  return start_step_anew(y.data());
+  return ended(start_step_anew(y.data())) ? Cure::ended : Cure::cured;
 }
 
 /// Restarts the step from y, beside its start.
-bool Integration::start_step_anew(const double* y) {
+Integration::Course Integration::start_step_anew(const double* y) {
   reached_ = {t0_, y0_.data()};
   discard_step(y);
-  return start_memory(reached_.t, reached_.y) && watch_events(events_.restart(reached_.t, reached_.y)) && begin_step();
+  if (ended(start_memory(reached_.t, reached_.y)) || ended(watch_events(events_.restart(reached_.t, reached_.y))))
+    return Course::ended;
+  return begin_step();
 }
 
-/// False: a user function has stopped the run, and that is why it ends.
-bool Integration::explain_failure(Cause cause) {
+/// `ended`: a user function has stopped the run, and that is why it ends.
+Integration::Course Integration::explain_failure(Cause cause) {
   report_.t = t0_;
   report_.h = aim_.h();
   report_.cause = cause;
@@ -384,38 +400,38 @@ bool Integration::explain_failure(Cause cause) {
   if (cause == Cause::projection && manifold_.undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = manifold_.undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = manifold_.outside_component();
-  if (report_.linear.unsolved != Unsolved::none) return true;
+  if (report_.linear.unsolved != Unsolved::none) return Course::goes_on;
   note_fastest();
   const bool undefined = cause == Cause::not_finite ||
                          (cause == Cause::newton && (report_.component >= 0 || report_.linear.undefined_jacobian));
   if (undefined) return find_undefined_below_zero();
-  if (cause != Cause::error && cause != Cause::newton) return true;
+  if (cause != Cause::error && cause != Cause::newton) return Course::goes_on;
   if (cause == Cause::error) note_pure_relative();
   if (aim_.hmin() < hmin_ulps * ulp(t0_)) {  // the method has just started
     bool changes = false;
-    if (!unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, 0, changes)))
-      return false;
+    if (ended(unless_stopped(discontinuities_.changes_at_once(t0_, y0_.data(), step_->slope(), forward_, 0, changes))))
+      return Course::ended;
     if (changes) report_.cause = Cause::spacing;
-    if (changes) return true;
+    if (changes) return Course::goes_on;
   }
   return unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target()));
 }
 
-/// Reports a component below whose 0 f is not finite. False: a user function has stopped the run.
-bool Integration::find_undefined_below_zero() {
+/// Reports a component below whose 0 f is not finite.
+Integration::Course Integration::find_undefined_below_zero() {
   constexpr double near = 0.1;  // of the time since the start: the solution is about to get there
   const Bounds* bounds = manifold_.bounds();
   const std::vector<double> lower = bounds == nullptr ? std::vector<double>{} : bounds->lower();
   const double reach = std::max(near * std::abs(t0_ - settings_.t0), aim_.hmin());
   int found = -1;
-  if (!unless_stopped(
-          discontinuities_.undefined_below_zero(t0_, y0_.data(), step_->slope(), forward_, reach, lower, found)))
-    return false;
+  if (ended(unless_stopped(
+          discontinuities_.undefined_below_zero(t0_, y0_.data(), step_->slope(), forward_, reach, lower, found))))
+    return Course::ended;
   if (found >= 0) {
     const auto i = static_cast<std::size_t>(found);
     report_.undefined_below_zero = {found, y0_[i], step_->slope()[i]};
   }
-  return true;
+  return Course::goes_on;
 }
 
 /// Reports the component of y that changes most within the smallest step, in units of its tolerance.
@@ -444,47 +460,49 @@ void Integration::note_pure_relative() {
 /// Are the invariants conserved, what happened in the step, what is to be kept, does the run go on?
 State Integration::finish_step() {
   reached_ = {t0_, y0_.data()};  // until guard and events have passed the step
-  if (manifold_.any() && !judge_invariants()) return state_;
+  if (manifold_.any() && ended(judge_invariants())) return state_;
   ++counts_.steps;
-  if (!find_discontinuities()) return state_;
+  if (ended(find_discontinuities())) return state_;
   interpolant_.accept(t0_, y0_.data());
-  if (find_events() && record() && emit(settings_.output_at_times && jumps_here()) && conclude() &&
-      limits_.due(counts_.steps))
-    goes_on();
+  if (ended(find_events()) || ended(record()) || ended(emit(settings_.output_at_times && jumps_here())) ||
+      ended(conclude()))
+    return state_;
+  if (limits_.due(counts_.steps)) look_at_limits();
   return state_;
 }
 
-bool Integration::judge_invariants() {
-  manifold_.note(counts_);
+Integration::Course Integration::judge_invariants() {
+  counts_.clipped += manifold_.note() ? 1 : 0;
   const StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), step_->y()};
-  if (!refuse(manifold_.judge(ends, *step_, counts_.steps + 1, breaks_.at_end_of(aim_), breaks_.just_passed(t0_))))
-    return false;
+  const Finding finding =
+      manifold_.judge(ends, *step_, counts_.steps + 1, breaks_.at_end_of(aim_), breaks_.just_passed(t0_));
+  if (ended(refuse(finding))) return Course::ended;
   manifold_.commit();
-  return true;
+  return Course::goes_on;
 }
 
-bool Integration::find_discontinuities() {
+Integration::Course Integration::find_discontinuities() {
   const double t1 = step_->t(), *y1 = step_->y();
   const std::int64_t attempts = counts_.steps + counts_.failed;
   if (stiffness_.note(*step_, counts_.steps, t0_, y0_.data()) &&
-      !unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(), StiffnessDetector::every,
-                                                  attempts, stiffness_.limited())))
-    return false;
+      ended(unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(), StiffnessDetector::every,
+                                                       attempts, stiffness_.limited()))))
+    return Course::ended;
   return unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, attempts));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
 /// reached.
-bool Integration::find_events() {
+Integration::Course Integration::find_events() {
   const double t1 = aim_.t1();
   const double* y1 = step_->y();
   if (!events_.empty()) {
-    if (!watch_events(events_.search(t0_, t1, y1, step_->degree(), interpolant_))) return false;
+    if (ended(watch_events(events_.search(t0_, t1, y1, step_->degree(), interpolant_)))) return Course::ended;
     for (const Occurrence& occurrence : events_.occurrences()) {
       if (occurrence.t == t1)
         std::copy(y1, y1 + n_, event_y_.begin());
-      else if (!unless_stopped(interpolant_.value(occurrence.t, event_y_.data())))
-        return false;
+      else if (ended(unless_stopped(interpolant_.value(occurrence.t, event_y_.data()))))
+        return Course::ended;
       output().occurrences[occurrence.event].add(occurrence.t, event_y_.data(), n_);
       limits_.look_soon();
     }
@@ -492,11 +510,11 @@ bool Integration::find_events() {
   const bool cut = events_.terminal() || events_.acts();
   reached_ = cut && events_.occurrences().back().t != t1 ? Reached{events_.occurrences().back().t, event_y_.data()}
                                                          : Reached{t1, y1};
-  return true;
+  return Course::goes_on;
 }
 
 /// Keeps the step itself: its row, and its part of the continuous solution.
-bool Integration::record() {
+Integration::Course Integration::record() {
   if (emitter_.records())
     output().steps.push_back({.t = reached_.t,
                               .h = reached_.t - t0_,
@@ -515,53 +533,56 @@ bool Integration::record() {
 /// Does the solution jump at the end of the step?
 bool Integration::jumps_here() const { return !events_.terminal() && (events_.acts() || breaks_.at(reached_.t)); }
 
-bool Integration::emit(bool jumps_here) { return unless_stopped(emitter_.emit(t0_, aim_.t1(), reached_, jumps_here)); }
+Integration::Course Integration::emit(bool jumps_here) {
+  return unless_stopped(emitter_.emit(t0_, aim_.t1(), reached_, jumps_here));
+}
 
 /// Asks the callback, takes the actions of events, and ends the run where it is to end.
-bool Integration::conclude() {
+Integration::Course Integration::conclude() {
   const auto [t, y] = reached_;
   double stop = 0;
-  if (callback_ && !unless_stopped(callback_(t, y, &stop))) return false;
+  if (callback_ && ended(unless_stopped(callback_(t, y, &stop)))) return Course::ended;
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0)  // the jump does not come
-    return unless_stopped(emitter_.emit_times(reached_, false)) && end(State::stopped_by_callback);
-  if (keeps_last_ && !keep_step_before_jump()) return false;
+    return ended(unless_stopped(emitter_.emit_times(reached_, false))) ? Course::ended
+                                                                       : end(State::stopped_by_callback);
+  if (keeps_last_ && ended(keep_step_before_jump())) return Course::ended;
   const bool breaks = aim_.lands() && breaks_.at(t);
   const bool smooth = breaks && !events_.acts() && goes_smoothly_on(t);
-  if (smooth && !pass_mark()) return false;
+  if (smooth && ended(pass_mark())) return Course::ended;
   if (!smooth && (events_.acts() || breaks) &&
-      !land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()}))
-    return false;
-  return !aim_.lands() || t != settings_.tf || end(State::reached_end);
+      ended(land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()})))
+    return Course::ended;
+  return aim_.lands() && t == settings_.tf ? end(State::reached_end) : Course::goes_on;
 }
 
-/// Unless the run is asked to stop, or a limit is reached.
-bool Integration::goes_on() {
+/// Ends the run where it is asked to stop, or a limit is reached.
+void Integration::look_at_limits() {
   if (limits_.requested()) {
     report_.t = reached_.t;
-    return end(State::stopped_by_request);
+    state_ = State::stopped_by_request;
+    return;
   }
-  const std::optional<Limit> limit = limits_.look(counts_.steps, emitter_);
-  return !limit || reach(*limit);
+  if (const std::optional<Limit> limit = limits_.look(counts_.steps, emitter_)) reach(*limit);
 }
 
-bool Integration::reach(Limit limit) {
+void Integration::reach(Limit limit) {
   report_.t = reached_.t;
   report_.h = step_->h();
   report_.limit = limit;
   report_.steps = limits_.counted(counts_.steps);
   report_.seconds = limits_.seconds();
-  return end(State::limit_reached);
+  state_ = State::limit_reached;
 }
 
 // -------------------------------------------------------------------------------------------------------------- jumps
 
 /// The last step, which nobody can look into once the method has started again at its end.
-bool Integration::keep_step_before_jump() {
+Integration::Course Integration::keep_step_before_jump() {
   last_one_.reset();
-  if (!jumps_here()) return true;
+  if (!jumps_here()) return Course::goes_on;
   last_one_ = last_step();
-  return last_one_.has_value();
+  return last_one_ ? Course::goes_on : Course::ended;
 }
 
 /// Discards the step that has ended: the solution continues at (reached t, y), where its data are not valid.
@@ -575,7 +596,7 @@ void Integration::discard_step(const double* y) {
 }
 
 /// Carries the solution over what happens at the point reached, and starts the method again behind it.
-bool Integration::land(const Landing& at) {
+Integration::Course Integration::land(const Landing& at) {
   const double t = reached_.t;
   discard_step(reached_.y);
   left_ = y0_;
@@ -586,7 +607,7 @@ bool Integration::land(const Landing& at) {
   const int level = breaks_.level(t);
   const std::vector<double> rates = delays_ == nullptr ? std::vector<double>() : breaks_.rates(t, extent_.k);
   if (at.breaks && state == State::running) {
-    if (!at.noted && !note_values()) return take_back();
+    if (!at.noted && ended(note_values())) return take_back();
     varies = breaks_.landing_jump() && breaks_.at_landing(t);
     const bool moves = level <= 1 && std::ranges::any_of(rates, [](double one) { return one != 0; });
     if (moves && jumps_.note_slope(t, Y) == Status::stop) return end(State::interrupted);
@@ -599,35 +620,46 @@ bool Integration::land(const Landing& at) {
   }
   if (state == State::terminal_event) {
     begin_output();
-    return emit(false) && end(state);
+    return ended(emit(false)) ? Course::ended : end(state);
   }
   if (state != State::running) {
-    end(state);
+    report_jump();
+    state_ = state;
     return take_back();
   }
   if (delays_ != nullptr) {
-    if (!mark_images(t, jumps ? 0 : level, rates)) return take_back();
+    if (ended(mark_images(t, jumps ? 0 : level, rates))) return take_back();
     begin_piece();  // again, since it may end at one of them
   }
   if (jumps || (varies && !jumps_.others())) return go_on_from_jump();
-  if (jumps_.others() && !hold_other_values()) return take_back();
-  if (t != settings_.tf && !start_memory(t, Y)) return false;
+  if (jumps_.others() && ended(hold_other_values())) return take_back();
+  if (t != settings_.tf && ended(start_memory(t, Y))) return Course::ended;
   return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
+void Integration::report_jump() {
+  const Jumps::Remarks& remarks = jumps_.remarks();
+  report_.event = remarks.event;
+  report_.t = remarks.t.value_or(report_.t);
+  report_.circle = remarks.circle;
+  report_.finding = remarks.finding;
+  report_.component = remarks.component;
+}
+
 /// The past begins: the history, and the marks that it brings.
-bool Integration::begin_past(const double* y) {
+Integration::Course Integration::begin_past(const double* y) {
   bool jumps = false;
-  if (!unless_stopped(delays_->begin(no_steps(), y, jumps))) return false;
+  if (ended(unless_stopped(delays_->begin(no_steps(), y, jumps)))) return Course::ended;
   const std::vector<double> fixed(extent_.k);
   for (const double t : history_jumps_)
-    if (!mark_images(t, 0, fixed)) return false;
+    if (ended(mark_images(t, 0, fixed))) return Course::ended;
   return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
 }
 
 /// A derivative of the solution jumps at t: where that comes back by a delay, the next one does.
-bool Integration::mark_images(double t, int level, const std::vector<double>& rates) {
-  if (level >= most_level_ + (extent_.k > 0 ? 1 : 0)) return true;  // a derivative of S jumps one order earlier
+Integration::Course Integration::mark_images(double t, int level, const std::vector<double>& rates) {
+  if (level >= most_level_ + (extent_.k > 0 ? 1 : 0))
+    return Course::goes_on;  // a derivative of S jumps one order earlier
   for (std::size_t j = 0; j < delays_->lags().size(); ++j) {
     const double tau = delays_->lags()[j];
     Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = rates};
@@ -636,7 +668,7 @@ bool Integration::mark_images(double t, int level, const std::vector<double>& ra
       mark.rates[i] += delays_->rates(j)[i];
     if (mark.t >= settings_.t0 - mark.spacing) breaks_.add(mark);
   }
-  if (breaks_.marks() <= most_marks) return true;
+  if (breaks_.marks() <= most_marks) return Course::goes_on;
   report_.t = t;
   return end(State::marks_endless);
 }
@@ -650,22 +682,23 @@ bool Integration::goes_smoothly_on(double t) const {
 }
 
 /// Goes on through a mark: only the branch of the past changes.
-bool Integration::pass_mark() {
-  if (!mark_images(reached_.t, breaks_.level(reached_.t), breaks_.rates(reached_.t, extent_.k))) return false;
+Integration::Course Integration::pass_mark() {
+  if (ended(mark_images(reached_.t, breaks_.level(reached_.t), breaks_.rates(reached_.t, extent_.k))))
+    return Course::ended;
   begin_piece();
   return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
-/// There is no way on from what the actions return: the run ends before them. False.
-bool Integration::take_back() {
+/// There is no way on from what the actions return: the run ends before them.
+Integration::Course Integration::take_back() {
   std::copy(left_.begin(), left_.end(), y0_.begin());
-  return false;
+  return Course::ended;
 }
 
 /// Starts again from where the solution has jumped to.
-bool Integration::go_on_from_jump() {
+Integration::Course Integration::go_on_from_jump() {
   begin_output();
-  if (reached_.t != settings_.tf && !start_memory(reached_.t, y0_.data())) return false;
+  if (reached_.t != settings_.tf && ended(start_memory(reached_.t, y0_.data()))) return Course::ended;
   return emit(false);
 }
 
@@ -676,14 +709,14 @@ void Integration::begin_piece() {
 }
 
 /// The values of the invariants before a breakpoint.
-bool Integration::note_values() { return unless_stopped(manifold_.note_values(reached_.t, reached_.y)); }
+Integration::Course Integration::note_values() { return unless_stopped(manifold_.note_values(reached_.t, reached_.y)); }
 
 /// The invariants jump though the solution does not, as the energy where a stiffness is switched: holds them at their
 /// values behind the breakpoint. Events go on.
-bool Integration::hold_other_values() {
+Integration::Course Integration::hold_other_values() {
   Finding finding = manifold_.restart(reached_.t, y0_.data(), true);
   if (finding.kind == Finding::Kind::off_value) finding.kind = Finding::Kind::jumps_off;
-  if (!refuse(finding)) return false;
+  if (ended(refuse(finding))) return Course::ended;
   begin_output();
   return emit(true);
 }
@@ -708,7 +741,7 @@ std::optional<DenseOutput> Integration::last_step() {
   if (last_one_) return last_one_->from(0);
   const Segment segment = interpolant_.segment();
   if (!segment.data) {
-    end(State::interrupted);
+    state_ = State::interrupted;
     return {};
   }
   DenseOutput one = no_steps();

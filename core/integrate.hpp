@@ -106,7 +106,13 @@ class Integration {
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
 
  private:
-  enum class Verdict { accepted, rejected, ended };
+  /// Whether the run goes on. Where it has ended, `state_` says how.
+  enum class [[nodiscard]] Course { goes_on, ended };
+  /// Of an attempt; `ended`: the run has.
+  enum class [[nodiscard]] Verdict { accepted, rejected, ended };
+  /// Of what may be wrong where attempts fail however small h is: the step has started again without it, or it was not
+  /// there.
+  enum class [[nodiscard]] Cure { none, cured, ended };
   /// The attempts of a step so far.
   struct Attempted {
     double error = 0;
@@ -123,18 +129,19 @@ class Integration {
     bool noted = false;   // the values of the invariants before it are known
   };
 
-  // What returns bool says whether the run goes on.
-  bool end(State state);
-  bool refuse(const Finding& finding);
-  bool unless_stopped(Status status) { return status == Status::ok || end(State::interrupted); }
-  bool nothing_to_integrate();
-  bool start_again();
-  bool start_memory(double t, const double* y);
-  bool resolve_first_step(double t, const double* y);
-  bool watch_events(Outcome outcome);
+  static bool ended(Course course) { return course == Course::ended; }
+  Course end(State state);
+  Course refuse(const Finding& finding);
+  Course pass(const InitialChecks::Result& check);
+  Course unless_stopped(Status status) { return status == Status::ok ? Course::goes_on : end(State::interrupted); }
+  void nothing_to_integrate();
+  Course start_again();
+  Course start_memory(double t, const double* y);
+  Course resolve_first_step(double t, const double* y);
+  Course watch_events(Outcome outcome);
 
-  bool begin_step();
-  bool meet_bounds();
+  Course begin_step();
+  Course meet_bounds();
   Verdict attempt();
   Step::Attempt propose();
   Verdict test(const Step::Attempt& proposal);
@@ -142,39 +149,40 @@ class Integration {
   Verdict place(StepEnds& ends);
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
-  Verdict ended(State state);
-  bool explain_failure(Cause cause);
-  bool reconcile();
-  bool settle_at_bounds();
-  bool start_step_anew(const double* y);
+  Verdict end_attempt(State state);
+  Course explain_failure(Cause cause);
+  Cure reconcile();
+  Cure settle_at_bounds();
+  Course start_step_anew(const double* y);
 
   State finish_step();
-  bool judge_invariants();
-  bool find_discontinuities();
-  bool find_events();
-  bool record();
-  bool begin_past(const double* y);
-  bool mark_images(double t, int level, const std::vector<double>& rates);
+  Course judge_invariants();
+  Course find_discontinuities();
+  Course find_events();
+  Course record();
+  Course begin_past(const double* y);
+  Course mark_images(double t, int level, const std::vector<double>& rates);
   [[nodiscard]] bool goes_smoothly_on(double t) const;
-  bool pass_mark();
-  bool emit(bool jumps_here);
+  Course pass_mark();
+  Course emit(bool jumps_here);
   [[nodiscard]] bool jumps_here() const;
-  bool conclude();
-  bool keep_step_before_jump();
-  bool find_undefined_below_zero();
+  Course conclude();
+  Course keep_step_before_jump();
+  Course find_undefined_below_zero();
   void note_fastest();
   void note_pure_relative();
   void move_start(double t, const double* y);
   void discard_step(const double* y);
-  bool land(const Landing& at);
-  bool take_back();
+  Course land(const Landing& at);
+  void report_jump();
+  Course take_back();
   void begin_piece();
-  [[nodiscard]] bool note_values();
-  bool go_on_from_jump();
-  bool hold_other_values();
+  Course note_values();
+  Course go_on_from_jump();
+  Course hold_other_values();
   void begin_output();
-  bool goes_on();
-  bool reach(Limit limit);
+  void look_at_limits();
+  void reach(Limit limit);
   [[nodiscard]] DenseOutput no_steps() const;
 
   std::unique_ptr<Step> step_;

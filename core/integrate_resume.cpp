@@ -56,7 +56,7 @@ void Integration::state(Archive& archive) {
   events_.state(archive);
   interpolant_.state(archive);
   if (!archive.whole()) anew_ = true;
-  if (archive.stopped()) end(State::interrupted);
+  if (archive.stopped()) state_ = State::interrupted;
 }
 
 State Integration::resume(bool anew) {
@@ -68,25 +68,25 @@ State Integration::resume(bool anew) {
   if (anew && !lands)
     if (const State state = jumps_.onto_equations(reached_.t, y0_.data()); state != State::running)
       return state_ = state;
-  if (!unless_stopped(emitter_.resume(reached_, lands))) return state_;
+  if (ended(unless_stopped(emitter_.resume(reached_, lands)))) return state_;
   if (n_ == 0)
     nothing_to_integrate();
   else if (reached_.t == settings_.tf)
-    end(State::reached_end);
-  else if (!anew || start_again())
+    state_ = State::reached_end;
+  else if (!anew || !ended(start_again()))
     state_ = State::running;
   return state_;
 }
 
 /// Starts the method at the point reached, where a run ended inside a step, before a breakpoint, or without memory.
-bool Integration::start_again() {
+Integration::Course Integration::start_again() {
   in_step_ = false;
-  if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
+  if (ended(watch_events(events_.go_on(reached_.t, reached_.y)))) return Course::ended;
   if (due_ || breaks_.at(reached_.t)) return land({.acts = due_, .breaks = breaks_.at(reached_.t)});
   discard_step(reached_.y);
-  if (!start_memory(reached_.t, reached_.y)) return false;
+  if (ended(start_memory(reached_.t, reached_.y))) return Course::ended;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
-  return true;
+  return Course::goes_on;
 }
 
 }  // namespace invariode

@@ -58,7 +58,7 @@ State Jumps::at_breakpoints(double t, double* Y, bool inside) {
     if (!point.action) continue;
     if (!acted_)
       if (const State state = begin(t, Y, inside); state != State::running) return state;
-    parts_.report.event = parts_.events.count() + breaks.index();
+    remarks_.event = parts_.events.count() + breaks.index();
     before_.assign(Y, Y + extent_.size());
     State state = take(point.action, before_.data(), point.jump, t, Y);
     if (state == State::running) state = judge(t, Y, 0);
@@ -93,12 +93,15 @@ State Jumps::begin(double t, const double* Y, bool inside) {
   acted_ = moved_ = terminal_ = false;
   rehold_ = true;
   occurred_ = 0;
-  parts_.report.circle.clear();
+  remarks_.circle.clear();
   const Outcome outcome = parts_.events.leave(t, Y, inside);
   if (outcome == Outcome::ok) return State::running;
-  if (outcome == Outcome::stop) return State::interrupted;
-  parts_.report.event = parts_.events.undefined().event;
-  parts_.report.t = t;
+  return outcome == Outcome::stop ? State::interrupted : undefined_event(t);
+}
+
+State Jumps::undefined_event(double t) {
+  remarks_.event = parts_.events.undefined().event;
+  remarks_.t = t;
   return State::event_undefined;
 }
 
@@ -130,7 +133,7 @@ State Jumps::ended_by(double t, double* y) {
 State Jumps::take_next(double t, double* Y) {
   const Due first = due_.front();
   EventFunction& function = parts_.events.function(first.event);
-  parts_.report.event = first.event;
+  remarks_.event = first.event;
   rehold_ = rehold_ && function.rehold;
   const bool alone = function.vector == EventFunction::alone;
   const auto together = [&](const Due& one) {
@@ -202,21 +205,18 @@ State Jumps::follow_equations(double t, double* Y) {
 
 /// Which events has the jump to y carried over zero? Theirs are the next actions.
 State Jumps::judge(double t, const double* y, int depth) {
-  Report& report = parts_.report;
+  std::vector<std::size_t>& circle = remarks_.circle;
   crossed_.clear();
   switch (parts_.events.arrive(t, y, crossed_)) {
     case Outcome::ok: break;
     case Outcome::stop: return State::interrupted;
-    case Outcome::not_finite:
-      report.event = parts_.events.undefined().event;
-      report.t = t;
-      return State::event_undefined;
+    case Outcome::not_finite: return undefined_event(t);
   }
   occurred_ += crossed_.size();
   for (const Occurrence& one : crossed_) {
     const Due due{one.event, one.direction, depth, false};
-    const bool known = std::ranges::find(report.circle, one.event) != report.circle.end();
-    if (depth >= listed_from && !known) report.circle.push_back(one.event);
+    const bool known = std::ranges::find(circle, one.event) != circle.end();
+    if (depth >= listed_from && !known) circle.push_back(one.event);
     terminal_ = parts_.events.counts_out(one.event) || terminal_;
     if (parts_.events.function(one.event).acts())
       due_.push_back(due);
@@ -239,12 +239,11 @@ void Jumps::list(const Due& due, double t, const double* Y) {
 
 /// Back within bounds and onto constraints, with new values of invariants that are not demanded.
 State Jumps::restore(double t, double* y) {
-  if (!parts_.checks.move_within_bounds(y)) return State::action_out_of_bounds;
-  const Finding finding = parts_.manifold.restart(t, y, rehold_);
-  if (finding.kind == Finding::Kind::none) return State::running;
-  if (finding.kind == Finding::Kind::stop) return State::interrupted;
-  parts_.report.finding = finding;
-  return State::invariant_convicted;
+  remarks_.component = parts_.checks.move_within_bounds(y);
+  if (remarks_.component >= 0) return State::action_out_of_bounds;
+  remarks_.finding = parts_.manifold.restart(t, y, rehold_);
+  if (remarks_.finding.kind == Finding::Kind::none) return State::running;
+  return remarks_.finding.kind == Finding::Kind::stop ? State::interrupted : State::invariant_convicted;
 }
 
 }  // namespace invariode

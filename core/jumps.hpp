@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -35,7 +36,6 @@ class Jumps {
     Breaks& breaks;
     Manifold& manifold;
     InitialChecks& checks;
-    Report& report;
     std::vector<Trajectory>& occurrences;  ///< of each event, those of the run
   };
   Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
@@ -54,6 +54,16 @@ class Jumps {
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
 
+  /// What is to be reported where the run ends by a jump.
+  struct Remarks {
+    std::size_t event = 0;            ///< that is not finite, or whose action was taken last
+    std::optional<double> t;          ///< where it is not finite
+    std::vector<std::size_t> circle;  ///< events whose actions set each other off
+    Finding finding = {};
+    int component = -1;  ///< outside the bounds
+  };
+  [[nodiscard]] const Remarks& remarks() const { return remarks_; }
+
   /// `acted` and `moved`: the latest call of `at_events` or `at_breakpoints` has taken an action, or changed Y.
   [[nodiscard]] bool acted() const { return acted_; }
   [[nodiscard]] bool moved() const { return moved_; }
@@ -70,6 +80,7 @@ class Jumps {
   };
 
   State begin(double t, const double* Y, bool inside);
+  State undefined_event(double t);
   State work(double t, double* Y);
   State take_next(double t, double* Y);
   State take(Callback& action, const double* given, Callback& jump, double t, double* Y);
@@ -82,6 +93,7 @@ class Jumps {
   void list(const Due& due, double t, const double* Y);
 
   Parts parts_;
+  Remarks remarks_;
   std::function<Consistency(double t, double* y)> consistent_;
   std::function<Status(double t, double* Y)> consistent_tangent_;
   Callback f_;

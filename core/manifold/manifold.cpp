@@ -107,15 +107,17 @@ void Manifold::forget() {
 
 // ------------------------------------------------------------------------------------------------------- the candidate
 
-Manifold::Placed Manifold::place(Step& step, StepEnds& ends, Counts& counts) {
+Manifold::Placement Manifold::place(Step& step, StepEnds& ends, std::int64_t steps) {
   assert(any() && ends.t0 != ends.t1);
   correction_ = 0;
   const double moved = bounded_slope_ != nullptr ? settle(ends) : 0;
   const double* candidate = ends.y1;
-  if (bounds_ != nullptr && !move_onto_bounds(step, ends)) return Placed::outside;
-  if (!projector_ || (off_bounds_only_ && !outside_.off_bounds && moved <= roundoff_at_bound)) return Placed::accepted;
+  if (bounds_ != nullptr && !move_onto_bounds(step, ends)) return {Placed::outside};
+  if (!projector_ || (off_bounds_only_ && !outside_.off_bounds && moved <= roundoff_at_bound))
+    return {Placed::accepted};
   ends.y1 = candidate;
-  return project(step, ends, counts);
+  const Placed placed = project(step, ends, steps);
+  return {placed, !projected_.skipped, projected_.skipped};
 }
 
 /// A candidate whose resting components are at their bounds. Returns the largest move, in units of thr.
@@ -146,14 +148,13 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
 }
 
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
-Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& counts) {
+Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_t steps) {
   const double* candidate = ends.y1;
   std::copy(candidate, candidate + extent_.size(), y1_.begin());
   if (!directions_.empty()) choose_directions(step);
   projected_ = one_sided_    ? one_sided_->project(ends.t1, ends.y0, y1_.data())
                : active_set_ ? active_set_->project(ends.t1, ends.y0, y1_.data())
                              : projector_->project(ends.t1, ends.y0, y1_.data());
-  ++(projected_.skipped ? counts.skipped : counts.projections);
   if (projected_.outcome == Outcome::stop) return Placed::stop;
   const bool defined = projected_.outcome == Outcome::ok;
   correction_ = defined ? projected_.correction : std::numeric_limits<double>::infinity();
@@ -165,7 +166,7 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& cou
     case Outcome::ok: break;
   }
   if (check_ && !at_bounds())
-    harm_->note(step, counts.steps, candidate, y1_.data(), projector_->linearization().weights.data());
+    harm_->note(step, steps, candidate, y1_.data(), projector_->linearization().weights.data());
   ends.y1 = y1_.data();
   return Placed::accepted;
 }
@@ -209,16 +210,16 @@ int Manifold::undefined() const {
 
 // ---------------------------------------------------------------------------------------------------- an accepted step
 
-void Manifold::note(Counts& counts) {
+bool Manifold::note() {
   assert(projected_.residual.size() <= drift.residual.size());
   for (std::size_t i = 0; i < projected_.residual.size(); ++i) {
     drift.residual[i] = std::max(drift.residual[i], std::abs(projected_.residual[i]));
     drift.distance[i] = std::max(drift.distance[i], projected_.distance[i] / weights_.rtol());
   }
   drift.correction = std::max(drift.correction, correction_ / weights_.rtol());
-  if (bounds_ == nullptr) return;
+  if (bounds_ == nullptr) return false;
   clipped += outside_.clipped;
-  counts.clipped += outside_.off_bounds ? 1 : 0;
+  return outside_.off_bounds;
 }
 
 /// A function that increases over a step increases at one of its ends, unless its rate changes sign twice within.

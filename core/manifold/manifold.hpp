@@ -87,8 +87,13 @@ class Manifold {
   /// How `place` ended: `outside` of the bounds by more than the tolerance; moved too far by the projection, or not
   /// projected; the tangent is `undefined` there; `stop`: a user function asks to.
   enum class [[nodiscard]] Placed { accepted, outside, too_far, undefined, stop };
-  /// y₁ from the candidate y*, both in `ends.y1`: moved onto bounds and manifold.
-  Placed place(Step& step, StepEnds& ends, Counts& counts);
+  /// `projected`: a projection was tried; `skipped`: the candidate was near enough to the manifold.
+  struct Placement {
+    Placed placed;
+    bool projected = false, skipped = false;
+  };
+  /// y₁ from the candidate y*, both in `ends.y1`: moved onto bounds and manifold, after so many accepted steps.
+  Placement place(Step& step, StepEnds& ends, std::int64_t steps);
   /// max_i |y*_i − y₁_i| / w_i; infinite where y* could not be projected.
   [[nodiscard]] double correction() const { return correction_; }
   /// The component for which the candidate was `outside`.
@@ -96,8 +101,8 @@ class Manifold {
   /// The invariant that could not be projected, since it is not finite at the candidate; -1: none.
   [[nodiscard]] int undefined() const;
 
-  /// The candidate was accepted.
-  void note(Counts& counts);
+  /// The candidate was accepted. Returns whether it was outside the bounds.
+  bool note();
   /// Does f keep the invariants in accepted step number `number`? `at_break`, `after_break`: it ends, or starts, at a
   /// breakpoint, where there is no room for differences.
   Finding judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break);
@@ -122,7 +127,7 @@ class Manifold {
   double settle(StepEnds& ends);
   bool move_onto_bounds(Step& step, StepEnds& ends);
   Outcome follow_tangent(double t, const double* candidate);
-  Placed project(const Step& step, StepEnds& ends, Counts& counts);
+  Placed project(const Step& step, StepEnds& ends, std::int64_t steps);
   void choose_directions(const Step& step);
   [[nodiscard]] double roundoff_of_correction() const;
   /// The correction belongs to the bounds as well: it says nothing about the invariants.
