@@ -156,7 +156,7 @@ class PythonMatrix final : public Callable {
   PythonMatrix(nb::handle function, bool complex) : function_(nb::borrow(function)), complex_(complex) {}
 
   [[nodiscard]] MatrixFunction callback() { return {&PythonMatrix::entry, this}; }
-  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {function_}); }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, function_); }
 
  private:
   static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
@@ -177,7 +177,7 @@ class PythonPreconditioner final : public Callable {
   PythonPreconditioner(nb::handle function, Space space) : function_(nb::borrow(function)), space_(space) {}
 
   [[nodiscard]] Preconditioner callback() { return {&set_up, &solve, this}; }
-  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {function_}); }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, function_); }
 
  private:
   /// The object that the user's function made; a thread that does not hold the interpreter may give it back.
@@ -545,8 +545,7 @@ void define_machine_code(nb::module_& module) {
       .def_prop_ro("address", [](const Native& self) { return self.address; });
   nb::class_<StateFirst>(module, "StateFirst", nb::type_slots(slots<StateFirst>),
                          "A Python function of (y, t, ...) as one of (t, y, ...).")
-      .def(
-          "__init__", [](StateFirst* self, nb::object fun) { new (self) StateFirst{std::move(fun)}; }, nb::arg("fun"))
+      .def(nb::init<nb::object>(), nb::arg("fun"))
       .def(
           "__call__",
           [](const StateFirst& self, const nb::object& t, const nb::object& y, const nb::args& rest) {
@@ -556,26 +555,19 @@ void define_machine_code(nb::module_& module) {
       .def_prop_ro("__wrapped__", [](const StateFirst& self) { return self.fun; }, "The function as it was given.");
   nb::class_<Filling>(module, "Filling", nb::type_slots(slots<Filling>),
                       "A Python function of (t, y, out, ...) that writes its values to out.")
-      .def(
-          "__init__", [](Filling* self, nb::object fun) { new (self) Filling{std::move(fun)}; }, nb::arg("fun"))
+      .def(nb::init<nb::object>(), nb::arg("fun"))
       .def_prop_ro("__wrapped__", [](const Filling& self) { return self.fun; }, "The function as it was given.");
   nb::class_<SecondOrderSpec>(module, "SecondOrder", nb::type_slots(slots<SecondOrderSpec>),
                               "f of (t, q) with y'' = f(t, y), as y' of (q, v).")
-      .def(
-          "__init__", [](SecondOrderSpec* self, nb::object fun) { new (self) SecondOrderSpec{std::move(fun)}; },
-          nb::arg("fun"))
+      .def(nb::init<nb::object>(), nb::arg("fun"))
       .def_prop_ro("fun", [](const SecondOrderSpec& self) { return self.fun; });
   nb::class_<SeriesSpec>(module, "Series", nb::type_slots(slots<SeriesSpec>),
                          "Machine code for Taylor coefficients, and what keeps it alive.")
-      .def(
-          "__init__",
-          [](SeriesSpec* self, std::uintptr_t address, int order, nb::object owner) {
-            new (self) SeriesSpec{address, order, std::move(owner)};
-          },
-          nb::kw_only(), nb::arg("address"), nb::arg("order"), nb::arg("owner").none(),
-          "void (double t, double unit, const double* in, double* out, const double* p) writes the coefficients in s "
-          "at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m "
-          "values from those of y, (order + 1, m).")
+      .def(nb::init<std::uintptr_t, int, nb::object>(), nb::kw_only(), nb::arg("address"), nb::arg("order"),
+           nb::arg("owner").none(),
+           "void (double t, double unit, const double* in, double* out, const double* p) writes the coefficients in s "
+           "at t + unit s of the powers 0 ... order: of a system from y (n,), (order + 1, n); of a function g of m "
+           "values from those of y, (order + 1, m).")
       .def_ro("order", &SeriesSpec::order);
 }
 

@@ -40,9 +40,31 @@ struct Space {
 // Garbage collection. None of the objects that Python sees changes what it holds: a cycle through one is broken
 // elsewhere.
 
-inline int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held) {
-  for (const nb::handle one : held) Py_VISIT(one.ptr());
+inline int visit_one(visitproc visit, void* arg, const nb::object& one) {
+  Py_VISIT(one.ptr());
   return 0;
+}
+template <class Holder>
+int visit_one(visitproc visit, void* arg, const Holder& one)
+  requires requires { one.visit(visit, arg); }
+{
+  return one.visit(visit, arg);
+}
+template <class Holder>
+int visit_one(visitproc visit, void* arg, const std::optional<Holder>& one) {
+  return one ? visit_one(visit, arg, *one) : 0;
+}
+template <class Holder>
+int visit_one(visitproc visit, void* arg, const std::vector<Holder>& all) {
+  for (const Holder& one : all)
+    if (const int stop = visit_one(visit, arg, one); stop != 0) return stop;
+  return 0;
+}
+template <class... Held>
+int visit_all(visitproc visit, void* arg, const Held&... held) {
+  int stop = 0;
+  (void)((stop = visit_one(visit, arg, held)) || ...);
+  return stop;
 }
 template <class Holder>
 int traverse(PyObject* self, visitproc visit, void* arg) {
@@ -60,21 +82,21 @@ struct Native {
   nb::object owner;
   std::vector<PiecewisePolynomial> inputs;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, owner); }
 };
 
 /// A Python function of (y, t, …), as SciPy's `odeint` has it. The core calls it in that order.
 struct StateFirst {
   nb::object fun;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun); }
 };
 
 /// A Python function of (t, y, out, …) that writes its values to out.
 struct Filling {
   nb::object fun;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun); }
 };
 
 /// A callback that ends a run where a step is one too many between two times of its output, without Python.
@@ -103,7 +125,7 @@ class StepLimit {
 struct SecondOrderSpec {
   nb::object fun;  ///< of (t, q)
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun); }
 };
 
 /// Machine code for Taylor coefficients, what keeps it alive, and the order up to which it goes.
@@ -112,7 +134,7 @@ struct SeriesSpec {
   int order;
   nb::object owner;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, owner); }
 };
 
 /// An owner that keeps a user function for as long as the core may call it.

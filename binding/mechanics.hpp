@@ -28,7 +28,7 @@ struct MechanicsSpec {
   bool sparse;
   double dependent;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {functions}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, functions); }
 };
 
 /// One of the functions of (t, y) that a mechanical system has.
@@ -36,7 +36,7 @@ struct MotionPart {
   nb::object mechanics;  // a MechanicsSpec
   Motion::Part part;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {mechanics}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, mechanics); }
 };
 
 /// A motion in the keeping of the functions that it calls.
@@ -46,7 +46,7 @@ class OwnedMotion final : public Callable {
 
   [[nodiscard]] bool is_of(nb::handle mechanics) const { return mechanics_.is(mechanics); }
   [[nodiscard]] Motion& motion() { return *motion_; }
-  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {mechanics_}); }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, mechanics_); }
 
  private:
   nb::object mechanics_;

@@ -18,8 +18,10 @@
 namespace invariode::binding {
 namespace {
 
-using ThresholdArgument = std::variant<double, ConstVector>;
+using Objects = std::vector<nb::object>;
 using OptionalVector = std::optional<ConstVector>;
+
+std::vector<double> to_vector(const OptionalVector& a) { return a ? binding::to_vector(*a) : std::vector<double>{}; }
 
 template <class Value, std::size_t count>
 Value choose(const Named<Value> (&table)[count], const std::string& name, const char* what) {
@@ -67,6 +69,10 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
     }
   }
   if (!nb::isinstance<nb::str>(spec.jac)) {
+    const auto& [starts, columns] = spec.pattern;
+    require(starts.empty() || (starts.size() == spec.m + 1 && starts.front() == 0 && starts.back() == columns.size() &&
+                               std::ranges::is_sorted(starts)),
+            "the pattern of an invariant's Jacobian is not one of its rows");
     if (spec.pattern)
       block.jacobian = functions.vector(spec.jac, "the Jacobian of " + name, spec.pattern.columns.size());
     else
@@ -188,7 +194,7 @@ void add_variations(const VariationsSpec& spec, Functions& functions, Problem& p
   variations.k = spec.k;
   variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k,
                                                 problem.delays ? problem.delays->lags.size() : 0);
-  variations.tolerance = spec.thresholds;
+  variations.tolerance.assign(spec.thresholds.data(), spec.thresholds.data() + spec.thresholds.size());
   variations.error_test = spec.error_test;
   variations.quadratures = spec.quadratures;
   for (std::size_t i = 0; i < spec.invariants.size(); ++i) {
@@ -233,11 +239,13 @@ Weights to_weights(double rtol, std::vector<double> threshold, std::vector<doubl
 }
 
 Weights Tolerances::for_size(std::size_t n) const {
-  const auto* each = std::get_if<std::vector<double>>(&threshold);
-  return to_weights(rtol, each ? *each : std::vector<double>(n, std::get<double>(threshold)), scale);
+  const auto* each = std::get_if<ConstVector>(&threshold);
+  return to_weights(rtol, each ? binding::to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
+                    to_vector(scale));
 }
 
-BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {
+BoundProblem::BoundProblem(const ProblemSpec& spec)
+    : functions_({spec.n, spec.complex}, spec.args, binding::to_vector(spec.parameters)) {
   problem_.n = spec.n;
   problem_.complex = spec.complex;
   const std::size_t delays = spec.delays ? spec.delays->lags.size() : 0;
@@ -252,7 +260,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
     problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
   if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
   for (const InvariantSpec& one : spec.invariants) problem_.invariants.push_back(make_block(one, functions_));
-  problem_.value = spec.value;
+  problem_.value = to_vector(spec.value);
   if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
   for (const VectorSpec& one : spec.vectors)
@@ -260,7 +268,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   for (const EventFunction& event : problem_.events)
     if (event.vector == EventFunction::alone && !event.function)
       throw std::invalid_argument("an event has no function");
-  if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
+  if (spec.lower || spec.upper) problem_.bounds.emplace(to_vector(spec.lower), to_vector(spec.upper));
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
   problem_.landings = make_landings(spec.landings);
   if (spec.variations) add_variations(*spec.variations, functions_, problem_);
@@ -270,96 +278,33 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python sees
 
-int EventSpec::visit(visitproc visit, void* arg) const {
-  const int stop = visit_all(visit, arg, {fun, action});
-  return stop == 0 && series ? series->visit(visit, arg) : stop;
-}
-
-int VariationsSpec::visit(visitproc visit, void* arg) const {
-  Py_VISIT(slope.ptr());
-  Py_VISIT(landings.ptr());
-  for (const std::vector<nb::object>* each : {&invariants, &jumps, &breakpoints})
-    for (const nb::object& one : *each) Py_VISIT(one.ptr());
-  return 0;
-}
-
-int ProblemSpec::visit(visitproc visit, void* arg) const {
-  int stop = visit_all(visit, arg, {fun, args, callback});
-  if (stop == 0 && linear) stop = linear->visit(visit, arg);
-  if (stop == 0 && variations) stop = variations->visit(visit, arg);
-  if (stop == 0 && delays) stop = delays->visit(visit, arg);
-  for (const std::optional<SeriesSpec>* one : {&series, &conditions})
-    if (stop == 0 && *one) stop = (*one)->visit(visit, arg);
-  const auto visit_each = [&](const auto& specs) {
-    for (const auto& one : specs)
-      if (stop == 0) stop = one.visit(visit, arg);
-  };
-  visit_each(events);
-  visit_each(vectors);
-  visit_each(breakpoints);
-  visit_each(invariants);
-  return stop;
-}
-
 namespace {
 
 void define_functions(nb::module_& module) {
   nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")
-      .def(
-          "__init__",
-          [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense, bool along_steps,
-             std::vector<std::size_t> starts, std::vector<int> columns) {
-            const bool valid = starts.empty() || (starts.size() == m + 1 && starts.front() == 0 &&
-                                                  starts.back() == columns.size() && std::ranges::is_sorted(starts));
-            if (!valid) throw std::invalid_argument("the pattern of an invariant's Jacobian is not one of its rows");
-            new (self) InvariantSpec{std::move(fun),
-                                     std::move(jac),
-                                     m,
-                                     std::move(name),
-                                     held,
-                                     level,
-                                     std::move(moves),
-                                     std::move(metric),
-                                     metric_size,
-                                     along_steps,
-                                     sense,
-                                     RowPattern{std::move(starts), std::move(columns)}};
-          },
-          nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
-          nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
-          nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
-          nb::arg("columns") = std::vector<int>{},
-          "starts, columns: where the entries are that a sparse jac returns, row by row.");
+      .def(nb::init<nb::object, nb::object, std::size_t, std::string, bool, int, std::vector<std::size_t>, nb::object,
+                    std::size_t, int, bool, std::vector<std::size_t>, std::vector<int>>(),
+           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
+           nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
+           nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
+           nb::arg("columns") = std::vector<int>{},
+           "starts, columns: where the entries are that a sparse jac returns, row by row.");
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
-      .def(
-          "__init__",
-          [](BreakpointSpec* self, double t, nb::object action) { new (self) BreakpointSpec{t, std::move(action)}; },
-          nb::arg("t"), nb::arg("action").none());
+      .def(nb::init<double, nb::object>(), nb::arg("t"), nb::arg("action").none());
   nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
-      .def(
-          "__init__",
-          [](EventSpec* self, nb::object fun, std::int64_t terminal, int direction, std::string name, nb::object action,
-             bool rehold, int samples, std::optional<SeriesSpec> series, bool touching, bool at_jumps) {
-            new (self) EventSpec{std::move(fun), terminal, direction,         std::move(name), std::move(action),
-                                 rehold,         samples,  std::move(series), touching,        at_jumps};
-          },
-          nb::arg("fun").none(), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
-          nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
-          nb::arg("at_jumps") = true,
-          "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. "
-          "series: along polynomials, for methods "
-          "whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where "
-          "jumps change its sign.");
+      .def(nb::init<nb::object, std::int64_t, int, std::string, nb::object, bool, int, std::optional<SeriesSpec>, bool,
+                    bool>(),
+           nb::arg("fun").none(), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
+           nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
+           nb::arg("at_jumps") = true,
+           "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. "
+           "series: along polynomials, for methods "
+           "whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where "
+           "jumps change its sign.");
   nb::class_<VectorSpec>(module, "RootVector", nb::type_slots(slots<VectorSpec>),
                          "Events that are one function with one action, for the core.")
-      .def(
-          "__init__",
-          [](VectorSpec* self, nb::object fun, std::size_t first, std::size_t count, std::string name,
-             nb::object action) {
-            new (self) VectorSpec{std::move(fun), first, count, std::move(name), std::move(action)};
-          },
-          nb::arg("fun"), nb::arg("first"), nb::arg("count"), nb::arg("name"), nb::arg("action"));
+      .def(nb::init<nb::object, std::size_t, std::size_t, std::string, nb::object>(), nb::arg("fun"), nb::arg("first"),
+           nb::arg("count"), nb::arg("name"), nb::arg("action"));
 }
 
 void define_linear(nb::module_& module) {
@@ -400,107 +345,55 @@ void define_linear(nb::module_& module) {
 }
 
 void define_variations(nb::module_& module) {
-  using Objects = std::vector<nb::object>;
   nb::class_<VariationsSpec>(module, "Variations", nb::type_slots(slots<VariationsSpec>),
                              "Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 "
                              "+ k, n): y, then dy/dp_j.")
-      .def(
-          "__init__",
-          [](VariationsSpec* self, std::size_t k, nb::object slope, const ConstMatrix& thresholds, Objects invariants,
-             Objects jumps, Objects breakpoints, nb::object landings, bool error_test, bool quadratures) {
-            new (self) VariationsSpec{k,
-                                      std::move(slope),
-                                      {thresholds.data(), thresholds.data() + thresholds.size()},
-                                      std::move(invariants),
-                                      std::move(jumps),
-                                      std::move(breakpoints),
-                                      std::move(landings),
-                                      error_test,
-                                      quadratures};
-          },
-          nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
-          nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
-          nb::arg("error_test") = true, nb::arg("quadratures") = false,
-          "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
-          "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-          "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
-          "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
-          "(t, y) alone, and M the identity for S.")
+      .def(nb::init<std::size_t, nb::object, ConstMatrix, Objects, Objects, Objects, nb::object, bool, bool>(),
+           nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
+           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
+           nb::arg("error_test") = true, nb::arg("quadratures") = false,
+           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
+           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
+           "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
+           "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
+           "(t, y) alone, and M the identity for S.")
       .def_ro("k", &VariationsSpec::k)
       .def_ro("error_test", &VariationsSpec::error_test);
 }
 
 void define_delays(nb::module_& module) {
   nb::class_<DelaysSpec>(module, "Delays", nb::type_slots(slots<DelaysSpec>), "Constant delays, for the core.")
-      .def(
-          "__init__",
-          [](DelaysSpec* self, std::vector<double> lags, std::vector<std::int64_t> parameters,
-             std::vector<double> constant, nb::object history, std::vector<double> jumps, std::vector<double> rates) {
-            new (self) DelaysSpec{std::move(lags),    std::move(parameters), std::move(constant),
-                                  std::move(history), std::move(jumps),      std::move(rates)};
-          },
-          nb::arg("lags"), nb::arg("parameters"), nb::arg("constant"), nb::arg("history").none(), nb::arg("jumps"),
-          nb::arg("rates"),
-          "lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if "
-          "it "
-          "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. "
-          "rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.");
+      .def(nb::init<std::vector<double>, std::vector<std::int64_t>, std::vector<double>, nb::object,
+                    std::vector<double>, std::vector<double>>(),
+           nb::arg("lags"), nb::arg("parameters"), nb::arg("constant"), nb::arg("history").none(), nb::arg("jumps"),
+           nb::arg("rates"),
+           "lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if "
+           "it "
+           "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. "
+           "rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.");
 }
 
 void define_description(nb::module_& module) {
   nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
                           "Problem to be solved, except its initial value. n: reals in a state.")
-      .def(
-          "__init__",
-          [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
-             const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             std::vector<VectorSpec> vectors, std::vector<BreakpointSpec> breakpoints, LandingsSpec landings,
-             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value,
-             const OptionalVector& lower, const OptionalVector& upper, std::optional<VariationsSpec> variations,
-             std::optional<SeriesSpec> series, std::optional<SeriesSpec> conditions, std::size_t condition_count,
-             std::optional<DelaysSpec> delays) {
-            new (self) ProblemSpec{n,
-                                   complex,
-                                   std::move(fun),
-                                   std::move(args),
-                                   to_vector(parameters),
-                                   std::move(linear),
-                                   std::move(events),
-                                   std::move(vectors),
-                                   std::move(breakpoints),
-                                   std::move(landings),
-                                   std::move(callback),
-                                   std::move(invariants),
-                                   value ? to_vector(*value) : std::vector<double>{},
-                                   lower ? to_vector(*lower) : std::vector<double>{},
-                                   upper ? to_vector(*upper) : std::vector<double>{},
-                                   std::move(variations),
-                                   std::move(series),
-                                   std::move(conditions),
-                                   condition_count,
-                                   std::move(delays)};
-          },
-          nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
-          nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
-          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
-          nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
-          nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
-          nb::arg("delays") = nb::none(),
-          "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
-          "condition_count values along a polynomial, of which one changes its sign where f changes its "
-          "branch.");
+      .def(nb::init<std::size_t, bool, nb::object, nb::tuple, ConstVector, std::optional<LinearSpec>,
+                    std::vector<EventSpec>, std::vector<VectorSpec>, std::vector<BreakpointSpec>, LandingsSpec,
+                    nb::object, std::vector<InvariantSpec>, OptionalVector, OptionalVector, OptionalVector,
+                    std::optional<VariationsSpec>, std::optional<SeriesSpec>, std::optional<SeriesSpec>, std::size_t,
+                    std::optional<DelaysSpec>>(),
+           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
+           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
+           nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
+           nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
+           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
+           nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
+           nb::arg("delays") = nb::none(),
+           "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
+           "condition_count values along a polynomial, of which one changes its sign where f changes its "
+           "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
-      .def(
-          "__init__",
-          [](Tolerances* self, double rtol, const ThresholdArgument& threshold, const OptionalVector& scale) {
-            new (self) Tolerances{rtol, {}, scale ? to_vector(*scale) : std::vector<double>{}};
-            if (const auto* each = std::get_if<ConstVector>(&threshold))
-              self->threshold = to_vector(*each);
-            else
-              self->threshold = std::get<double>(threshold);
-          },
-          nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none());
+      .def(nb::init<double, std::variant<double, ConstVector>, OptionalVector>(), nb::arg("rtol"), nb::arg("threshold"),
+           nb::arg("scale").none());
 }
 
 /// A setting of the core's structs: its name, and how its value gets there and back.

@@ -11,6 +11,7 @@
 #include <variant>
 #include <vector>
 
+#include "arrays.hpp"
 #include "callables.hpp"
 #include "integrate.hpp"
 #include "methods/registry.hpp"
@@ -31,11 +32,11 @@ struct InvariantSpec {
   std::vector<std::size_t> moves;
   nb::object metric;            // None, or G(t, y), or a constant
   std::size_t metric_size = 0;  // how many values it has
-  bool along_steps = false;     // its correction is made of what the step is made of
   int sense = 0;                // −1: it never rises as t grows; 1: it never falls; 0: it is kept
+  bool along_steps = false;     // its correction is made of what the step is made of
   RowPattern pattern;           // of what `jac` returns; none: it is full
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, jac, metric}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun, jac, metric); }
 };
 
 struct EventSpec {
@@ -50,7 +51,7 @@ struct EventSpec {
   bool touching = false;
   bool at_jumps = true;
 
-  int visit(visitproc visit, void* arg) const;
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun, action, series); }
 };
 
 /// Events that are one function with one action; they follow in the list of events from number `first` on.
@@ -60,7 +61,7 @@ struct VectorSpec {
   std::string name;
   nb::object action;  // (t, (y, d)) -> y
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, action}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun, action); }
 };
 
 /// A breakpoint: its time, and its action or None.
@@ -68,7 +69,7 @@ struct BreakpointSpec {
   double t;
   nb::object action;
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {action}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, action); }
 };
 
 /// ∂f/∂y and M as far as they are known.
@@ -86,7 +87,7 @@ struct LinearSpec {
   nb::object rate;                     // ∂f/∂t, or None
 
   int visit(visitproc visit, void* arg) const {
-    return visit_all(visit, arg, {jacobian, mass, null_basis, lapack, product, preconditioner, rate});
+    return visit_all(visit, arg, jacobian, mass, null_basis, lapack, product, preconditioner, rate);
   }
 };
 
@@ -95,12 +96,14 @@ struct LinearSpec {
 struct VariationsSpec {
   std::size_t k;
   nb::object slope;
-  std::vector<double> thresholds;
+  ConstMatrix thresholds;
   std::vector<nb::object> invariants, jumps, breakpoints;
   nb::object landings;  // at landings, or None
   bool error_test, quadratures;
 
-  int visit(visitproc visit, void* arg) const;
+  int visit(visitproc visit, void* arg) const {
+    return visit_all(visit, arg, slope, invariants, jumps, breakpoints, landings);
+  }
 };
 
 /// Delays: their values; the index of each among the parameters, or −1 for a constant; the history, which is an array
@@ -113,7 +116,7 @@ struct DelaysSpec {
   std::vector<double> jumps;
   std::vector<double> rates;  // ∂τ_j/∂p, (lags, k), with sensitivities
 
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {history}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, history); }
 };
 
 /// Single times, and the first times and the periods of progressions.
@@ -124,7 +127,7 @@ struct ProblemSpec {
   bool complex;
   nb::object fun;
   nb::tuple args;
-  std::vector<double> parameters;
+  ConstVector parameters;
   std::optional<LinearSpec> linear;
   std::vector<EventSpec> events;
   std::vector<VectorSpec> vectors;
@@ -132,22 +135,25 @@ struct ProblemSpec {
   LandingsSpec landings;
   nb::object callback;
   std::vector<InvariantSpec> invariants;
-  std::vector<double> value;
-  std::vector<double> lower, upper;  // bounds of y; empty: none
+  std::optional<ConstVector> value;
+  std::optional<ConstVector> lower, upper;  // bounds of y
   std::optional<VariationsSpec> variations;
   std::optional<SeriesSpec> series;      // of the solution
   std::optional<SeriesSpec> conditions;  // of f, along it
   std::size_t condition_count;
   std::optional<DelaysSpec> delays;  // then fun takes (t, y, z)
 
-  int visit(visitproc visit, void* arg) const;
+  int visit(visitproc visit, void* arg) const {
+    return visit_all(visit, arg, fun, args, linear, events, vectors, breakpoints, callback, invariants, variations,
+                     series, conditions, delays);
+  }
 };
 
 /// rtol, thr of all components or of each, and the scales of a vector rtol, if it was one.
 struct Tolerances {
   double rtol;
-  std::variant<double, std::vector<double>> threshold;
-  std::vector<double> scale;
+  std::variant<double, ConstVector> threshold;
+  std::optional<ConstVector> scale;
 
   [[nodiscard]] Weights for_size(std::size_t n) const;
 };

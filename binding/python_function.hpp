@@ -43,7 +43,7 @@ class PythonFunction final : public Callable {
   /// Sets that exception.
   void raise_overflow();
   void forget_overflow();
-  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {callable_, args_, overflow_}); }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, callable_, args_, overflow_); }
 
  private:
   static Status entry(void* self, double t, const double* y, double* out) noexcept {

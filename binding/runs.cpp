@@ -66,7 +66,7 @@ struct BoundSolver {
       : bound(problem),
         solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
   int visit(visitproc visit, void* arg) const {
-    const int stop = visit_all(visit, arg, {course});
+    const int stop = visit_all(visit, arg, course);
     return stop == 0 ? bound.visit(visit, arg) : stop;
   }
 
@@ -412,7 +412,7 @@ class Stepper {
     integration().keep_last_step();
     guarded([&] { integration().start(y0.data()); });
   }
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner_}); }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, owner_); }
 
   /// Goes on by one accepted step; what the state is then, tells why not.
   void step() {
