@@ -89,7 +89,9 @@ Projected Projector::project(double t, const double* from, double* y) {
   if (did.skipped) return did;
   bool doubtful = false;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
-    did.outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
+    if (iteration > 0 && invariants_.residual(t, y, r_.data()) == Status::stop) did.outcome = Outcome::stop;
+    if (iteration > 0 && did.outcome == Outcome::ok && correct_again(y)) break;
+    if (did.outcome == Outcome::ok) did.outcome = linearize_known(t, y);
     if (did.outcome != Outcome::ok) return did;
     if (iteration == 0) {
       const Linearization at = linearization();
@@ -110,13 +112,46 @@ Projected Projector::project(double t, const double* from, double* y) {
 Outcome Projector::onto(double t, const double* w, const double* target, double* y, int most) {
   std::copy(w, w + w_.size(), w_.begin());
   for (int iteration = 0; iteration < most; ++iteration) {
-    if (const Outcome outcome = linearize(t, y); outcome != Outcome::ok) return outcome;
+    if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
     for (std::size_t i = 0; i < r_.size(); ++i) r_[i] -= target[i];
+    if (iteration > 0 && correct_again(y)) break;
+    if (const Outcome outcome = linearize_known(t, y); outcome != Outcome::ok) return outcome;
     solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
     if (settled()) break;
   }
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
+}
+
+/// Newton's next correction δ' by the gradients of the last one, δ, where that leaves no more than roundoff: these have
+/// changed by the part 2 |δ'| / |δ| of themselves, since r(y − δ) is half of what they add up to in δ, and that part of
+/// δ' is left. Judged by distances, and where there are several invariants by the corrections too.
+bool Projector::correct_again(double* y) {
+  const auto negligible = [&](double size, double before) {
+    for (std::size_t i = 0; i < r_.size(); ++i) {
+      if (idle(i) || left_out(i)) continue;
+      const double terms = size_of_terms(invariants_.value()[i], invariants_.row(i, J_.data()), point_.data());
+      if (!(2 * size * size * norm_[i] <= eps * terms * before)) return false;
+    }
+    return true;
+  };
+  if (!all_finite(r_.data(), r_.size()) || !negligible(largest_distance(), distance_)) return false;
+  const double before = size_of_correction();
+  if (levels_)
+    levels_->solve(J_.data(), r_.data(), unit_.data(), movable_w_, pivot_threshold(), apart_, delta_.data());
+  else
+    correction_for(r_.data(), delta_.data());
+  if (r_.size() > 1 && !negligible(size_of_correction(), before)) return false;
+  for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+  return true;
+}
+
+/// The largest distance from a level set in units of the weights, of the invariants that take part.
+double Projector::largest_distance() const {
+  double largest = 0;
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (!idle(i) && !left_out(i)) largest = std::max(largest, linearization().distance(i));
+  return largest;
 }
 
 void Projector::seek_along(std::span<const double* const> vectors) {
@@ -388,6 +423,7 @@ std::size_t Projector::solve(double t) {
   std::fill(left_out_.begin(), left_out_.end(), 0);
   rank_ = levels_ ? solve_in_levels(t) : r_.size() > 1 ? solve_several(t) : solve_one(t);
   count_correction(t, rank_);
+  distance_ = largest_distance();
   return rank_;
 }
 
@@ -525,8 +561,10 @@ void Projector::release_all() {
 }
 
 /// Returns whether the latest correction was so small that its remainder is roundoff.
-bool Projector::settled() const {
-  return max_norm(w_.size(), [this](std::size_t i) { return delta_[i] / w_[i]; }) <= last_correction;
+bool Projector::settled() const { return size_of_correction() <= last_correction; }
+
+double Projector::size_of_correction() const {
+  return max_norm(w_.size(), [this](std::size_t i) { return delta_[i] / w_[i]; });
 }
 
 double Projector::pivot_threshold() const {

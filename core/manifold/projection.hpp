@@ -62,8 +62,9 @@ class Projector {
   Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible = 0);
 
   /// The paper's projection of the candidate y* (in `y`, overwritten by y₁) of a step from `from`: the given number of
-  /// iterations, each with g and J taken afresh, W = max(|from|, |y*|, thr) frozen; in levels at most so many, until a
-  /// correction leaves roundoff. Not finite as well where g is not defined at y₁, or y₁ is no nearer to the manifold.
+  /// iterations, each with g taken afresh, and J unless the one before serves to roundoff, W = max(|from|, |y*|, thr)
+  /// frozen; in levels at most so many, until a correction leaves roundoff. Not finite as well where g is not defined
+  /// at y₁, or y₁ is no nearer to the manifold.
   Projected project(double t, const double* from, double* y);
   /// At most `most` iterations towards r(t, y) = target with the given W: for points between steps.
   Outcome onto(double t, const double* w, const double* target, double* y, int most);
@@ -120,6 +121,9 @@ class Projector {
 
  private:
   Outcome linearize(double t, const double* y);
+  bool correct_again(double* y);
+  [[nodiscard]] double largest_distance() const;
+  [[nodiscard]] double size_of_correction() const;
   Outcome linearize_known(double t, const double* y);
   [[nodiscard]] double movable_part(std::size_t i) const;
   [[nodiscard]] bool stuck(std::size_t i) const;
@@ -180,6 +184,7 @@ class Projector {
   std::optional<Levels> levels_;  // where the invariants have any
   // Of the latest correction.
   std::size_t rank_ = 0;
+  double distance_ = 0;                // the largest one of the invariants, before it
   const double* movable_w_ = nullptr;  // in levels: W, 0 where fixed
   const char* apart_ = nullptr;        // and what takes no part
 };

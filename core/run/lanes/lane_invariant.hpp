@@ -27,7 +27,9 @@ class LaneInvariant {
   LaneInvariant(const Job& job, P* now, P* ready, Host& host)
       : job_(job), rates_(Rows::errors + 2 * job.n), now_(now), ready_(ready) {
     if (job.invariant == nullptr) return;
-    for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &sizes_, &slope_}) *one = take<W>(host, job.n);
+    for (P** one :
+         {&w_, &jacobian_, &row_, &delta_, &point_, &sizes_, &slope_, &kept_jacobian_, &kept_row_, &kept_point_})
+      *one = take<W>(host, job.n);
     y1_ = take<W>(host, job.all);
     if (varied() == 0) return;
     for (P** one : {&last_row_, &last_jacobian_}) *one = take<W>(host, job.n);
@@ -71,9 +73,11 @@ class LaneInvariant {
     for (std::size_t i = 0; i < job_.all; ++i) y1_[i] = candidate[i];
     held_ = now_[Rows::value];
     norm_ = now_[Rows::norm];
-    M odd = no_lane<W>(), doubtful = no_lane<W>();
-    for (int iteration = 0; iteration < invariant().iterations; ++iteration) {
-      odd = odd | correct(iteration, step, doubtful);
+    M odd = no_lane<W>(), doubtful = no_lane<W>(), open = due;
+    P evaluations(0), jacobians(0);
+    for (int iteration = 0; iteration < invariant().iterations && any(open); ++iteration) {
+      evaluations += choose(open, P(1), P(0));
+      odd = odd | correct(iteration, step, open, jacobians, doubtful);
       odd = odd | mend(y1_, step.y0, job_.n);
     }
     LaneNorm<W> moved;
@@ -85,8 +89,8 @@ class LaneInvariant {
     odd = odd | ~(moved_ <= P(largest_correction * job_.rtol));
     const M sound = due & ~odd;
     now_[Rows::norm] = choose(sound, norm_, now_[Rows::norm]);
-    count(Rows::evaluations, sound, invariant().iterations);
-    count(Rows::jacobians, sound, invariant().iterations);
+    now_[Rows::evaluations] += choose(sound, evaluations, P(0));
+    now_[Rows::jacobians] += choose(sound, jacobians, P(0));
     if (any(sound & doubtful)) odd = odd | measure_after(sound & doubtful, step);
     if (varied() > 0) odd = odd | follow(due & ~odd, step.t1, now_ + rates_, step.y0, y1_, step.p);
     return odd & due;
@@ -147,10 +151,16 @@ class LaneInvariant {
     M odd = no_lane<W>(), open = between;
     for (int iteration = 0; iteration < interpolation_iterations && any(open); ++iteration) {
       const P residual = (g(t, y, step.p) - held_) - target;
-      odd = odd | (open & (linearize(t, y, step.p) | ~(absolute(residual) < P(infinity))));
-      if (varied() > 0) note_linearization(open);
+      const M fresh = iteration == 0 ? open : open & ~serves(residual);
+      odd = odd | (open & ~(absolute(residual) < P(infinity)));
+      if (iteration == 0)
+        odd = odd | (open & linearize(t, y, step.p));
+      else if (any(fresh))
+        odd = odd | renew(fresh, t, y, step.p);
+      if (varied() > 0) note_linearization(fresh);
       count(Rows::evaluations, open, 1);
-      count(Rows::jacobians, open, 1);
+      count(Rows::jacobians, fresh, 1);
+      distance_ = absolute(residual) / norm_;
       invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
       LaneNorm<W> moved;
       for (std::size_t i = 0; i < job_.n; ++i) {
@@ -158,7 +168,7 @@ class LaneInvariant {
         y[i] = choose(open, y[i] - delta_[i], y[i]);
       }
       odd = odd | (open & mend(y, step.y1, job_.n));
-      open = open & ~(moved.value() <= P(last_correction));
+      open = fresh & ~(moved.value() <= P(last_correction));
     }
     if (varied() > 0 && any(between)) odd = odd | follow_between(between & ~odd, t, theta, step, y);
     return odd;
@@ -245,20 +255,49 @@ class LaneInvariant {
     last_norm_ = choose(where, norm_, last_norm_);
   }
 
-  /// One correction of `y1_`.
-  M correct(int iteration, const LaneStep<W>& step, M& doubtful) {
+  /// One correction of `y1_` where it is open: the last one, where the gradient at hand serves.
+  M correct(int iteration, const LaneStep<W>& step, M& open, P& jacobians, M& doubtful) {
     const P residual = g(step.t1, y1_, step.p) - held_, length = norm_;
-    const M odd = linearize(step.t1, y1_, step.p) | ~(absolute(residual) < P(infinity));
+    const M fresh = iteration == 0 ? open : open & ~serves(residual);
+    jacobians += choose(fresh, P(1), P(0));
+    M odd = open & ~(absolute(residual) < P(infinity));
+    if (iteration == 0)
+      odd = odd | linearize(step.t1, y1_, step.p);
+    else if (any(fresh))
+      odd = odd | renew(fresh, step.t1, y1_, step.p);
     const P bent = bend(norm_, length);  // 0 there is no gradient before: infinity
     if (iteration == 0) {
       before_ = absolute(residual);
       doubtful = P(large_residual) * size_of_terms(held_, gradient(), point_) < before_;
     }
+    distance_ = absolute(residual) / norm_;
     invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
-    const M bends = (P(slight_bend) < bent) & (P(0) < length);
+    const M bends = fresh & (P(slight_bend) < bent) & (P(0) < length);
     if (any(bends)) doubtful = doubtful | (bends & bends_sharply(bent, step.y0, y1_, delta_, job_.n));
-    for (std::size_t i = 0; i < job_.n; ++i) y1_[i] = y1_[i] - delta_[i];
+    for (std::size_t i = 0; i < job_.n; ++i) y1_[i] = choose(open, y1_[i] - delta_[i], y1_[i]);
+    open = fresh;
     return odd;
+  }
+
+  /// `Projector::correct_again`: returns where the gradient of the last correction serves for the next one too.
+  [[nodiscard]] M serves(const P& residual) const {
+    const P distance = absolute(residual) / norm_;
+    return P(2) * distance * distance * norm_ <= P(eps) * size_of_terms(held_, gradient(), point_) * distance_;
+  }
+  /// The linearization at y becomes that of these lanes; the others keep theirs. Returns the odd ones.
+  M renew(const M& fresh, const P& t, const P* y, const P* p) {
+    std::swap(row_, kept_row_);
+    std::swap(jacobian_, kept_jacobian_);
+    std::swap(point_, kept_point_);
+    const P kept_norm = norm_;
+    const M odd = linearize(t, y, p);
+    norm_ = choose(fresh, norm_, kept_norm);
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      row_[i] = choose(fresh, row_[i], kept_row_[i]);
+      jacobian_[i] = choose(fresh, jacobian_[i], kept_jacobian_[i]);
+      point_[i] = choose(fresh, point_[i], kept_point_[i]);
+    }
+    return fresh & odd;
   }
 
   /// Returns whether the corrections have led away from the manifold: `Projector::measure_after`, except for its last
@@ -330,11 +369,11 @@ class LaneInvariant {
   std::size_t rates_;  // the first row of what the tangent holds
   P *now_, *ready_;
   P *w_ = nullptr, *jacobian_ = nullptr, *row_ = nullptr, *delta_ = nullptr, *point_ = nullptr, *y1_ = nullptr,
-    *sizes_ = nullptr, *slope_ = nullptr;
+    *sizes_ = nullptr, *slope_ = nullptr, *kept_jacobian_ = nullptr, *kept_row_ = nullptr, *kept_point_ = nullptr;
   P *tangent_ = nullptr, *tangent0_ = nullptr, *tangent1_ = nullptr, *target_ = nullptr;  // (k,), at the ends of steps
   P *last_row_ = nullptr, *last_jacobian_ = nullptr;
   P last_norm_{0};
-  P held_{0}, norm_{0}, moved_{0}, before_{0}, start_{0};  // of the step in work
+  P held_{0}, norm_{0}, moved_{0}, before_{0}, start_{0}, distance_{0};  // of the step in work
 };
 
 }  // namespace invariode::lanes::INVARIODE_LANES
