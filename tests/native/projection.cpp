@@ -194,6 +194,27 @@ TEST(the_correction_reported_is_the_largest_move_in_units_of_the_weights) {
   });
 }
 
+/// The residual of y = (1 + d) e on the unit sphere is d + d²/2, and the second correction d²/2 of it, of which
+/// gradients at y are wrong by d.
+TEST(a_second_correction_takes_new_gradients_only_where_the_old_ones_leave_more_than_roundoff) {
+  Function g = [](double, const double* y, double* r) { r[0] = (y[0] * y[0] + y[1] * y[1]) / 2; };
+  Function jacobian = [](double, const double* y, double* out) { std::copy_n(y, 2, out); };
+  const Weights weights(1e-3, {1e-3, 1e-3}, {});
+  for (const bool between : {false, true})
+    for (const double d : {1e-1, 1e-2, 1e-4, 3e-6, 1e-6, 1e-8, 1e-12, 0.0}) {
+      const check::Case label("between = ", between, ", d = ", d);
+      Invariants invariants(2, {{.g = as_callback(g), .jacobian = as_callback(jacobian), .m = 1}}, {0.5}, weights);
+      Projector projector(invariants, weights, 2);
+      const double from[] = {0.8, -0.6}, w[] = {1, 1}, target = 0;
+      double y[] = {0.6 * (1 + d), 0.8 * (1 + d)}, left = 0;
+      const Outcome outcome = between ? projector.onto(0, w, &target, y, 2) : projector.project(0, from, y).outcome;
+      CHECK(outcome == Outcome::ok);
+      CHECK(invariants.residual(0, y, &left) == Status::ok);
+      CHECK(std::abs(left) <= 4 * eps + std::pow(d, 4));
+      if (!between || d > 1e-10) CHECK(invariants.jacobian_calls() == (d > 1e-5 ? 2 : 1));
+    }
+}
+
 TEST(impose_reaches_roundoff_and_keeps_points_that_have) {
   for (Problem problem : {harmonic(), kepler(0.6), pendulum(), rigid_body(), lotka_volterra()})
     for (const bool user_jacobian : {true, false}) {
