@@ -88,8 +88,7 @@ Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
   std::optional<TangentProjector> tangent;
   const Extent extent = output.extent();
   if (output.projects() && problem && !problem->invariants.empty()) {
-    require((problem->value ? problem->value->size() : 0) == output.parts().m,
-            "not the number of invariants of the run");
+    require(problem->m() == output.parts().m, "not the number of invariants of the run");
     bound.emplace(*problem);
     require_sizes(bound->problem(), weights);
     require(bound->problem().extent() == extent, "not the sensitivities of the run");

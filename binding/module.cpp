@@ -54,7 +54,7 @@ Table residual(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& pr
   const BoundProblem bound(problem);
   const Points points = to_points(t, y, problem);
   std::vector<double> r = unlocked(bound, [&] { return residuals(bound.problem(), points); });
-  return to_array<Table>(std::move(r), points.count, problem.value.size());
+  return to_array<Table>(std::move(r), points.count, problem.m());
 }
 
 Table distance(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& problem, const Tolerances& tolerances) {
@@ -62,7 +62,7 @@ Table distance(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& pr
   const Weights weights = tolerances.for_size(problem.n);
   const Points points = to_points(t, y, problem);
   std::vector<double> d = unlocked(bound, [&] { return distances(bound.problem(), weights, points); });
-  return to_array<Table>(std::move(d), points.count, problem.value.size());
+  return to_array<Table>(std::move(d), points.count, problem.m());
 }
 
 std::tuple<Table, Integers, Table, Integers> impose_points(const ConstVector& t, const ConstMatrix& y,
@@ -73,7 +73,7 @@ std::tuple<Table, Integers, Table, Integers> impose_points(const ConstVector& t,
   ImposedPoints imposed = unlocked(bound, [&] { return impose(bound.problem(), weights, points); });
   return {to_array<Table>(std::move(imposed.y), points.count, problem.n),
           to_array<Integers>(std::move(imposed.converged), points.count),
-          to_array<Table>(std::move(imposed.residual), points.count, problem.value.size()),
+          to_array<Table>(std::move(imposed.residual), points.count, problem.m()),
           to_array<Integers>(std::move(imposed.iterations), points.count)};
 }
 

@@ -143,6 +143,9 @@ struct ProblemSpec {
   std::size_t condition_count;
   std::optional<DelaysSpec> delays;  // then fun takes (t, y, z)
 
+  /// The number of values of all invariants.
+  [[nodiscard]] std::size_t m() const { return value ? value->size() : 0; }
+
   int visit(visitproc visit, void* arg) const {
     return visit_all(visit, arg, fun, args, linear, events, vectors, breakpoints, callback, invariants, variations,
                      series, conditions, delays);
