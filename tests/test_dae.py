@@ -235,6 +235,18 @@ def _wrong():
             {"y0": [1.0], "yp0": [1.0, 2.0]},
             "yp0 must have 1 values",
         ),
+        "a constraint that follows from another one": (
+            lambda t, y, yp, ypp: [
+                ypp[0] + y[0] * (y[2] + y[3]),
+                ypp[1] + y[1] * (y[2] + y[3]) + GRAVITY,
+                y[0] ** 2 + y[1] ** 2 - 1,
+                np.sqrt(y[0] ** 2 + y[1] ** 2) - 1,
+            ],
+            {"y0": [1.0, 0, 0, 0], "order": 2},
+            r"F\[2\], F\[3\] do not determine.*or leave out an equation that follows from the others",
+        ),
+        "no unknown": (lambda t, y, yp: [], {"y0": []}, "y0 is empty"),
+        "a guess that is NaN": (lambda t, y, yp: [yp[0]], {"y0": [1.0], "yp0": [np.nan]}, r"yp0\[0\] = nan"),
         "an order that F does not have": (lambda t, y, yp: [yp[0]], {"y0": [1.0], "order": 3}, "order must be 1"),
     }
 
@@ -244,6 +256,36 @@ def test_wrong_equations_are_named():
         with pytest.raises(ValueError, match=r"\w") as raised:
             iv.Dae(F, 0, **given)
         assert re.search(message, str(raised.value)), name
+
+
+def test_what_solve_dae_does_not_take_is_named():
+    """Options of other problems say what to do instead; F that returns something else says what it returned."""
+
+    def decay(t, y, yp):
+        return [yp[0] + y[0]]
+
+    for name, message in (("delays", "solve_ivp"), ("inputs", "call the Input"), ("mass", "write M y' in F")):
+        with pytest.raises(TypeError, match=f"solve_dae takes no {name}: .*{message}"):
+            iv.solve_dae(decay, (0, 1), [1], **{name: [1.0]})
+    with pytest.raises(TypeError, match="unknown option 'rtoll'"):
+        iv.solve_dae(decay, (0, 1), [1], rtoll=1e-3)
+    for F, message in (
+        (lambda t, y, yp: [yp[0] + 1j * y[0]], "F returns complex values: write"),
+        (lambda t, y, yp: {"a": yp[0]}, "F must return 1 numbers"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            iv.solve_dae(F, (0, 1), [1])
+
+
+def test_of_unknowns_with_one_name_the_value_of_the_differential_one_counts():
+    """y[1] = y[0] renames; 0 is a guess of the algebraic one; what is fixed counts in any case."""
+
+    def equations(t, y, yp):
+        return [yp[0] + y[1], y[1] - y[0]]
+
+    np.testing.assert_allclose(iv.solve_dae(equations, (0, 1), [1, 0], rtol=1e-9).y_end, np.exp(-1), rtol=1e-7)
+    for fixed, value in (("y[1]", 3.0), ("y[0]", 2.0)):
+        np.testing.assert_array_equal(iv.Dae(equations, 0, [2, 3]).consistent([fixed]).y, value)
 
 
 def test_values_that_cannot_be_fixed_are_named():
@@ -370,6 +412,71 @@ def test_all_constraints_are_satisfied_to_roundoff_by_every_method_at_every_tole
             sol = problem.solve(method, rtol, **options)
             assert sol.success
             assert off_constraints(sol) <= 10, (method, rtol)
+
+
+def test_constraints_that_switch_with_t():
+    """Where t alone determines the unknowns they follow, from tables too, also from one that begins with the run; a
+    constraint that jumps otherwise ends the run there, and is named."""
+
+    def follow(t, y, yp):
+        x, v, force = y
+        return [yp[0] - v, yp[1] - force, x - np.minimum(t, 1.0)]
+
+    times = np.linspace(0, 2, 21)
+    path = np.sin(times)
+
+    def track(t, y, yp, table):
+        return [yp[0] + y[0] - y[1], y[0] - table(t)]
+
+    for method in ("dop853", "radau"):
+        sol = iv.solve_dae(follow, (0, 2), [0, 1, 0], method=method, t_eval=[0.9, 1.1])
+        np.testing.assert_allclose(sol.y, [[0.9, 1], [1, 0], [0, 0]], atol=1e-14)
+        for table in (iv.Input(times, path, "linear"), lambda t: np.interp(t, times, path)):
+            sol = iv.solve_dae(track, (0, 2), [0, 0], args=(table,), method=method, t_eval=[0.05, 1.05])
+            slopes = np.diff(path)[[0, 10]] / 0.1
+            values = np.interp([0.05, 1.05], times, path)
+            np.testing.assert_allclose(sol.y, [values, values + slopes], atol=1e-12)
+    sol = iv.solve_dae(
+        lambda t, y, yp: [yp[0] - y[1], yp[1] - y[2], y[0] - (0.0 if t < 1 else 0.5), yp[3] - y[0]],
+        (0, 2),
+        [0, 0, 0, 0],
+        on_failure="return",
+    )
+    assert sol.status < 0
+    assert sol.t_end == pytest.approx(1, abs=1e-12)
+    assert re.search(r"F\[2\] = 0 jumps there by 0\.5, which takes an impulse", sol.message)
+
+
+def test_tables_of_inputs_are_traced():
+    """An Input in F, of each kind and of several columns, gives the solution of solve_ivp with it."""
+    times = np.linspace(0, 2, 9)
+    for kind in ("previous", "linear", "cubic"):
+        for values in (np.cos(times), np.stack([np.cos(times), times], axis=1)):
+            u = iv.Input(times, values, kind)
+            given = {"rtol": 1e-9, "atol": 1e-11, "method": "dop853"}
+            expected = iv.solve_ivp(
+                lambda t, y, u: [np.sum(u(t)) - y[0]], (0, 2), [0], args=(u,), breakpoints=times, **given
+            )
+            sol = iv.solve_dae(
+                lambda t, y, yp, u: [yp[0] + y[0] - y[1], y[1] - np.sum(u(t))], (0, 2), [0, 0], args=(u,), **given
+            )
+            assert sol.y_end[0] == pytest.approx(expected.y_end[0], rel=1e-7)
+
+
+def test_roundoff_of_cancellation_is_no_violation():
+    """A voltage that is a difference of nearly equal ones, in units of seconds far from the time constant."""
+    slow = iv.solve_dae(
+        lambda t, y, yp: [
+            (np.sin(t / 1e12) - y[0]) / 1e3 - 1e-6 * (yp[0] - yp[1]),
+            1e-6 * (yp[0] - yp[1]) - y[1] / 1e3,
+        ],
+        (0, 1e12),
+        [0, 0],
+        rtol=1e-6,
+        atol=1e-9,
+    )
+    assert slow.success
+    np.testing.assert_allclose(slow.y_end, [np.sin(1), 0], atol=1e-8)
 
 
 def test_a_first_order_form_is_solved_as_the_second_order_form():
@@ -516,6 +623,33 @@ def test_the_problem_of_a_dae_is_one_like_any_other(tmp_path):
     np.testing.assert_array_equal(dae.solution(iv.load(path, problem)).y, whole.y)
     with pytest.raises(ValueError, match="not one of a problem of this Dae"):
         dae.solution(iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]))
+
+
+def test_bounds_are_those_of_unknowns_that_are_not_formulas():
+    """Renamed unknowns with a sign have them too; a formula is an error that names it, at `solve_dae` and `problem`."""
+
+    def decay(t, y, yp):
+        x, minus, twice = y
+        return [yp[0] + 50 * x, minus + x, twice - 2 * x - 1]
+
+    names, no = ["x", "minus", "twice"], np.inf
+    given = {"names": names, "rtol": 0.1, "atol": 0.01, "method": "ode15s"}
+    assert iv.solve_dae(decay, (0, 10), [1, -1, 3], **given).y[0].min() < 0
+    for limits in ({"nonnegative": "x"}, {"bounds": ([-no, -1, -no], [no, 0, no])}):
+        sol = iv.solve_dae(decay, (0, 10), [1, -1, 3], **limits, **given)
+        assert sol.y[0].min() >= 0 >= sol.y[1].max()
+        dae = iv.Dae(decay, 0, [1, -1, 3], names=names)
+        np.testing.assert_array_equal(
+            dae.problem((0, 10), **limits).solve("ode15s", rtol=0.1, atol=0.01).y[0], sol.y[1]
+        )
+    with pytest.raises(ValueError, match=r"twice cannot have bounds: .* it as a formula .* possible for x, minus"):
+        iv.solve_dae(decay, (0, 10), [1, -1, 3], nonnegative=True, **given)
+    with pytest.raises(TypeError, match="nonnegative needs its expressions"):
+        iv.solve_dae(opaque(decay), (0, 10), [1, -1, 3], nonnegative=True, **given)
+    nonlinear = iv.solve_dae(  # an algebraic variable of methods with a singular mass matrix
+        lambda t, y, yp: [yp[0] + y[1], y[1] ** 3 + y[1] - y[0]], (0, 9), [1, 0.7], method="radau", nonnegative=[1]
+    )
+    assert nonlinear.y[1].min() >= 0
 
 
 def test_sensitivities_are_those_of_the_unknowns():

@@ -197,3 +197,44 @@ def test_what_does_not_fit_the_problem_is_refused():
         iv.solve_ivp(swing, (0, 1), START, invariants=iv.Invariants(rod, moves=[4]))
     with pytest.raises(ValueError, match="level 0 and may move different"):
         iv.solve_ivp(swing, (0, 1), START, invariants=[iv.Invariants(rod, moves=[0]), iv.Invariants(across)])
+
+
+@pytest.mark.parametrize("method", ["radau", "ode15s"])
+def test_levels_are_imposed_beside_algebraic_equations(method):
+    """The tension as an algebraic variable: it follows the levels, which move what they may, all to roundoff."""
+
+    def with_tension(t, y):
+        f = swing(t, [*y[:4]])
+        force = y[2] ** 2 + y[3] ** 2 - y[1] - y[4] * (y[0] ** 2 + y[1] ** 2)
+        return [*f[:2], -y[4] * y[0], -y[4] * y[1] - 1, force]
+
+    mass = np.diag([1.0, 1, 1, 1, 0])
+    given = {"mass": mass, "invariants": LEVELS[:2], "rtol": 1e-5, "atol": 1e-7}
+    sol = iv.solve_ivp(with_tension, (0, 5), [*START, 0], method, **given)
+    assert sol.success
+    assert np.abs(sol.residual).max() < 1e-13
+    x, z, u, v, tension = sol.y
+    np.testing.assert_allclose(tension, u**2 + v**2 - z, atol=1e-9)
+    angle = iv.solve_ivp(lambda t, a: [a[1], -np.sin(a[0])], (0, 5), [np.pi / 2, 0], "dop853", rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(sol.y_end[:2], [np.sin(angle.y_end[0]), -np.cos(angle.y_end[0])], atol=3e-4)
+
+
+def test_components_at_bounds_stay_there_in_a_metric():
+    """The others take their share: the sum of squares of the total is imposed, and nothing leaves its bound."""
+
+    def total(t, y):
+        return (y[0] + y[1] + y[2]) ** 2
+
+    for metric in ([1.0, 2.0, 3.0], [[2.0, 1, 0], [1, 3, 1], [0, 1, 4]]):
+        sol = iv.solve_ivp(
+            lambda t, y: [-50 * y[0], 50 * y[0] - y[1], y[1]],
+            (0, 10),
+            [1.0, 0, 0],
+            "ode15s",
+            rtol=0.1,
+            atol=0.01,
+            invariants=iv.Invariants(total, metric=metric),
+            nonnegative=True,
+        )
+        assert sol.y.min() == 0
+        np.testing.assert_allclose(sol.y.sum(axis=0), 1, atol=1e-14)

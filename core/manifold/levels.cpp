@@ -32,9 +32,12 @@ bool Levels::needed(const Invariants& invariants) {
   if (invariants.layout().sparse() && invariants.m() >= many_rows && !invariants.along_steps() &&
       !invariants.any_one_sided())
     return true;
-  return std::any_of(invariants.blocks().begin(), invariants.blocks().end(), [](const InvariantBlock& block) {
-    return block.level != 0 || !block.moves.empty() || block.metric;
-  });
+  return told(invariants.blocks());
+}
+
+bool Levels::told(const std::vector<InvariantBlock>& blocks) {
+  return std::ranges::any_of(
+      blocks, [](const InvariantBlock& block) { return block.level != 0 || !block.moves.empty() || block.metric; });
 }
 
 Levels::Levels(const Invariants& invariants)
@@ -78,6 +81,11 @@ Status Levels::update(double t, const double* y) {
   for (Level& level : levels_)
     if (level.metric && level.metric->update(t, y) == Status::stop) return Status::stop;
   return Status::ok;
+}
+
+void Levels::keep(const char* fixed) {
+  for (Level& level : levels_)
+    if (level.metric) level.metric->keep(fixed);
 }
 
 std::size_t Levels::solve(const double* J, const double* r, const double* noise, const double* w, double threshold,

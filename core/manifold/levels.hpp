@@ -27,9 +27,13 @@ class Levels {
   /// Returns whether the invariants have levels at all, or are so many and their gradients so sparse that one level
   /// with sparse factors takes less time; without them the correction is that of the paper, of all together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
+  /// Returns whether one of them has a level, a metric, or components that its correction may move.
+  [[nodiscard]] static bool told(const std::vector<InvariantBlock>& blocks);
 
   /// Takes the metrics at (t, y).
   Status update(double t, const double* y);
+  /// The components marked in `fixed` do not move in the metrics: their weights are 0. Null: none.
+  void keep(const char* fixed);
   /// Writes δ. J (m, n) and r (m) are the linearization, w (n) the weights. Rows that depend on others of their level
   /// and those before to within `threshold` are left out. `noise` (m): the size below which a residual is roundoff;
   /// combinations of rows that nearly depend on each other are not corrected for it. `idle`: which rows take no part;

@@ -8,7 +8,10 @@
 
 namespace invariode {
 MetricFactor::MetricFactor(Metric metric, std::vector<std::size_t> components)
-    : metric_(std::move(metric)), components_(std::move(components)), part_(index(components_.size())) {
+    : metric_(std::move(metric)),
+      components_(std::move(components)),
+      fixed_(components_.size()),
+      part_(index(components_.size())) {
   const std::size_t k = components_.size();
   if (metric_.values.size() == k)
     diagonal_.resize(index(k));
@@ -25,6 +28,16 @@ Status MetricFactor::update(double t, const double* y) {
   return Status::ok;
 }
 
+void MetricFactor::keep(const char* fixed) {
+  bool changed = false;
+  for (std::size_t j = 0; j < fixed_.size(); ++j) {
+    const char stays = fixed != nullptr ? fixed[components_[j]] : 0;
+    changed = changed || stays != fixed_[j];
+    fixed_[j] = stays;
+  }
+  if (changed && known_ && factor_) factorize();
+}
+
 void MetricFactor::factorize() {
   const Eigen::Map<const Eigen::VectorXd> values(metric_.values.data(), index(metric_.values.size()));
   regular_ = values.allFinite();
@@ -35,12 +48,19 @@ void MetricFactor::factorize() {
     return;
   }
   const Eigen::Index k = part_.size();
-  factor_->compute(Eigen::Map<const Eigen::MatrixXd>(metric_.values.data(), k, k));
+  Eigen::MatrixXd G = Eigen::Map<const Eigen::MatrixXd>(metric_.values.data(), k, k);
+  for (Eigen::Index j = 0; j < k; ++j) {
+    if (fixed_[static_cast<std::size_t>(j)] == 0) continue;
+    G.row(j).setZero();
+    G.col(j).setZero();
+    G(j, j) = 1;
+  }
+  factor_->compute(G);
   regular_ = factor_->info() == Eigen::Success;
 }
 
 void MetricFactor::gather(const double* a) {
-  for (std::size_t j = 0; j < components_.size(); ++j) part_[index(j)] = a[components_[j]];
+  for (std::size_t j = 0; j < components_.size(); ++j) part_[index(j)] = fixed_[j] != 0 ? 0 : a[components_[j]];
 }
 
 void MetricFactor::divide(const double* a, double* x) {

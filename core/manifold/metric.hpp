@@ -27,6 +27,9 @@ class MetricFactor {
 
   /// Takes G at (t, y).
   Status update(double t, const double* y);
+  /// The components of the state marked in `fixed` do not move: their rows and columns of G count as those of the
+  /// identity, and their entries of vectors as 0. Null: none.
+  void keep(const char* fixed);
   /// Returns whether G is positive definite there.
   [[nodiscard]] bool regular() const { return regular_; }
   [[nodiscard]] bool diagonal() const { return diagonal_.size() > 0; }
@@ -41,6 +44,7 @@ class MetricFactor {
 
   Metric metric_;
   std::vector<std::size_t> components_;
+  std::vector<char> fixed_;  // of each component
   bool regular_ = false, known_ = false;
   Eigen::VectorXd diagonal_, part_;                      // √G_ii of a diagonal G; entries of a vector
   std::unique_ptr<Eigen::LLT<Eigen::MatrixXd>> factor_;  // of a full G; Eigen's own cannot be moved before it is used

@@ -508,6 +508,7 @@ std::size_t Projector::solve_in_levels(double t) {
     w = free_w_.data();
   }
   take_units(point_.data());
+  levels_->keep(any_fixed() ? fixed_.data() : nullptr);
   movable_w_ = w;
   apart_ = without_part();
   const std::size_t rank =

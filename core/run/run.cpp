@@ -174,7 +174,8 @@ void Run::bind_invariants() {
 /// A point that is moved onto bounds has to be projected onto the algebraic equations again.
 bool Run::moves_off_algebraic_equations() const { return solver_.problem().bounds && mass_ && mass_->singular(); }
 
-/// With a singular mass matrix the invariants are imposed together with the algebraic equations.
+/// With a singular mass matrix the invariants are imposed together with the algebraic equations; if they have levels,
+/// these are the last one, which moves all components: moved alone, those that M leaves free can hardly determine them.
 Invariants Run::with_algebraic_equations() {
   const Problem& problem = this->problem();
   const Callback slopes = problem.variations ? problem.variations->slope : Callback();
@@ -186,6 +187,10 @@ Invariants Run::with_algebraic_equations() {
   block.m = algebraic_->count();
   block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
+  if (Levels::told(blocks)) {
+    const auto level = [](const InvariantBlock& one) { return one.level; };
+    block.level = 1 + level(*std::ranges::max_element(blocks, {}, level));
+  }
   blocks.push_back(block);
   std::vector<double> value = problem.value;
   value.resize(value.size() + algebraic_->count());

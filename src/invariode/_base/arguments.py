@@ -352,15 +352,15 @@ def real_numbers(name: str, value: object) -> Array:
     return array
 
 
-def state(y0: ArrayLike) -> Array:
+def state(y0: ArrayLike, name: str = "y0") -> Array:
     """The initial state as a new array of shape (n,)."""
-    y = as_array("y0", y0)
+    y = as_array(name, y0)
     if y.ndim != 1:
-        raise ValueError(f"`y0` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
-    y = y.copy() if y.dtype is _FLOAT else numbers("y0", y)
+        raise ValueError(f"`{name}` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
+    y = y.copy() if y.dtype is _FLOAT else numbers(name, y)
     if not all_finite(y):
         i = int(np.flatnonzero(~np.isfinite(y))[0])
-        raise ValueError(f"All components of the initial state `y0` must be finite, got y0[{i}] = {y[i]}")
+        raise ValueError(f"All components of the initial state `{name}` must be finite, got {name}[{i}] = {y[i]}")
     return y
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._base.arguments import Array
+from .._functions.graph.rounding import bounds
 from .._results.solution import Solution
 from .expressions import Values
 from .reduction import Reduction
@@ -19,6 +20,9 @@ _CHANGE, _SEED, _TIMES = 1e-7, 5, 4
 _TOLERANCES = 100.0
 #: Arguments below this part of their largest value along the solution change as one of that size.
 _SMALL = 1e-5
+#: A function of t jumps where its change over this part of the time, and over a tenth of that, are the same, but for a
+#: part, and above roundoff.
+_NEAR, _STAYS, _ROUNDOFFS = 1e-7, 0.5, 64.0
 #: A block of J that is this much closer to singular than at the start has become singular.
 _SINGULAR = 1e-5
 
@@ -38,6 +42,14 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
         allowed = np.fmax(allowed, np.abs(unknowns.equations(sol.t, moved, p) - residuals))
     with np.errstate(invalid="ignore"):
         off = np.abs(residuals) > allowed + np.finfo(float).tiny
+    for k in np.flatnonzero(off.any(axis=0)).tolist():  # by cancellation roundoff can be larger than that
+        state, at = sol.y[:, k], float(sol.t[k])
+        errors = np.array(bounds(unknowns.arguments.nodes, at, state.tolist(), p.tolist()))
+        for _ in range(_TIMES):
+            moved = arguments[:, k : k + 1] + (amounts[:, k] + errors)[:, None] * rng.standard_normal((len(errors), 1))
+            change = np.abs(unknowns.equations(sol.t[k : k + 1], moved, p)[:, 0] - residuals[:, k])
+            allowed[:, k] = np.where(np.isnan(change), np.inf, np.maximum(allowed[:, k], change))
+        off[:, k] = np.abs(residuals[:, k]) > allowed[:, k]
     if not off.any():
         return ""
     i, k = divmod(int(np.argmax(np.where(off, np.abs(residuals) / np.maximum(allowed, 1e-300), 0))), off.shape[1])
@@ -65,6 +77,28 @@ def _sizes(arguments: Array, unknowns: Unknowns, reduction: Reduction) -> Array:
             sizes[leading] = sizes[leading].max(axis=0)
     found: Array = np.maximum(sizes, _SMALL * np.nanmax(sizes, axis=1, keepdims=True, initial=0))
     return found
+
+
+def jump(sol: Solution, reduction: Reduction, p: Array) -> str:
+    """Return which constraint jumps with t where a run ended; or ''."""
+    if sol._origin is None or not len(sol.t):
+        return ""
+    end, state = float(sol.t_end), np.asarray(sol._origin.y)
+    for level in reduction.levels:
+        values = Values(level.in_states, p)
+        near = _NEAR * max(abs(end), abs(end - float(sol.t[0])))
+        wide, close = (np.abs(values(end + part, state) - values(end - part, state)) for part in (near, near / 10))
+        error = np.array(bounds(level.in_states, end, state.tolist(), p.tolist()))
+        found = np.flatnonzero((close > _STAYS * wide) & (close > _ROUNDOFFS * np.where(np.isfinite(error), error, 0)))
+        if len(found):
+            name = level.names[found[0]]
+            return (
+                f"The run could not be continued at t = {end:.10g}: the constraint {name} = 0 jumps there by "
+                f"{close[found[0]]:.3g}, which takes an impulse, and the equations do not say how it is shared. Make "
+                "the prescribed function smooth enough, or end the run there and start another one from the values "
+                "after the jump."
+            )
+    return ""
 
 
 def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:

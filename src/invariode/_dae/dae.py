@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
@@ -30,9 +30,11 @@ from .._base.suggestions import meant
 from .._base.types import EventsLike, MethodName, OnFailure, Span
 from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction
+from .._functions.graph.landings import landings, timed
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
+from .._problem.bounds import to_bounds
 from .._problem.events import to_events
 from .._problem.invariants import Invariants
 from .._problem.methods import find_method
@@ -42,7 +44,7 @@ from .._problem.sensitivities import SensitivitiesLike
 from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
-from .checks import impasse, point_of, violation
+from .checks import impasse, jump, point_of, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
 from .reduction import Given, Reduction
 from .solution import Unknowns, in_unknowns
@@ -218,6 +220,7 @@ class Dae:
             leaf = graph.y((order + more) * m + b)
             mapping[graph.y(one)] = leaf if sign > 0 else graph.negative(leaf)
         self._kept = kept
+        self._differentiated = {place % n for place in leaves(outputs) if place >= n}
         guess, _ = self._guess(self.y0, self.yp0)
         self._structure = Structure(
             substituted([one for i, one in enumerate(outputs) if i not in gone], mapping),
@@ -229,8 +232,9 @@ class Dae:
         self._reductions: dict[str, tuple[Reduction, Starts]] = {}
         self._made: dict[Reduction, _Functions] = {}
 
-    def _guess(self, y: Array, yp: Array | None) -> tuple[Array, int]:
-        """Return values and derivatives of the unknowns that are left, and how many levels of them were given."""
+    def _guess(self, y: Array, yp: Array | None, fixed: Collection[int] = ()) -> tuple[Array, int]:
+        """Return values and derivatives of the unknowns that are left, and how many levels of them were given; of the
+        unknowns in `fixed` the values must stay."""
         m = len(self._kept)
         known = max([1 + (yp is not None)] + [1 + one.order for one in self._of])
         guess = np.zeros((known, m))
@@ -238,7 +242,10 @@ class Dae:
             for u, (b, order, sign) in enumerate(self._of):
                 if order + 1 < known:
                     guess[order + 1, b] = sign * yp[u]
-        for u, (b, order, sign) in enumerate(self._of):  # a value says more than the derivative of what it renames
+        # A value says more than the derivative of what it renames, and of unknowns with one name the value of one that
+        # must stay, else of one that F differentiates.
+        for u in sorted(range(len(self._of)), key=lambda u: (u in fixed, u in self._differentiated)):
+            b, order, sign = self._of[u]
             guess[order, b] = sign * y[u]
         return guess, known
 
@@ -359,9 +366,10 @@ class Dae:
 
     def _start(self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None) -> Array:
         """Return the consistent x_j^(l), l <= d_j, nearest to y and yp."""
-        guess, known = self._guess(y, yp)
+        stay = [self._variable(one) for one in fixed]
+        guess, known = self._guess(y, yp, {u for order, u in stay if order == 0})
         guess, levels = self._structure.completed(t, guess), self._structure.known(np.full(len(self._kept), known))
-        held = {(order + self._of[u].order, self._of[u].j) for order, u in map(self._variable, fixed)}
+        held = {(order + self._of[u].order, self._of[u].j) for order, u in stay}
         return starts.nearest(Point(t, guess), levels, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
@@ -388,6 +396,8 @@ class Dae:
         fixed: Iterable[str | int] = (),
         *,
         nonlinear: Nonlinear = "raise",
+        nonnegative: Any = None,
+        bounds: Any = None,
     ) -> Problem:
         """Make the problem that has the solutions of the equations: an ODE with all constraints as invariants.
 
@@ -401,6 +411,8 @@ class Dae:
             How equations are treated that are not linear in the highest derivatives they determine. 'raise'
             differentiates them once more, for all methods; 'algebraic' leaves them as algebraic equations under a
             singular mass matrix, for methods that take one, such as radau and ode15s.
+        nonnegative, bounds
+            As in `solve_dae`.
 
         Returns
         -------
@@ -423,7 +435,7 @@ class Dae:
         reduction, starts = self._reduced(nonlinear)
         x = self._start(starts, span[0], fixed, self.y0, self.yp0)
         self._tell_move(x)
-        return self._problem(reduction, x, span)
+        return self._problem(reduction, x, span, bounds=self._bounds(reduction, nonnegative, bounds))
 
     def _problem(
         self,
@@ -449,6 +461,31 @@ class Dae:
             labels=labels,
             **describing,
         )
+
+    def _bounds(self, reduction: Reduction, nonnegative: Any, bounds: Any) -> tuple[Array, Array] | None:
+        """Return the bounds of the states that follow from those of the unknowns of F."""
+        given = to_bounds(nonnegative, bounds, self.y0, self.names)
+        if given is None:
+            return None
+        lower, upper = (np.full(len(reduction.states), limit) for limit in (-np.inf, np.inf))
+        formulas = []
+        for name, (j, order, sign), low, high in zip(self.names, self._of, *given, strict=True):
+            place = reduction.place.get((order, j))
+            if place is not None:
+                low, high = (low, high) if sign > 0 else (-high, -low)
+                lower[place], upper[place] = max(lower[place], low), min(upper[place], high)
+            elif np.isfinite(low) or np.isfinite(high):
+                formulas.append(name)
+        if formulas:
+            states = [
+                name for name, (j, order, _) in zip(self.names, self._of, strict=True) if (order, j) in reduction.place
+            ]
+            what = "it as a formula" if len(formulas) == 1 else "them as formulas"
+            raise ValueError(
+                f"{', '.join(formulas)} cannot have bounds: the equations give {what} of the others. "
+                + (f"Bounds are possible for {', '.join(states)}" if states else "No unknown has an initial value")
+            )
+        return lower, upper
 
     def _tell_move(self, x: Array) -> None:
         """Warn where given initial values were changed that the equations leave to the user."""
@@ -500,12 +537,9 @@ class Dae:
         dependent."""
         found = []
         for k, (level, fun) in enumerate(zip(reduction.levels, self._functions(reduction).levels, strict=True)):
-            order: dict[str, Any] = {}
-            if not reduction.algebraic:
-                moves = [reduction.place[one] for one in level.moves]
-                metric = np.ones(len(moves)) if atol is None else atol[moves] ** -2.0
-                order = {"level": k, "moves": moves, "metric": metric}
-            found.append(Invariants(fun, value=0, names=level.names, **order))
+            moves = [reduction.place[one] for one in level.moves]
+            metric = np.ones(len(moves)) if atol is None else atol[moves] ** -2.0
+            found.append(Invariants(fun, value=0, names=level.names, level=k, moves=moves, metric=metric))
         return found
 
     # ------------------------------------------------------------------------------------------------------------------
@@ -519,6 +553,8 @@ class Dae:
         fixed: Iterable[str | int] = (),
         events: EventsLike = None,
         sensitivities: SensitivitiesLike | None = None,
+        nonnegative: Any = None,
+        bounds: Any = None,
         **options: Unpack[Options],
     ) -> Solution:
         """Solve the equations; the result is in the unknowns of F.
@@ -527,7 +563,7 @@ class Dae:
         ----------
         t_span : (float, float)
             (t0, tf).
-        method, fixed, events, sensitivities, **options
+        method, fixed, events, sensitivities, nonnegative, bounds, **options
             As in `solve_dae`.
 
         Returns
@@ -548,14 +584,37 @@ class Dae:
         options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
         if (callback := options.get("callback")) is not None:
             options["callback"] = through.callback(callback)
-        if (points := options.get("breakpoints")) is not None:
-            options["breakpoints"] = through.breakpoints(points)
+        points = [] if (given := options.get("breakpoints")) is None else through.breakpoints(given)
+        options["breakpoints"] = points + self._switches(reduction, starts, span, points)
         atol = self._atol(reduction, options)
-        describing: dict[str, Any] = {"sensitivities": sensitivities}
+        describing: dict[str, Any] = {
+            "sensitivities": sensitivities,
+            "bounds": self._bounds(reduction, nonnegative, bounds),
+        }
         if events is not None:
             describing["events"] = [through.event(one) for one in to_events(events)]
         problem = self._problem(reduction, x, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
+
+    def _switches(
+        self, reduction: Reduction, starts: Starts, span: tuple[float, float], points: Sequence[Any]
+    ) -> list[Any]:
+        """Return breakpoints where constraints switch with t, which f may not show. A constraint that jumps there
+        moves a state that t alone determines; any other would need an impulse, and the run ends."""
+        nodes = [one for level in reduction.levels for one in level.in_states]
+        if not (conditions := timed(nodes)):
+            return []
+        known = {one[0] if isinstance(one, tuple) else one for one in points}
+        times = landings(conditions, self._p, *span).between(min(span), max(span)).tolist()
+
+        def moved(t: float, state: Array, *args: Any) -> Array:
+            p = layout_of(args).numbers if args else self._p
+            x = point_of(reduction, t, state, p).x
+            found = starts.nearest(Point(np.nextafter(t, span[1]), x), np.full(x.shape[1], len(x)), ())
+            return np.array([found[one] for one in reduction.states])
+
+        inside = [t if self.freedom else (t, moved) for t in times if t not in {*known, *span} and np.isfinite(t)]
+        return inside if span[0] in known else [span[0], *inside]
 
     def _after_action(
         self,
@@ -631,7 +690,9 @@ class Dae:
         source = sol._origin.source
         p = layout_of(source.problem.args).numbers
         found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
-        if sol.status == FAILED and (text := impasse(sol, reduction, p)):
+        has_failed = sol.status in (FAILED, NOT_CONSERVED)
+        text = jump(sol, reduction, p) if has_failed else ""
+        if text or (sol.status == FAILED and (text := impasse(sol, reduction, p))):
             found = found.changed(message=text)
         elif text := violation(sol, unknowns, reduction, p):
             found = found.changed(status=NOT_CONSERVED, success=False, message=text)
@@ -645,9 +706,11 @@ def _order(order: object) -> int:
 
 
 def _real_state(name: str, given: ArrayLike, n: int | None = None) -> Array:
-    found = state(given)
+    found = state(given, name)
     if found.dtype.kind == "c":
         raise ValueError(f"{name} must be real: write complex equations in real and imaginary parts")
+    if not len(found):
+        raise ValueError(f"{name} is empty: there is no unknown")
     if n is not None and len(found) != n:
         raise ValueError(f"{name} must have {n} values, as y0 has, got {len(found)}")
     return np.array(found, dtype=float)
@@ -678,7 +741,9 @@ def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
         shape = made.known(Shape((order + 1) * n, size, arguments, event=False))
     except TypeError as error:
         why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
-        raise UntracedError(f"F cannot be traced: {why.partition(': ')[2] or why}") from None
+        raise UntracedError(
+            f"F cannot be traced: {why.partition(': ')[2].removeprefix('F cannot be traced: ') or why}"
+        ) from None
     outputs = made.graph(shape)
     assert outputs is not None
     rank = made.constants(arguments)

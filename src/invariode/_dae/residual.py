@@ -105,7 +105,13 @@ class ResidualForm:
     def residual(self, t: float, y: Array, yp: Array, *args: Any) -> Array:
         """Return F, as an array."""
         self.calls += 1
-        return np.atleast_1d(np.asarray(self.F(t, y, yp, *args), dtype=float)).ravel()
+        found = np.asarray(self.F(t, y, yp, *args))
+        if found.dtype.kind == "c":
+            raise TypeError("F returns complex values: write complex equations in real and imaginary parts")
+        try:
+            return np.atleast_1d(found.astype(float, copy=False)).ravel()
+        except (TypeError, ValueError):
+            raise TypeError(f"F must return {self.n} numbers, got {shown(found)}") from None
 
     def __call__(self, t: float, u: Array, *args: Any) -> Array:
         """Return the right-hand side of the system."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, call_name, interval, numbers, shown, state
 from .._base.types import EventsLike, MethodName, Span
-from .._problem.options import Options
+from .._problem.options import Options, refused
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.solution import Solution
 from .dae import Dae, UntracedError
@@ -20,6 +20,16 @@ if TYPE_CHECKING:
     from .._problem.accepted import run_options
 
 __all__ = ["decic", "ode15i", "solve_dae"]
+
+
+#: What describes other problems, and what to do instead.
+_INSTEAD = {
+    "delays": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
+    "history": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
+    "inputs": "call the Input, or an interpolator of SciPy's, in F",
+    "invariants": "write them as equations; the constraints of F are imposed anyway",
+    "mass": "write M y' in F",
+}
 
 
 def solve_dae(
@@ -36,6 +46,8 @@ def solve_dae(
     equations: Sequence[str] | None = None,
     events: EventsLike = None,
     sensitivities: SensitivitiesLike | None = None,
+    nonnegative: Any = None,
+    bounds: Any = None,
     jac: Callable[..., Any] | None = None,
     jac_sparsity: Any = None,
     lband: int | None = None,
@@ -74,6 +86,12 @@ def solve_dae(
         where it changes derivatives; the run continues from the nearest consistent state.
     sensitivities : bool, str, list of these, or Sensitivities, optional
         Parameters among `args`, as for `solve_ivp`.
+    nonnegative : bool, int, str or sequence of int or str, optional
+        Unknowns that must not become negative: indices or names; True means all.
+    bounds : (lower, upper), optional
+        Bounds of the unknowns, numbers or arrays of shape (n,), infinite where there is none. Only unknowns that have
+        initial values, or are algebraic variables of a method with a singular mass matrix, can have bounds; those that
+        the equations give as formulas are an error.
     jac : callable, optional
         Of an F that cannot be traced: ``jac(t, y, yp, *args)`` returns the pair (∂F/∂y, ∂F/∂y'), (n, n) each, dense or
         sparse. Default: finite differences.
@@ -125,11 +143,22 @@ def solve_dae(
     if TYPE_CHECKING:
         run_options(**options)  # editors complete options from this call
     span = interval(t_span)
+    for name in options:
+        if name in _INSTEAD:
+            raise TypeError(f"solve_dae takes no {name}: {_INSTEAD[name]}")
+        if name not in Options.__optional_keys__:
+            raise refused(name)
     try:
         dae = Dae(F, span[0], y0, yp0, args=args, names=names, equations=equations, order=order)
     except UntracedError as error:
-        if order == 2 or sensitivities is not None or fixed:
-            what = "order=2" if order == 2 else "sensitivities" if sensitivities is not None else "fixed"
+        needing = {
+            "order=2": order == 2,
+            "sensitivities": sensitivities is not None,
+            "fixed": bool(fixed),
+            "nonnegative": nonnegative is not None and nonnegative is not False,
+            "bounds": bounds is not None,
+        }
+        if what := next((name for name, is_given in needing.items() if is_given), ""):
             raise TypeError(f"{error}. {what} needs its expressions") from None
         start = state(y0), np.zeros(np.size(y0)) if yp0 is None else state(yp0)
         labels = [f"y[{j}]" for j in range(np.size(y0))] if names is None else list(names)
@@ -144,7 +173,16 @@ def solve_dae(
     for name, given in (("jac", jac), ("jac_sparsity", jac_sparsity), ("lband", lband), ("uband", uband)):
         if given is not None:
             raise TypeError(f"{name} is for an F that cannot be traced: the derivatives of {dae.name} are exact")
-    return dae.solve(span, method, fixed=fixed or (), events=events, sensitivities=sensitivities, **options)
+    return dae.solve(
+        span,
+        method,
+        fixed=fixed or (),
+        events=events,
+        sensitivities=sensitivities,
+        nonnegative=nonnegative,
+        bounds=bounds,
+        **options,
+    )
 
 
 def ode15i(

@@ -288,7 +288,9 @@ class _Stage:
         r, A = self.evaluate(t, x)
         if not (np.isfinite(r).all() and np.isfinite(A).all()):
             bad = [self.names[i] for i in np.flatnonzero(~(np.isfinite(r) & np.isfinite(A).all(axis=1)))]
-            raise _UnsolvableError(f"{', '.join(bad)} cannot be evaluated at the guess, t = {t:.6g}", self)
+            raise _UnsolvableError(
+                f"{', '.join(bad)} cannot be evaluated at the guess, t = {t:.6g}: give other initial values", self
+            )
         previous = np.inf
         for _ in range(_ITERATIONS):
             B = A[:, free] * w[where]

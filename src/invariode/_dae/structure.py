@@ -469,7 +469,7 @@ class Structure:
             f"the equations {_list(self.names, block.rows)} do not determine {', '.join(highest)}: their matrix is "
             "singular everywhere, since terms cancel, and neither a linear combination nor a substitution with factors "
             "free of these shows what is left. Rewrite the equations: introduce a new unknown for an expression in "
-            f"which {' and '.join(highest)} occur together"
+            f"which {' and '.join(highest)} occur together, or leave out an equation that follows from the others"
         )
 
     def _structurally_singular(self) -> str:

@@ -12,10 +12,11 @@ from .. import _core
 from .._base.arguments import Array, choice, flag, items, real_numbers, shown
 from .._base.types import InputKind
 from .._functions.compiled import NativeWithInputs, is_native
+from .._functions.graph.tables import PolynomialTable
 from .._functions.second_order import SecondOrder
 
 
-class Input:
+class Input(PolynomialTable):
     """A function u(t) from a table, as an argument of f: measured forces, schedules, driving currents.
 
     Parameters

@@ -45,8 +45,21 @@ def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
     return graph.select(graph.make("less", x, graph.node(float(xs[0]))), left, found)
 
 
+class PolynomialTable:
+    """A table of ours, which `pieces` describes: times, and the coefficients in t since each, the highest power first,
+    of shape (powers, pieces, size); a last piece without an end is unbounded, and beyond others values stay."""
+
+    values: Any
+
+    def pieces(self) -> tuple[Any, Any]:
+        """Return the times and the coefficients."""
+        raise NotImplementedError
+
+
 def is_table(value: Any) -> bool:
-    """Return whether a value is one of SciPy's interpolators, or makes them."""
+    """Return whether a value is one of our tables or of SciPy's interpolators, or makes the latter."""
+    if isinstance(value, PolynomialTable):
+        return True
     kind = value if isinstance(value, type) or hasattr(value, "__wrapped__") else type(value)
     module = getattr(kind, "__module__", None) or ""
     named = any(getattr(one, "__name__", "") in _KINDS for one in getattr(kind, "__mro__", (value,)))
@@ -106,6 +119,19 @@ def _polynomials(table: Any) -> Callable[[Node], Any]:
     """The values of an interpolator at one node."""
     from scipy.interpolate import BSpline, PPoly, UnivariateSpline, interp1d
 
+    if isinstance(table, PolynomialTable):
+        times, c = table.pieces()
+        breaks = times if c.shape[1] < len(times) else np.append(times, np.inf)
+        within = _of_polynomials(PPoly.construct_fast(c, breaks, extrapolate=True), flat=table.values.ndim == 1)
+        if len(breaks) > len(times):
+            return within
+        low, high = float(times[0]), float(times[-1])
+
+        def held(x: Node) -> Any:  # beyond its ends it keeps its values there
+            later = x.graph.make("maximum", x, x.graph.node(low))
+            return within(x.graph.make("minimum", later, x.graph.node(high)))
+
+        return held
     if isinstance(table, interp1d):
         return _of_interp1d(table)
     if isinstance(table, UnivariateSpline):
