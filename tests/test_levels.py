@@ -213,7 +213,7 @@ def test_levels_are_imposed_beside_algebraic_equations(method):
     sol = iv.solve_ivp(with_tension, (0, 5), [*START, 0], method, **given)
     assert sol.success
     assert np.abs(sol.residual).max() < 1e-13
-    x, z, u, v, tension = sol.y
+    _, z, u, v, tension = sol.y
     np.testing.assert_allclose(tension, u**2 + v**2 - z, atol=1e-9)
     angle = iv.solve_ivp(lambda t, a: [a[1], -np.sin(a[0])], (0, 5), [np.pi / 2, 0], "dop853", rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(sol.y_end[:2], [np.sin(angle.y_end[0]), -np.cos(angle.y_end[0])], atol=3e-4)

@@ -143,11 +143,7 @@ def solve_dae(
     if TYPE_CHECKING:
         run_options(**options)  # editors complete options from this call
     span = interval(t_span)
-    for name in options:
-        if name in _INSTEAD:
-            raise TypeError(f"solve_dae takes no {name}: {_INSTEAD[name]}")
-        if name not in Options.__optional_keys__:
-            raise refused(name)
+    _require_known(options)
     try:
         dae = Dae(F, span[0], y0, yp0, args=args, names=names, equations=equations, order=order)
     except UntracedError as error:
@@ -160,16 +156,9 @@ def solve_dae(
         }
         if what := next((name for name, is_given in needing.items() if is_given), ""):
             raise TypeError(f"{error}. {what} needs its expressions") from None
-        start = state(y0), np.zeros(np.size(y0)) if yp0 is None else state(yp0)
-        labels = [f"y[{j}]" for j in range(np.size(y0))] if names is None else list(names)
-        try:
-            form = ResidualForm(F, span[0], *start, tuple(args), labels)
-        except ValueError as objection:
-            raise TypeError(f"{error}. As it stands it cannot be solved either: {objection}") from None
-        called = call_name(F, "dae")
-        return solve_residual(
-            form, span, tuple(args), method, events, called, options, jac, (jac_sparsity, lband, uband)
-        )
+        form = _as_it_stands(error, F, span[0], y0, yp0, tuple(args), names)
+        structure = jac_sparsity, lband, uband
+        return solve_residual(form, span, tuple(args), method, events, call_name(F, "dae"), options, jac, structure)
     for name, given in (("jac", jac), ("jac_sparsity", jac_sparsity), ("lband", lband), ("uband", uband)):
         if given is not None:
             raise TypeError(f"{name} is for an F that cannot be traced: the derivatives of {dae.name} are exact")
@@ -183,6 +172,33 @@ def solve_dae(
         bounds=bounds,
         **options,
     )
+
+
+def _require_known(options: Options) -> None:
+    """Raise a TypeError for what a DAE does not take, with what to do instead."""
+    for name in options:
+        if name in _INSTEAD:
+            raise TypeError(f"solve_dae takes no {name}: {_INSTEAD[name]}")
+        if name not in Options.__optional_keys__:
+            raise refused(name)
+
+
+def _as_it_stands(
+    why: UntracedError,
+    F: Callable[..., Any],
+    t0: float,
+    y0: ArrayLike,
+    yp0: ArrayLike | None,
+    args: tuple[Any, ...],
+    names: Sequence[str] | None,
+) -> ResidualForm:
+    """Return the residual form of an F without expressions."""
+    start = state(y0), np.zeros(np.size(y0)) if yp0 is None else state(yp0, "yp0")
+    labels = [f"y[{j}]" for j in range(np.size(y0))] if names is None else list(names)
+    try:
+        return ResidualForm(F, t0, *start, args, labels)
+    except ValueError as objection:
+        raise TypeError(f"{why}. As it stands it cannot be solved either: {objection}") from None
 
 
 def ode15i(
