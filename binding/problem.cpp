@@ -85,7 +85,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   if (block.derivative != Derivative::complex_step) return block;
   nb::object at_complex = spec.fun;
   if (substitute == choose_derivative || nb::isinstance<Native>(spec.fun))
-    at_complex = nb::module_::import_("invariode._functions.derivatives").attr("at_complex")(spec.fun, spec.m);
+    at_complex = nb::module_::import_("invariode._functions.increments").attr("at_complex")(spec.fun, spec.m);
   block.complex_g = functions.complex_vector(at_complex, name, spec.m);
   return block;
 }

@@ -8,7 +8,7 @@ import pytest
 import invariode as iv
 from cases import METHODS, SERIES, dealt
 from invariode._base.matrices import as_matrix
-from invariode._functions.directional import Directional, Point
+from invariode._functions.derivatives import Point, derivative_of
 from invariode._studies.fit import fit as fitting
 from invariode._studies.fit.uncertainty import _inverse
 
@@ -138,7 +138,8 @@ def test_derivatives_that_are_not_finite_are_mended_from_one_side(how):
 
     at = Point(0.0, np.array([0.5, 1.0]))
     problem = iv.Problem(fun, (0, 1), at.y, args=(2.5,), sensitivities=True)
-    made = Directional(fun if how == "traced" else untraced(fun), (2.5,), problem.parameter_names(), 2, at=at)
+    names = problem.parameter_names()
+    made = derivative_of(fun if how == "traced" else untraced(fun), (3, 2), at=at, args=(2.5,), names=names)
     assert made.how == how
     origin = np.zeros(2)
     found = made.columns(0.0, origin, np.zeros(2), np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]))

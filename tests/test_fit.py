@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import Any
 
@@ -437,9 +438,8 @@ class TestLinearTheory:
         ):
             with pytest.raises(error, match=message):
                 iv.Parameter(prior=prior)
-        for prior, message in ((("lognormal", 0.6, 0.1), "slope starts at -1"), (abs, "must take complex numbers")):
-            with pytest.raises(ValueError, match=message):
-                iv.fit(straight(), T, LINE_DATA, {"slope": iv.Parameter(-1.0, prior=prior)}, sigma=0.1)
+        with pytest.raises(ValueError, match="slope starts at -1"):
+            iv.fit(straight(), T, LINE_DATA, {"slope": iv.Parameter(-1.0, prior=("lognormal", 0.6, 0.1))}, sigma=0.1)
 
     def test_a_normal_prior_of_a_parameter_in_logarithms(self):
         plain = iv.Parameter(1.0, prior=(0.6, 0.02))
@@ -447,7 +447,17 @@ class TestLinearTheory:
         one, other = (iv.fit(straight(), T, LINE_DATA, {**LINE, "slope": p}, sigma=0.1) for p in (plain, logs))
         assert one.parameters == pytest.approx(other.parameters, rel=1e-6)
 
-    @pytest.mark.parametrize("prior", [("lognormal", 0.6, 0.05), ("normal", 0.6, 0.05), lambda p: (p**2 - 0.3) / 0.1])
+    @pytest.mark.filterwarnings("ignore:fit. the derivatives of a prior are differences")
+    @pytest.mark.parametrize(
+        "prior",
+        [
+            ("lognormal", 0.6, 0.05),
+            ("normal", 0.6, 0.05),
+            lambda p: (p**2 - 0.3) / 0.1,
+            lambda p: abs(p - 0.3) / 0.1,
+            lambda p: math.log(math.fsum([p]) / 0.6) / 0.05,  # neither traced nor complex
+        ],
+    )
     def test_the_gradient_of_a_prior(self, prior):
         """Against differences, whose error is about 1e-8."""
         target = iv.objective(straight(), T, LINE_DATA, {**LINE, "slope": iv.Parameter(0.7, prior=prior)}, sigma=0.1)

@@ -12,7 +12,7 @@ import scipy.sparse
 
 import invariode as iv
 from cases import FAMILIES, dealt, families
-from invariode._functions.derivatives import Derivatives
+from invariode._mechanics.differentiable import Differentiable
 from invariode._mechanics.system import MechanicalSystem
 from invariode.problems import pendulum
 from mechanisms import circle, gravity, swing
@@ -249,8 +249,8 @@ def test_derivatives_are_as_good_as_their_kind(function, kind, first, second, si
     rng = np.random.default_rng(1)
     for _ in range(20):
         t, q, dq = rng.normal(), rng.normal(size=3), size * rng.normal(size=3)
-        at = Derivatives(function, t, (q,), (), "linkage")
-        assert at.kind == kind
+        at = Differentiable(function, t, (q,), (), "linkage")
+        assert at.how == kind
         jacobian = exact_jacobian(t, q)
         np.testing.assert_allclose(at.jacobian(t, q), jacobian, atol=first * 10)
         rate = jacobian @ dq + size * np.array([np.cos(q[0] + t) * q[1], 0])
@@ -268,7 +268,7 @@ def test_derivatives_are_as_good_as_their_kind(function, kind, first, second, si
 
 
 def test_a_rest_has_no_curvature():
-    at = Derivatives(linkage, 0.0, (np.ones(3),), (), "linkage")
+    at = Differentiable(linkage, 0.0, (np.ones(3),), (), "linkage")
     assert not at.curvature(0.0, np.ones(3), 0.0, np.zeros(3)).any()
 
 

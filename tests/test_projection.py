@@ -9,7 +9,7 @@ import pytest
 
 import invariode as iv
 from cases import FAMILIES, METHODS, dealt, explicit_and_implicit, families, families_and_series
-from invariode._functions.derivatives import SMALLEST_SCALE
+from invariode._functions.increments import SMALLEST_SCALE
 from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 WEIGHTS = Path(__file__).parents[1] / "core" / "weights.hpp"

@@ -7,7 +7,7 @@ import pytest
 
 import invariode as iv
 from cases import ALGEBRAIC, dealt, explicit_and_implicit, families, families_and_series
-from invariode._functions.directional import Directional, Point
+from invariode._functions.derivatives import Point, derivative_of
 from parametric import RATES, ROBERTSON, TOLERANCES, kept, lotka_volterra, of_swinging, robertson, spring, swinging
 
 
@@ -81,7 +81,7 @@ def test_where_an_invariant_is_held_so_is_its_derivative(method):
     )
     sol = problem.solve(method, rtol=1e-5, dense_output=True)
     names = problem.parameter_names()
-    law = Directional(kept, RATES, names, 2, at=Point(0.0, problem.y0))
+    law = derivative_of(kept, (None, 2), at=Point(0.0, problem.y0), args=RATES, names=names)
     start = law.tangent(0.0, np.vstack([problem.y0, sol.sensitivities[:, :, 0].T]))
     for t in [*sol.t[::7], 1.234, 2.345]:
         Y = np.vstack([sol.sol(t), sol.sol.sensitivities(t).T])
@@ -102,7 +102,7 @@ def test_corrections_along_stages_hold_derivatives_too(direction):
     held = iv.Invariants(laws, direction=direction)
     problem = iv.Problem(orbit, (0, 10), y0, args=(1.0,), invariants=held, sensitivities=True)
     sol = problem.solve("ode45", rtol=1e-5)
-    law = Directional(laws, (1.0,), problem.parameter_names(), 4, at=Point(0.0, y0))
+    law = derivative_of(laws, (None, 4), at=Point(0.0, y0), args=(1.0,), names=problem.parameter_names())
     start, end = (law.tangent(0.0, np.vstack([sol.y[:, i], sol.sensitivities[:, :, i].T])) for i in (0, -1))
     np.testing.assert_allclose(end, start, rtol=0, atol=1e-10)
 

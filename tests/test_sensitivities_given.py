@@ -7,10 +7,11 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import invariode as iv
 import invariode.scipy
-from invariode._functions.directional import Directional, Given, Point
+from invariode._functions.derivatives import Given, Point, derivative_of
 from invariode._problem.parameters import parameter_names, values_of, with_values
 from parametric import ROBERTSON, TOLERANCES, decay, robertson
 
@@ -102,7 +103,7 @@ def test_derivatives_of_functions_are_the_same_however_they_are_formed(fun, give
     args, y = ROBERTSON["args"], np.array([0.9, 1e-5, 0.1])
     names = parameter_names(robertson, args, None, 3, wanted=True)
     S = np.random.default_rng(1).standard_normal((3, 3))
-    made = Directional(fun, args, names, 3, given, at=Point(0.0, y))
+    made = derivative_of(fun, (None, 3), given, at=Point(0.0, y), args=args, names=names)
     exact = S @ jac(0, y, *args).T + dfdp(0, y).T
     assert made.how == how
     np.testing.assert_allclose(made.tangent(0.0, np.vstack([y, S])), exact, rtol=tolerance)
@@ -113,6 +114,47 @@ def test_differences_are_used_with_a_warning():
     with pytest.warns(iv.AccuracyWarning, match=r"the derivatives of fun are differences, .* give jac, and"):
         sol = iv.solve_ivp(real_only, (0, 0.1), [1.0, 0, 0], "radau", **ROBERTSON, sensitivities=True)
     assert sol.stats.sensitivities == "differences"
+
+
+def test_every_form_of_a_jacobian_that_runs_take_serves_their_sensitivities():
+    """A function, machine code, a constant, a sparse matrix, and its bands: the same S and gradient, without warnings,
+    of a function that can neither be traced nor take complex numbers."""
+
+    def turn(t, y, w):
+        try:
+            return [w * float(y[1]), -w * float(y[0])]
+        finally:
+            pass
+
+    def square(t, y, w):
+        return [[0.0, w], [-w, 0.0]]
+
+    def bands(t, y, w):
+        return [[0.0, w], [0.0, 0.0], [-w, 0.0]]
+
+    given = iv.Sensitivities(dfdp=lambda t, y, w: [y[1], -y[0]])  # a column as a vector
+    forms = [square, iv.compile(square), square(0, 0, 2.0), lambda t, y, w: sparse.csr_array(square(t, y, w))]
+    forms += [iv.Banded(1, 1, one) for one in (bands, iv.compile(bands), bands(0, 0, 2.0))]
+    for jac in forms:
+        sol = iv.solve_ivp(turn, (0, 1), [1.0, 0.0], "ode15s", args=(2.0,), jac=jac, rtol=1e-7, atol=1e-9,
+                           sensitivities=given, adjoint=True)  # fmt: skip
+        assert sol.stats.sensitivities == "given"
+        np.testing.assert_allclose(sol.sensitivities[:, 0, -1], [-np.sin(2), -np.cos(2)], atol=2e-5)
+        np.testing.assert_allclose(sol.gradient([1.0, 0.0]), -np.sin(2), atol=2e-5)
+        assert iv.check_sensitivities(
+            iv.Problem(turn, (0, 1), [1.0, 0.0], args=(2.0,), jac=jac, sensitivities=given)
+        ).ok
+
+    def square_of_radius(t, y, w):
+        try:
+            return y @ y
+        finally:
+            pass
+
+    radius = iv.Invariants(square_of_radius, jac=iv.compile(lambda t, y, w: [2 * y[0], 2 * y[1]]))
+    sol = iv.solve_ivp(turn, (0, 1), [1.0, 0.0], "ode15s", args=(2.0,), jac=square, rtol=1e-7, invariants=radius,
+                       sensitivities=given)  # fmt: skip
+    assert "invariant square_of_radius: given and complex step" in sol.stats.sensitivities
 
 
 def test_a_count_is_no_parameter():

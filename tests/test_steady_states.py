@@ -209,6 +209,27 @@ def test_functions_without_a_graph_take_totals_that_are_given():
         iv.steady_state(problem, totals=[{"a": 1, "bb": 1}])
 
 
+def test_a_formula_that_is_singular_where_f_is_not_has_steady_states():
+    """√a b is 0 at a = b = 0, where its derivative is 0 · ∞ in the formula."""
+
+    def fun(t, y, k):
+        return [k - y[0], -y[1], np.sqrt(y[1]) * y[2] - 2 * y[2]]
+
+    for form in (fun, iv.compile(fun)):
+        for start in ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0]):
+            found = iv.steady_state(iv.Problem(form, (0, 1), start, args=(3.0,), sensitivities=True))
+            np.testing.assert_allclose(found.y, [3, 0, 0], atol=1e-12)
+            np.testing.assert_allclose(found.sensitivities[:, 0], [1, 0, 0], atol=1e-12)
+
+
+def test_a_count_has_no_derivative():
+    problem = iv.Problem(
+        lambda t, y, n: [sum(1.0 for _ in range(n)) - y[0]], (0, 1), [0.0], args=(3,), sensitivities=True
+    )
+    with pytest.raises(TypeError, match="no derivative with respect to n = 3"):
+        iv.steady_state(problem)
+
+
 def test_what_has_no_steady_state_says_so():
     found = iv.steady_state(iv.Problem(lambda t, y: [1.0 + 0 * y[0]], (0, 1), [0.0]))
     assert not found.success

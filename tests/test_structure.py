@@ -159,7 +159,8 @@ def test_rooms_import_downwards_only_and_the_map_has_their_files():
 
 
 #: What stands in one file alone: how a plan runs again, who prepares plans, what keeps the latest of them, what a
-#: problem is, weights of the error test, and the course of a plan, which nothing takes apart by position.
+#: problem is, weights of the error test, the course of a plan, which nothing takes apart by position, derivatives of
+#: functions and increments for them.
 ONLY_IN = {
     r"\.integrate_anew\(": {"_run/prepared.py"},
     r"\bPrepared\(": {"_run/prepared.py", "_solve/prepared.py"},
@@ -170,6 +171,9 @@ ONLY_IN = {
     r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
     r"^class Course\b": {"_plan/plan.py"},
     r"(Settings|Plan|Course)\._make\(": set(),
+    r"^def derivative_of\b|^class Derivative\b": {"_functions/derivatives.py"},
+    r"\b(TINY|INCREMENT|NOT_COMPLEX)\b": {"_functions/increments.py", "_functions/derivatives.py"},
+    r"^def (compared|takes_complex|somewhere|sizes)\b": {"_functions/increments.py"},
     r"__signature__ = .*Problem|Problem\.__init__\.__qualname__": set(),
 }
 

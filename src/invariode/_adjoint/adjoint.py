@@ -33,7 +33,7 @@ from .._base.arguments import LEAST_RTOL, Array, Weights, function, numbers, qui
 from .._base.failures import SolveError
 from .._base.types import MethodName
 from .._functions.compiled import is_native
-from .._functions.directional import Directional, Point
+from .._functions.derivatives import Derivative, Point, derivative_of
 from .._functions.layout import layout_of
 from .._plan.call_errors import takes
 from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
@@ -219,7 +219,7 @@ class _Adjoint:
         with quietly():  # what is not followed is an error
             found = followed(self._slope, self._derivatives, self._problem, [])
         if not found:
-            if self._slope.switches(self._at):
+            if self._slope.graph is not None and self._slope.graph.switches(self._at):
                 raise ValueError(
                     "gradient: fun jumps where its conditions change, which is not followed with a mass matrix, if "
                     "inputs are compared, or with many conditions"
@@ -267,7 +267,7 @@ class _Adjoint:
         """Times at which f changes its branch as a function of t alone."""
         with quietly():  # the run has warned
             found = schedule_of(self._run.problem, layout_of(self._run.problem.args))
-            return found or schedule_of(self._problem, layout_of(self._problem.args), self._slope.outputs or ())
+            return found or schedule_of(self._problem, layout_of(self._problem.args), self._slope.outputs)
 
     @cached_property
     def _breakpoints(self) -> list[Breakpoint]:
@@ -280,8 +280,9 @@ class _Adjoint:
             inside += [Breakpoint(t, None) for t in self._schedule.landings.apart(low, high, known).tolist()]
         return [one._replace(action=of_pairs(one.action)) for one in inside] if self._is_complex else inside
 
-    def _derivatives(self, fun: Any, called: str, **more: Any) -> Directional:
-        return Directional(fun, self._problem.args, self._names, self.n, at=self._at, called=called, **more)
+    def _derivatives(self, fun: Any, called: str, m: int | None = None, **more: Any) -> Derivative:
+        about: dict[str, Any] = {"at": self._at, "args": self._problem.args, "names": self._names, "called": called}
+        return derivative_of(fun, (m, self.n), **about, **more)
 
     # -------------------------------------------------------------------------------------------------------- the mass
 
@@ -332,7 +333,7 @@ class _Adjoint:
         return mass_derivatives(self._problem, self._names, Rate(self._problem, self._atol, lambda: self._moving_slope))
 
     @property
-    def _moving_slope(self) -> Directional:
+    def _moving_slope(self) -> Derivative:
         """The derivatives of f, also with respect to t."""
         fun, given = given_derivatives(self._problem, self._names)
         return self._derivatives(fun, "fun", m=self.n, given=given, moves_t=True)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._base.arguments import EPS, Array
-from .._functions.directional import Directional
+from .._functions.derivatives import Derivative
 from .._problem.breakpoints import Breakpoint
 from .._problem.events import Event, titled
 from .._problem.parameters import ParameterName
@@ -31,7 +31,7 @@ from .._sensitivity.variations import Crossing, Switching, given_derivatives
 from .sections import SectionedSolution
 
 #: (fun, name in messages, ...) -> its derivatives.
-Derivatives = Callable[..., Directional]
+Derivatives = Callable[..., Derivative]
 
 
 @dataclass
@@ -78,14 +78,9 @@ class Partials(NamedTuple):
     of_t: Array
 
     @classmethod
-    def at(cls, function: Directional, t: float, y: Array) -> Partials:
+    def at(cls, function: Derivative, t: float, y: Array) -> Partials:
         """Return the partial derivatives of a function at a point."""
-        k, n = function.k, function.n
-        return cls(
-            function.jacobian(t, y),
-            function.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T,
-            function.columns(t, y, np.ones(1), np.zeros((1, n)), np.zeros((1, k)))[0],
-        )
+        return cls(function.jacobian(t, y), function.of_parameters(t, y), function.of_time(t, y))
 
     def into(self, then: Partials) -> Partials:
         """Return the partial derivatives of a second function of (t, y, p) evaluated at y = this function."""
@@ -116,9 +111,9 @@ class Action(NamedTuple):
         Time of the action.
     before : callable
         () -> the state, before all of that time.
-    action : Directional
+    action : Derivative
         The derivatives of the action.
-    event : Directional or None
+    event : Derivative or None
         Derivatives of the event, whose time moves; None: a breakpoint.
     reholds : bool
         As in `Jump`.
@@ -126,8 +121,8 @@ class Action(NamedTuple):
 
     t: float
     before: Callable[[], Array]
-    action: Directional
-    event: Directional | None
+    action: Derivative
+    event: Derivative | None
     reholds: bool
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._functions.compiled import CoreFunction, as_python, is_native, to_native
-from .._functions.directional import Directional, Given
+from .._functions.derivatives import Derivative, Given
 from .._functions.layout import layout_of
 from .._problem.invariants import Invariants
 from .._problem.problem import Problem
@@ -33,14 +33,14 @@ class _Law:
     ----------
     about : Invariants
         The invariant as the user defined it.
-    law : Directional
+    law : Derivative
         The derivatives of r.
     carried : ndarray, (m,)
         The derivative of the functional with respect to c, for what comes later than the current time.
     """
 
     about: Invariants
-    law: Directional
+    law: Derivative
     carried: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -51,11 +51,6 @@ class _Law:
         """True if c is a prescribed number; otherwise it is the value that r had at the start, or after the last
         action."""
         return self.about.value is not None
-
-    def of_parameters(self, t: float, y: Array) -> Array:
-        """∂r/∂p, (m, k)."""
-        k, n = self.law.k, self.law.n
-        return self.law.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
 
 
 class Laws:
@@ -74,15 +69,14 @@ class Laws:
     """
 
     def __init__(
-        self, problem: Problem, k: int, derivatives: Callable[..., Directional], weights: Callable[[Array], Array]
+        self, problem: Problem, k: int, derivatives: Callable[..., Derivative], weights: Callable[[Array], Array]
     ) -> None:
         self._laws, self._args, self._weights = [], problem.args, weights
         self._k = k
         for one in problem.invariants:
             if one.sense:  # not an equation
                 continue
-            jac = one.jac if callable(one.jac) and not hasattr(one.jac, "address") else None
-            law = derivatives(one.fun, f"invariant {one.fun}", given=Given(jac), moves_t=False)
+            law = derivatives(one.fun, f"invariant {one.fun}", given=Given.of(one.jac), moves_t=False)
             self._laws.append(_Law(one, law))
 
     def on_tangent(self, t: float, y: Array, cost: Array, *, taking: bool = False) -> tuple[Array, Array]:
@@ -97,7 +91,7 @@ class Laws:
         for one, R, own in zip(self._laws, rows, parts, strict=True):
             if one.demanded or not taking:
                 cost = cost - R.T @ own
-                beside -= own @ one.of_parameters(t, y)
+                beside -= own @ one.law.of_parameters(t, y)
                 one.carried = one.carried + own
         return self._taken(t, y, cost, beside) if taking else (cost, beside)
 
@@ -107,7 +101,7 @@ class Laws:
         for one in self._laws:
             if not one.demanded:
                 cost = cost + one.law.jacobian(t, y).T @ one.carried
-                beside = beside + one.carried @ one.of_parameters(t, y)
+                beside = beside + one.carried @ one.law.of_parameters(t, y)
             one.carried = np.zeros(one.law.m)
         return cost, beside
 

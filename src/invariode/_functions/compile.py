@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
-from .directional import has_llvm
+from .derivatives import has_llvm
 from .filling import Filling
 from .graph.function import TracedFunction
 from .second_order import SecondOrder

@@ -48,7 +48,7 @@ _UNROLLED = 32
 
 
 #: Makes of (f, t, y, args) ∂f/∂y as a function of t, y and the numbers of args, or None without a graph; and ∂f/∂y
-#: itself whatever f is. `directional`, which imports this module, puts them here.
+#: itself whatever f is. `derivatives`, which imports this module, puts them here.
 _jacobians: list[tuple[Callable[..., Any], Callable[..., Array]]] = []
 
 

@@ -1,426 +1,772 @@
-"""Derivatives of functions of t, q and v without symbols: complex steps if they take them, else differences."""
+"""Derivatives of user functions F(t, y, *args) in directions of t, y and parameters.
+
+They are exact from the graph of F, if it is compiled from one or can be traced; or those given; or complex steps, if
+these give what differences give. Differences are the last resort.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from copy import copy
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
-from numpy.exceptions import ComplexWarning
+from numpy.typing import ArrayLike
 
-from .. import _core
-from .._base.arguments import EPS, Array, number
-from .compiled import CompiledFunction, complex_form, is_native, native_parameters, to_native
-from .graph.derived import derived, native
-from .layout import ArgumentLayout
+from .._base.arguments import Array, call_name
+from .._base.matrices import as_matrix
+from .compiled import (
+    CompiledFunction,
+    CoreFunction,
+    NativeWithInputs,
+    Shape,
+    as_python,
+    event_value,
+    form_jacobians_by,
+    is_native,
+    to_native,
+)
+from .filling import Filling
+from .graph.derivatives import singular_where
+from .graph.derived import Derived, derived, native
+from .graph.function import GraphFunction, OnGraph, TracedFunction
+from .graph.nodes import Node, in_order, in_words
+from .graph.python import Formula
+from .graph.switches import Switch, conditions, evaluated, has_steps, surface, switches
+from .increments import INCREMENT, NOT_COMPLEX, TINY, sizes, somewhere, takes_complex
+from .layout import NO_ARGUMENTS, TRUTHS, layout_of, numbers_at_places, place_of, with_numbers
 
-#: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
-TINY = 1e-40
-#: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
-_SMALLEST_PART = 0.1
-#: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
-SMALLEST_SCALE = 1e-250
-#: Relative increment of a central difference, and what counts as agreement with it.
-INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
-
-#: Fractions of these sizes at which a function is tried if it is not defined farther away.
-_NEARER = (1e-2, 1e-4, 1e-6)
-#: What functions raise for complex numbers that they are not made for.
-NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
-#: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself.
-_BESIDE_START = (0.1, 0.0)
-#: From this many entries on it is worth knowing which of them are always zero.
-_LARGE = 500
-#: From this many columns on a derivative along one direction tells whether all entries are known, to this part of the
-#: terms of each row: one evaluation in the place of one for each column.
-_MANY, _KNOWN = 1000, 1e-9
-#: Distance from x at which the pattern is sought, in units of the sizes of the components.
-_BESIDE = (0.0, 0.1, -0.07)
-#: Its multiples modulo 1 are spread evenly and never repeat.
-GOLDEN = 0.6180339887498949
+#: Of an increment of a one-sided difference: a smaller one to compare with, and by how much a derivative that exists
+#: may be larger there.
+_PART, _GROWTH = 1 / 8, 1.01
 
 
-class Forms(NamedTuple):
-    """A function in the forms the core takes."""
-
-    function: Any
-    complex: Any = None  # for complex t and x; None: there is no such form
-    quiet: Any = None  # the same, for points outside its domain
-    slope: Any = None  # its first derivative along a direction, of (t, (x, dt, dx)); None: it is not known
-    curvature: Any = None  # the second one
+#: Where the entries of each row of a matrix begin, and their columns.
+RowPattern: TypeAlias = tuple[Sequence[int], Sequence[int]]
 
 
-class Quiet:
-    """A function without NumPy's warnings, which are expected when it is evaluated outside its domain."""
+class ParameterPlace(Protocol):
+    """A number among the arguments, or an initial value, on which no function depends directly."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def index(self) -> int: ...
+    @property
+    def item(self) -> int | None: ...
 
-    def __call__(self, *args: Any) -> Any:
-        with np.errstate(all="ignore"):
-            return self._function(*args)
 
-
-class Derivatives:
-    """First and second derivatives of ``function(t, q)``, or ``function(t, q, v)``, with respect to t and x = (q, v).
-
-    Parameters
-    ----------
-    function : callable
-        The user's, with extra arguments; Python or native.
-    t, parts, args
-        A point at which the function is defined, q or (q, v), and its extra arguments: what it returns there tells m,
-        and whether it takes complex t and x.
-    name : str
-        For messages.
-    m : int, optional
-        Number of its values, which a native function does not say.
+class Given(NamedTuple):
+    """Derivatives that the user gives.
 
     Attributes
     ----------
-    kind : {'traced', 'complex step', 'differences'}
-        Way in which derivatives are formed.
+    jac : callable, machine code or array_like, optional
+        ``jac(t, y, *args)``, ∂F/∂y of shape (m, n), which may be sparse.
+    dfdp : callable or array_like, optional
+        ``dfdp(t, y, *args)``, ∂F/∂p, a column for each of the parameters that are no initial values.
+    bands : (int, int), optional
+        The bandwidths of a `jac` that is packed by its bands.
     """
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        t: float,
-        parts: tuple[Array, ...],
-        args: tuple[Any, ...],
-        name: str,
-        m: int | None = None,
-    ) -> None:
-        self._args, self._name, self._parts = args, name, tuple(len(part) for part in parts)
-        self._parameters = native_parameters(args, [function])
-        self.m = _count_values(function, t, parts, args, name, self._parameters) if m is None else m
-        self.kind: Literal["traced", "complex step", "differences"] = "differences"
-        x = np.concatenate(parts)
-        form = self._of_numbers(function, is_complex=False)
-        self._exact = derived(function, len(x), self.m, self._parameters, sum(self._parts[1:]))
-        self.forms = Forms(form)
-        self._core = self._bound(self.forms)
-        if not np.isfinite(here := self._core.value(t, x)).all():
-            raise ValueError(f"{name} is not finite at t = {t}: {here}")
-        if self._exact is not None:
-            self.kind = "traced"
-            n, count = 2 * len(x) + 1, self._parameters.size
-            along = (native(one, function, n, self.m, count) for one in (self._exact.slope(), self._exact.curvature()))
-            self.forms = Forms(form, None, None, *along)
-            self._core = self._bound(self.forms)
-            return
-        candidate = self._of_numbers(function, is_complex=True)
-        if candidate is not None and self._takes_complex(t, x, self._bound(Forms(form, candidate, candidate))):
-            self.kind = "complex step"
-            self.forms = Forms(form, candidate, candidate if candidate is not function else Quiet(candidate))
-            self._core = self._bound(self.forms)
+    jac: Any = None
+    dfdp: Any = None
+    bands: tuple[int, int] | None = None
 
-    def _of_numbers(self, function: Any, is_complex: bool) -> Any:
-        """Return the function as the core calls it; None if it has no complex form."""
-        n, second, count = sum(self._parts), sum(self._parts[1:]), self._parameters
-        if not is_complex:
-            return to_native(self._name, function, n, self.m, self._parameters, second=second)
-        if not is_native(function):
-            return function
-        if not isinstance(function, CompiledFunction):
-            return None
-        try:
-            return function.complex_native(n, self.m, count, second)
-        except TypeError:
-            return None
+    @classmethod
+    def of(cls, jac: Any, dfdp: Any = None, bands: tuple[int, int] | None = None) -> Given:
+        """Return what is given; a word for a Jacobian, or products with it, tell no entries."""
+        return cls(None if isinstance(jac, str) or hasattr(jac, "matvec") else jac, dfdp, bands)
 
-    def _bound(self, forms: Forms) -> _core.Differentiable:
-        first, second = (*self._parts, 0)[:2]
-        return _core.Differentiable(
-            forms, self._name, first, second, self.m, self._args, self._parameters.numbers.tolist()
-        )
+    def jacobian(self, called: str, shape: tuple[int, int], args: tuple[Any, ...], t: float, y: Array) -> Any:
+        """Return ∂F/∂y at a point, dense or sparse, with its shape checked."""
+        found = _matrix(f"jac of {called}", self.jac, shape, args, t, y, self.bands)
+        if self.bands is None:
+            return found
+        from scipy.sparse import dia_array
 
-    def value(self, t: float, x: Array) -> Array:
-        """The function itself, of shape (m,)."""
-        return self._core.value(t, x)
+        return dia_array((np.asarray(found), self.bands[1] - np.arange(len(found))), shape).tocsr()
 
-    def slope(self, t: float, x: Array, dt: float, dx: Array) -> Array:
-        """d/ds of function(t + s dt, x + s dx) at s = 0."""
-        return self._core.slope(t, x, dt, dx)
-
-    def curvature(self, t: float, x: Array, dt: float, dx: Array) -> Array:
-        """d²/ds² of function(t + s dt, x + s dx) at s = 0."""
-        return self._core.curvature(t, x, dt, dx)
-
-    def jacobian(self, t: float, x: Array) -> Array:
-        """∂/∂x, of shape (m, n)."""
-        values: Array = self._core.jacobian(t, x, full_pattern(self.m, len(x)))[2]
-        return values.reshape(len(x), self.m).T
-
-    def pattern(self, t: float, x: Array) -> tuple[Array, Array, Array]:
-        """Return the pattern of the Jacobian, its entries that can be nonzero, in compressed columns.
-
-        They are where NaN for a component spreads to, and where the derivatives at some points are not zero: the first
-        sees terms that vanish by chance, the second those that a comparison with NaN leaves out.
-        """
-        n = len(x)
-        if self.m * n < _LARGE:
-            return full_pattern(self.m, n)
-        if self._exact is not None:
-            from scipy.sparse import csc_array  # takes longer to import than everything else
-
-            exact = csc_array(self._exact.pattern.matrix(np.ones(self._exact.entries)))
-            exact.sort_indices()
-            return exact.indptr.astype(np.int32), exact.indices.astype(np.int32), exact.data
-        entries = [np.arange(0)] * n
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            for j in range(n):
-                at = x.copy()
-                at[j] = np.nan
-                try:
-                    entries[j] = np.flatnonzero(np.isnan(self.value(t, at)))
-                except (ValueError, ArithmeticError):  # it does not take NaN
-                    entries[j] = np.arange(self.m)
-            for part in _BESIDE:
-                at = x + part * somewhere(x)
-                try:
-                    if n >= _MANY and self._has_all(t, at, _pattern_of(entries)):
-                        continue
-                    found = self._nonzero(t, at)
-                except (ValueError, ArithmeticError):
-                    continue  # not defined there
-                entries = [np.union1d(known, more) for known, more in zip(entries, found, strict=True)]
-        return _pattern_of(entries)
-
-    def _has_all(self, t: float, x: Array, pattern: tuple[Array, Array, Array]) -> bool:
-        """Return whether the entries in a pattern reproduce the derivative along a direction in which every component
-        changes."""
-        direction = somewhere(x)
-        starts, rows, values = self._core.jacobian(t, x, pattern)
-        terms = values * np.repeat(direction, np.diff(starts))
-        expected, size = (np.bincount(rows, one, self.m) for one in (terms, np.abs(terms)))
-        return bool((np.abs(self.slope(t, x, 0.0, direction) - expected) <= _KNOWN * size).all())
-
-    def _nonzero(self, t: float, x: Array) -> list[Array]:
-        """The rows of each column of the Jacobian that are not zero."""
-        found, direction, size = [], np.zeros(len(x)), sizes(x)
-        for j in range(len(x)):
-            direction[j] = size[j]
-            found.append(np.flatnonzero(~(self.slope(t, x, 0.0, direction) == 0)))
-            direction[j] = 0.0
-        return found
-
-    def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
-        """Return whether complex steps agree with finite differences at (t, x)."""
-
-        def values(z: Array) -> Array:
-            if z.dtype.kind == "c":
-                return form.complex_value(z.view(float)).view(complex)
-            return self.value(z[0], z[1:])
-
-        direction = np.append(max(abs(t), 1.0), somewhere(x))
-        return takes_complex(values, np.append(t, x), direction, np.append(0.0, direction[1:]))
+    def of_parameters(self, called: str, shape: tuple[int, int], args: tuple[Any, ...], t: float, y: Array) -> Any:
+        """Return ∂F/∂p at a point, with its shape checked."""
+        return _matrix(f"dfdp of {called}", self.dfdp, shape, args, t, y)
 
 
-def takes_complex(
-    values: Callable[[Array], Any], x: Array, direction: Array, beside: Array, nearer: Sequence[float] = ()
-) -> bool:
-    """Return whether complex steps agree with finite differences along a direction in which every component changes.
-
-    They are compared at the first point at which the function is defined: at x or `beside` it, which is given as a
-    direction; then on both sides of x at these fractions of `beside`, over the same fractions of the direction.
-    """
-    points = [(part, 1.0) for part in _BESIDE_START]
-    points += [(side * _BESIDE_START[0] * fraction, fraction) for fraction in nearer for side in (1, -1)]
-    for part, length in points:
-        if (found := compared(values, x + part * beside, length * direction)) is not None:
-            return bool(found.agree().all())
-    return False
-
-
-def complex_steps_fit(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> tuple[bool, int]:
-    """Return whether complex steps give the derivative of a function of y that may be defined near y only, and the
-    number of evaluations used. `threshold`: the size below which a component gives no scale."""
-    if np.iscomplexobj(y):
-        return False, 0
-    calls = 0
-
-    def counted(z: Array) -> Any:
-        nonlocal calls
-        calls += 1
-        return values(z)
-
-    direction = somewhere(y, _weighted_sizes(y, threshold))
-    return takes_complex(counted, y, direction, direction, _NEARER), calls
+def _matrix(
+    name: str,
+    given: Any,
+    shape: tuple[int, int],
+    args: tuple[Any, ...],
+    t: float,
+    y: Array,
+    bands: tuple[int, int] | None = None,
+) -> Any:
+    """Return the value of a matrix that a user gives as a constant, a function or machine code."""
+    shape = shape if bands is None else (sum(bands) + 1, shape[1])
+    if is_native(given):
+        values = _Evaluation(given, args, (), shape[0] * shape[1], name, event=False)(t, y)
+        return as_matrix(name, values.reshape(shape) if values.size == shape[0] * shape[1] else values, shape, at=t)
+    found = given(t, y.copy(), *args) if callable(given) else given
+    return as_matrix(name, found, shape, banded=bands is not None, at=t)
 
 
-def _weighted_sizes(y: Array, threshold: float | Array) -> Array:
-    """The sizes of the components, for increments: `take_sizes` of the core."""
-    size: Array = np.abs(y)
-    largest = size.max(initial=0)
-    if largest < SMALLEST_SCALE:
-        largest = 1.0
-    size = np.maximum(size, np.minimum(threshold, largest))
-    size[size < SMALLEST_SCALE] = largest  # pure relative control at 0
-    return size
+class Point(NamedTuple):
+    """Point (t, y) at which F is defined."""
+
+    t: float
+    y: Array
 
 
-class Comparison(NamedTuple):
-    """The derivative of a function along a direction, by a complex step and by a central difference."""
+def derivative_of(
+    function: Any,
+    shape: tuple[int | None, int],
+    given: Given | None = None,
+    *,
+    at: Point,
+    args: tuple[Any, ...] = (),
+    names: Sequence[ParameterPlace] = (),
+    called: str | None = None,
+    moves_t: bool = False,
+    event: bool = False,
+    traces: bool | Literal["unnoticed"] = True,
+) -> Derivative:
+    """Return the derivative of F(t, y, *args) with respect to y, t and parameters.
 
-    stepped: Array | Exception  # the values at a complex argument, or why there are none
-    by_difference: Array
-    size: Array  # of the values
-
-    @property
-    def by_step(self) -> Array:
-        return np.imag(np.asarray(self.stepped)) / TINY
-
-    def agree(self, times: float = 1.0) -> Array:
-        """Return a boolean array: the components that agree within `times` the expected errors."""
-        if isinstance(self.stepped, Exception) or self.stepped.shape != self.by_difference.shape:
-            return np.zeros(1, dtype=bool)
-        by_step, by_difference = self.by_step, self.by_difference
-        noise = 10 * EPS / INCREMENT * self.size + np.finfo(float).tiny
-        error = _SAME * np.maximum(np.abs(by_step), np.abs(by_difference)) + noise
-        return np.asarray(np.abs(by_step - by_difference) <= times * error)
-
-
-def compared(function: Callable[[Array], Any], x: Array, direction: Array) -> Comparison | None:
-    """Compare both derivatives at x, by complex steps and by finite differences; return None if the function is not
-    defined around x."""
-    stepped: Array | Exception
-
-    def values(z: Array) -> Array:
-        return np.ravel(np.asarray(function(z), dtype=z.dtype))
-
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("error", ComplexWarning)  # an imaginary part was dropped
-        try:
-            up, down = (values(x + side * INCREMENT * direction) for side in (1, -1))
-        except (ValueError, ArithmeticError, Warning):  # as from math.log(-1) and 1 / 0
-            return None
-        try:
-            stepped = values(x + 1j * TINY * direction)
-        except Exception as error:  # the function is not made for this
-            stepped = error
-    if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
-        return None
-    return Comparison(stepped, (up - down) / (2 * INCREMENT), np.maximum(np.abs(up), np.abs(down)))
-
-
-class OfNumbers:
-    """The derivatives of a real function of numbers, by complex steps, which are compared with differences at first.
+    It is the first of these that there is: `dfdp` as given; from the graph of F, exactly; `jac` as given; by complex
+    steps, if these give what differences give; by differences. Where one is not finite although F is, such as 0 · ∞,
+    one-sided differences take its place.
 
     Parameters
     ----------
-    called : str
-        Name of the function in messages.
     function : callable
-        The user's, of one or more numbers.
+        F: Python, or native; with inputs as `fed` gives it them.
+    shape : tuple of int
+        (m, n), the numbers of values and of components of y. m is None: F is called to see it, which a native function
+        does not say.
+    given : Given, optional
+        Derivatives that are known.
+    at : Point
+        A point at which F is defined: it is called there, to see whether it takes complex numbers.
+    args : tuple
+        Its further arguments, with the values of the parameters.
+    names : sequence of ParameterName
+        The parameters.
+    called : str, optional
+        Name of the function in messages.
+    moves_t : bool, default False
+        Derivatives with respect to t are needed too.
+    event : bool, default False
+        Machine code has the signature of events.
+    traces : bool or "unnoticed", default True
+        F may be called with symbols, to find its graph; "unnoticed": if nobody can notice that.
+
+    Raises
+    ------
+    TypeError
+        A parameter is an integer, and F takes no other number in its place.
+    """
+    evaluate = _Evaluation(function, args, names, shape[0], called or call_name(function, "fun"), event)
+    if evaluate.m is None:
+        evaluate.m = len(evaluate(at.t, at.y))
+    graph = OfGraph.of(function, evaluate, shape[1], unnoticed=traces == "unnoticed") if traces else None
+    return Derivative(evaluate, at, moves_t, given or Given(), graph)
+
+
+class Derivative:
+    """The derivative of F(t, y, *args), as `derivative_of` returns it.
+
+    Attributes
+    ----------
+    graph : OfGraph or None
+        F as a graph, of which the derivatives are exact; None: it has none.
+    m, n, k : int
+        The number of values, of components of y and of parameters.
+    args, names, called
+        As given to `derivative_of`.
     """
 
-    how = "complex step"
-    #: By how much complex steps and differences may disagree, in units of the error of the differences.
-    _TOLERANT = 10
+    def __init__(self, evaluate: _Evaluation, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
+        self.n, self.m, self.k = len(at.y), evaluate.size, len(evaluate.names)
+        self.args, self.names, self.called = evaluate.args, evaluate.names, evaluate.called
+        self._evaluate, self._at, self._moves_t, self.graph = evaluate, at, moves_t, graph
+        self._given = given if graph is None else given._replace(jac=None)
+        if graph is None:
+            evaluate.require_numbers(at)
 
-    def __init__(self, called: str, function: Callable[..., Any]) -> None:
-        self._called, self._function, self._checked = called, function, False
+    @cached_property
+    def _steps(self) -> _Steps | None:
+        """Complex steps or differences; None: all that they could give is known."""
+        given = self._given
+        if self.graph is not None or not (given.jac is None or (given.dfdp is None and self.k) or self._moves_t):
+            return None
+        return _Steps(self._evaluate, self._at, self._moves_t)
 
-    def value(self, at: Array) -> float:
-        """The function itself."""
-        return number(f"the value of {self._called}", self._function(*at))
+    @cached_property
+    def how(self) -> str:
+        """Way in which derivatives are formed: "traced", "given", "complex step" or "differences"; "given and traced"
+        and so on if only some were given."""
+        partly = self._given.dfdp is not None or self._given.jac is not None
+        found = "traced" if self.graph is not None else None if self._steps is None else self._steps.how
+        return " and ".join(filter(None, ["given" if partly else "", found]))
 
-    def slopes(self, at: Array) -> Array:
-        """The derivative with respect to each number.
+    def with_args(self, args: tuple[Any, ...]) -> Derivative:
+        """Return the derivative for other arguments of the same kinds, formed in the same way: its code is shared."""
+        made = copy(self)
+        made.args, made._evaluate = args, self._evaluate.of_args(args)
+        if self.graph is not None:
+            made.graph = self.graph.with_numbers(layout_of(args).numbers)
+        elif self._steps is not None:
+            made._steps = self._steps.of(made._evaluate)
+        return made
 
-        Raises
-        ------
-        ValueError
-            Complex steps do not give the derivatives.
-        """
-        if not self._checked:
-            self._check(at)
-            self._checked = True
-        steps = np.eye(len(at)) * TINY * 1j
-        return np.array([complex(self._function(*(at + step))).imag / TINY for step in steps])
-
-    def _check(self, at: Array) -> None:
-        found = compared(lambda z: np.array([self._function(*z)]), at, np.where(at == 0, 1.0, np.abs(at)))
-        if found is None:
-            return  # not defined around this point
-        if isinstance(found.stepped, Exception) or not found.agree(self._TOLERANT).all():
-            raise ValueError(
-                f"{self._called} must take complex numbers, for its derivatives: use NumPy's functions in place of "
-                "math's, and no abs"
-            )
-
-
-def at_complex(fun: Any, m: int) -> Any:
-    """A function (t, y, *args) with m values for complex y; NaN where it cannot be evaluated there, so that the core
-    switches to differences."""
-    if isinstance(fun, _core.Native):
-        return complex_form(fun)
-
-    def evaluate(t: float, y: Array, *args: Any) -> Any:
+    def takes_complex_at(self, at: Point) -> bool:
+        """Return whether F accepts complex steps at this point too; True if derivatives are not formed by complex
+        steps."""
+        if self._steps is None or self._steps.how != "complex step":
+            return True
         try:
-            return fun(t, y, *args)
+            return _Steps(self._evaluate, at, self._moves_t).how == "complex step"
         except NOT_COMPLEX:
-            return [np.nan] * m
+            return True  # F is not defined there at all, which is not for this to say
 
-    return evaluate
+    def for_core(self, t: float, Y: ArrayLike) -> Any:
+        """`tangent` as the core calls it: machine code, unless that gives NaN at the start (t, Y), which Python mends
+        with other derivatives."""
+        graph = self.graph
+        if graph is None or self._given.dfdp is not None or not has_llvm():
+            return self.tangent
+        return graph.native if is_finite(graph.tangent(t, self._rows(Y))) else self.tangent
+
+    def _rows(self, Y: ArrayLike) -> Array:
+        return np.asarray(Y, dtype=float).reshape(1 + self.k, self.n)
+
+    def tangent(self, t: float, Y: ArrayLike) -> Array:
+        """∂F/∂y S_j + ∂F/∂p_j in row j, of shape (k, m); Y (1 + k, n) has the rows y, S_1, S_2 and so on."""
+        rows = self._rows(Y)
+        if self.graph is not None and self._given.dfdp is None:
+            found = self.graph.tangent(t, rows)
+            if is_finite(found):
+                return found
+        return self.columns(t, rows[0], np.zeros(self.k), rows[1:], np.eye(self.k))
+
+    def along(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """d/ds of F(t + s dt, y + s dy, p + s dp) at s = 0, of shape (m,)."""
+        found = self.columns(t, y, np.array([dt]), np.atleast_2d(dy), np.atleast_2d(dp))
+        return np.ravel(found)
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return the derivatives of F in c directions, dt (c,), dy (c, n) and dp (c, k), as rows: of shape (c, m)."""
+        with np.errstate(all="ignore"):  # what is not finite is looked at here
+            found = self._columns(t, y, dt, dy, dp)
+        return found if is_finite(found) else self._mended(found, t, y, dt, dy, dp)
+
+    def of_parameters(self, t: float, y: Array) -> Array:
+        """∂F/∂p, of shape (m, k)."""
+        return self.columns(t, y, np.zeros(self.k), np.zeros((self.k, self.n)), np.eye(self.k)).T
+
+    def of_time(self, t: float, y: Array) -> Array:
+        """∂F/∂t, of shape (m,)."""
+        return self.along(t, y, 1.0, np.zeros(self.n), np.zeros(self.k))
+
+    def _mended(self, found: Array, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Return `found` (c, m) with one-sided finite differences in place of entries that are not finite though F is,
+        such as 0 · ∞ where a formula is singular and the function is not. Entries that these do not give stay: there F
+        has no derivative along this direction, or is not defined."""
+        found, sides = found.copy(), _Sides(self._evaluate, self.n)
+        for row, one in zip(found, zip(dt, dy, dp, strict=True), strict=True):
+            gaps = ~np.isfinite(row)
+            if gaps.any():
+                row[gaps] = sides(t, y, *one)[gaps]
+        return found
+
+    def _columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        given, of = self._given, self._evaluate
+        rest = dp if given.dfdp is None else np.zeros_like(dp)
+        if self.graph is not None:
+            found = self.graph.columns(t, y, dt, dy, rest)
+        elif given.jac is None:
+            assert self._steps is not None
+            found = np.array([self._steps(t, y, *one) for one in zip(dt, dy, rest, strict=True)], dtype=float)
+        else:
+            found = np.array((given.jacobian(self.called, (self.m, self.n), self.args, t, y) @ dy.T).T)
+            if dt.any() or rest.any():
+                assert self._steps is not None
+                found += [self._steps(t, y, one, np.zeros(self.n), other) for one, other in zip(dt, rest, strict=True)]
+        found = np.reshape(found, (len(dt), self.m))
+        if given.dfdp is not None:
+            shape = self.m, int(of.own.sum())
+            found = found + (given.of_parameters(self.called, shape, self.args, t, y) @ dp[:, of.own].T).T
+        return found
+
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """(∂F/∂y)ᵀ w, then wᵀ ∂F/∂p_j for each parameter: of shape (n + k,)."""
+        if self.graph is not None and self._given.dfdp is None:
+            found = self.graph.transposed(t, y, w)
+            if is_finite(found):
+                return found
+        return np.asarray(self.columns(t, y, *self._unit_directions) @ w)
+
+    @cached_property
+    def _unit_directions(self) -> tuple[Array, Array, Array]:
+        """Unit directions (dt, dy, dp) of each component of y, then of each parameter."""
+        both = self.n + self.k
+        return np.zeros(both), np.eye(both, self.n), np.eye(both, self.k, -self.n)
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """∂F/∂y, of shape (m, n)."""
+        if self.graph is not None:
+            found = self.graph.jacobian(t, y)
+            if is_finite(found):
+                return found
+        n = self.n
+        return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
+
+    def entries(self, t: float, y: Array, rows: RowPattern) -> Array:
+        """Return the entries of ∂F/∂y of a pattern, row by row."""
+        if self.graph is not None and (found := self.graph.entries(t, y, rows)) is not None:
+            return found
+        starts, columns = rows
+        return self.jacobian(t, y)[np.repeat(np.arange(self.m), np.diff(starts)), columns]
+
+    @property
+    def outputs(self) -> Sequence[Node]:
+        """The nodes of F's values; none without a graph."""
+        return () if self.graph is None else self.graph.outputs
+
+    @property
+    def is_condition(self) -> bool:
+        """True if F has no graph and returns True or False, of which derivatives say nothing."""
+        return self.graph is None and self._evaluate(*self._at).dtype == bool
+
+    @property
+    def knows_jumps(self) -> bool:
+        """True if all jumps of F are known: it has a graph, without operations that may jump elsewhere."""
+        return self.graph is not None and not has_steps(self.graph.outputs)
+
+    def value(self, t: float, y: Array) -> Array:
+        """F itself, of shape (m,)."""
+        return self._evaluate(t, y)
 
 
-def _count_values(
-    function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: ArgumentLayout
-) -> int:
-    """Return the number of values that the function returns."""
-    if isinstance(function, CompiledFunction) and not function.inplace:
-        returned = np.asarray(function.at(t, *(part.copy() for part in parts), parameters=parameters))
-    elif is_native(function):
-        raise ValueError(
-            f"{name} is native, so the number of its values is unknown: give it as "
-            "Invariants(function, value=0, names=[...]), with one name for each"
+def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
+    """Return whether one of the parameters is a constant of the graph, such as the count of a loop."""
+    inside, before = fun, 0
+    if isinstance(fun, NativeWithInputs):
+        inside, before = fun.fun, fun.arguments(NO_ARGUMENTS).size
+        shape = shape._replace(parameters=fun.arguments(shape.parameters))
+    known = inside.known(shape).parameters.known()
+    return any(place is not None and bool(known[before + place]) for place in places)
+
+
+def as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[int, dict[int, float]]:
+    """Return the parameters among the arguments as floats: an integer may be an index, a parameter may not."""
+    places = [(one.index, one.item) for one in names if one.kind == "args"]
+    changes: dict[int, dict[int, float]] = {}
+    for (index, item), number in zip(places, numbers_at_places(args, places), strict=True):
+        changes.setdefault(index, {})[item or 0] = float(number)
+    return changes
+
+
+def with_graph(fun: Any) -> Any:
+    """Return F in a form that may have a graph; None if it is machine code, or belongs to the core."""
+    inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
+    if isinstance(inside, OnGraph):
+        return fun
+    compiled = isinstance(inside, CompiledFunction)
+    if isinstance(inside, CoreFunction):
+        return inside.on_graph()
+    if is_native(inside) and not compiled:
+        return None
+    fills = isinstance(inside, Filling) or (compiled and inside.inplace)
+    python = inside.fun if compiled else inside.__wrapped__ if fills else inside
+    python = getattr(python, "py_func", python)  # numba's
+    formula = isinstance(python, Formula)
+    made = GraphFunction(python) if formula else TracedFunction(python, fills, "own", "trace")
+    return fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
+
+
+class OfGraph:
+    """A function F given by a graph, with exact derivatives.
+
+    Attributes
+    ----------
+    exact : Derived
+        The derivatives, for all values of the parameters.
+    outputs : list of Node
+        The values of F.
+    fun : compiled function or None
+        F as it was traced.
+    """
+
+    def __init__(self, exact: Derived, fun: Any, places: Sequence[int | None], p: Array, n: int, m: int) -> None:
+        before = self._before = fun.arguments(NO_ARGUMENTS).size if isinstance(fun, NativeWithInputs) else 0
+        self._places = tuple(None if place is None else before + place for place in places)
+        self.outputs: list[Node] = list(exact.outputs)
+        self.exact, self.fun, self._n, self._m, self._p = exact, fun, n, m, p
+        self._codes: dict[str, Callable[[float, Array, Array], Array]] = {}
+
+    @classmethod
+    def of(cls, fun: Any, evaluate: _Evaluation, n: int, *, unnoticed: bool) -> OfGraph | None:
+        """Return the derivatives of a function from its graph; None: it has none, or a parameter is a constant of it,
+        such as the count of a loop."""
+        args, names, m = evaluate.args, evaluate.names, evaluate.size
+        if unnoticed:
+            exact = derived_unnoticed(fun, n, m, args)
+            return None if exact is None else cls(exact, None, (), layout_of(args).numbers, n, m)
+        traced = with_graph(fun)
+        if traced is None:
+            return None
+        floating = with_numbers(args, as_floats(args, names))  # an integer may be an index, a parameter may not
+        parameters = layout_of(floating)
+        places = [place_of(args, one.index, one.item) if one.kind == "args" else None for one in names]
+        try:
+            exact = derived(traced, n, m, parameters)
+        except TypeError:  # it cannot be traced
+            return None
+        if exact is None or _constant(traced, Shape(n, m, parameters, event=False), places):
+            return None
+        return cls(exact, traced, places, parameters.numbers, n, m)
+
+    @cached_property
+    def native(self) -> Any:
+        """Machine code of the derivatives, a function of (t, (y, S_1, S_2, ...))."""
+        k = len(self._places)
+        return native(self.exact.tangents(self._places), self.fun, (1 + k) * self._n, k * self._m, len(self._p))
+
+    def tangent_nodes(self) -> list[Node]:
+        """Return the nodes of the derivative, functions of (t, (y, S_1, S_2, ...)) and the numbers of the arguments."""
+        return self.exact.tangents(self._places).fun.outputs
+
+    def _code(self, key: str, make: Callable[[], Any], n: int, size: int) -> Callable[[float, Array, Array], Array]:
+        """A Python function of t, n numbers and the parameters, made once for all values of the arguments."""
+        found = self._codes.get(key)
+        if found is None:
+            made = make()
+            machine = has_llvm()
+            found = as_python(native(made, self.fun, n, size, len(self._p)), size) if machine else made.fun.array
+            self._codes[key] = found
+        return found
+
+    def with_numbers(self, p: Array) -> OfGraph:
+        """Return the function with other numbers of the arguments, which shares its code."""
+        made = copy(self)
+        made._p = p
+        return made
+
+    def value(self, t: float, y: Array) -> Array:
+        """F itself, of shape (m,)."""
+        return self._code("value", self._itself, self._n, self._m)(t, y, self._numbers(t))
+
+    def _itself(self) -> GraphFunction:
+        return GraphFunction(Formula("value", lambda: self.outputs, (self._m,)), self.exact.elementary)
+
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """See `Derivative.transposed`."""
+        n, size = self._n + self._m, self._n + len(self._places)
+        code = self._code("transposed", lambda: self.exact.transposed(self._places), n, size)
+        return code(t, np.concatenate([y, w]), self._numbers(t))
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """See `Derivative.jacobian`."""
+        return self.jacobian_of_args(t, y, self._numbers(t))
+
+    def jacobian_of_args(self, t: float, y: Array, p: Array) -> Array:
+        """Return ∂F/∂y, (m, n), for these numbers of the arguments."""
+        return self._code("jacobian", self.exact.dense, self._n, self._m * self._n)(t, y, p).reshape(self._m, self._n)
+
+    def entries(self, t: float, y: Array, rows: RowPattern) -> Array | None:
+        """See `Derivative.entries`; None: they are not finite, or the pattern is another one."""
+        if self.exact.row_pattern != rows:
+            return None
+        found = self._code("entries", self.exact.by_rows, self._n, self.exact.entries)(t, y, self._numbers(t))
+        return found if is_finite(found) else None
+
+    def switches(self, at: Point) -> list[Switch]:
+        """Return the switches at which the values jump."""
+        return switches(self.exact.outputs, at.t, at.y, self._numbers(at.t))
+
+    def has_conditions(self) -> bool:
+        """Return whether there are conditions."""
+        return bool(conditions(self.outputs))
+
+    def surface(self, name: str) -> Any:
+        """Return a function with F's arguments in which functions that change their signs take the place of conditions,
+        values of F that are one of two constants; None: F has no conditions."""
+        found = [surface(one) for one in self.outputs]
+        if all(one is None for one in found):
+            return None
+        pairs = zip(found, self.outputs, strict=True)
+        return self.with_values([value if one is None else one for one, value in pairs], name)
+
+    def of_inputs(self, node: Node) -> bool:
+        """Return whether a node depends on inputs, whose slopes are not known."""
+        return any(one.op == "p" and one.value < self._before for one in in_order([node]))
+
+    def singular_at(self, t: float, y: Array, names: Sequence[ParameterPlace]) -> str | None:
+        """The operation of the formula that has no derivative at a point, with its argument, in words; None: there is
+        none."""
+        nodes = [node for node in in_order(self.outputs) if singular_where(node) is not None]
+        zeros = [singular_where(node) for node in nodes]
+        if not nodes:
+            return None
+        with np.errstate(all="ignore"):
+            here = evaluated([one for one in zeros if one is not None])(t, y, self._numbers(t))
+        called = {at: one.name for at, one in zip(self._places, names, strict=True) if at is not None}
+        for node, is_there in zip(nodes, here, strict=True):
+            if is_there == 1:
+                return in_words(node, called)
+        return None
+
+    def with_values(self, outputs: Sequence[Node], name: str) -> Any:
+        """Return a function with F's arguments and other nodes of its graph as values."""
+        made = GraphFunction(Formula(name, lambda: outputs, (len(outputs),)), self.exact.elementary)
+        return self.fun._replace(fun=made) if isinstance(self.fun, NativeWithInputs) else made
+
+    def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
+        """Return the values of these nodes as a Python function of (t, y)."""
+        values = evaluated(outputs)
+        return lambda t, y: values(t, y, self._numbers(t))
+
+    def tangent(self, t: float, rows: Array) -> Array:
+        """∂F/∂y S_j + ∂F/∂p_j, of shape (k, m)."""
+        k, n, m = len(self._places), self._n, self._m
+        code = self._code("tangent", lambda: self.exact.tangents(self._places), (1 + k) * n, k * m)
+        return code(t, rows.ravel(), self._numbers(t)).reshape(k, m)
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Derivatives along directions, in rows."""
+        formula, p = self.exact.along(self._places).fun, self._numbers(t)
+        along = np.column_stack([dt, dy, dp])
+        return np.array([formula(t, np.concatenate([y, one]), p) for one in along])
+
+    def _numbers(self, t: float) -> Array:
+        return numbers_at(t, self.fun, self._p)
+
+
+def derived_unnoticed(fun: Any, n: int, m: int, args: tuple[Any, ...]) -> Derived | None:
+    """Return the derivatives of a Python function by a trace that nobody can notice; None: there is none."""
+    from .graph.plain import plain_graph  # imported when a function may be traced
+
+    graph = plain_graph(fun, n, layout_of(args).fixed(TRUTHS), size=m)
+    if graph is None:
+        return None
+    if graph.exact is None:
+        graph.exact = Derived(call_name(fun, "g"), graph.outputs, n, "own")
+    found: Derived = graph.exact
+    return found
+
+
+def numbers_at(t: float, fun: Any, p: Array) -> Array:
+    """Return the parameters of machine code: the values of inputs at t, then the numbers of the arguments."""
+    if not isinstance(fun, NativeWithInputs):
+        return p
+    return np.concatenate([*(one.evaluate(np.array([t]))[0] for one in fun.inputs), p])
+
+
+def is_finite(values: Array) -> bool:
+    """Return whether all numbers are finite; their sum of squares tells it sooner, unless it overflows."""
+    flat = values.ravel()
+    return math.isfinite(flat.dot(flat)) or bool(np.isfinite(values).all())
+
+
+def has_llvm() -> bool:
+    """Return whether llvmlite, which makes machine code of graphs, is installed."""
+    return find_spec("llvmlite") is not None
+
+
+class _Evaluation:
+    """F(t, y) with its arguments, or with other values of the parameters."""
+
+    def __init__(
+        self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace], m: int | None, called: str, event: bool
+    ) -> None:
+        self.args, self.names, self.called = args, names, called
+        self._fun, self.m, self._event = fun, m, event
+        self._own = [one for one in names if one.kind == "args"]
+        #: Which of the parameters are in the arguments.
+        self.own = np.array([one.kind == "args" for one in names], dtype=bool)
+        places = [place_of(args, one.index, one.item) for one in self._own]
+        self.p = np.zeros(len(names))
+        self.p[self.own] = layout_of(args).numbers[places]
+
+    def __call__(self, t: Any, y: Array, p: Array | None = None) -> Array:
+        """The values (m,); t, y and p may be complex if F takes that."""
+        return self.with_args(t, y, self.args if p is None else self._with(p[self.own]))
+
+    @property
+    def size(self) -> int:
+        """Number of its values."""
+        if self.m is None:
+            raise ValueError(f"{self.called} fills an array: say how many values it has")
+        return self.m
+
+    def of_args(self, args: tuple[Any, ...]) -> _Evaluation:
+        """Return F with other arguments."""
+        return _Evaluation(self._fun, args, self.names, self.m, self.called, self._event)
+
+    def with_args(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
+        """The values with other arguments."""
+        inside = self._fun.fun if isinstance(self._fun, NativeWithInputs) else self._fun
+        if is_native(inside) and not isinstance(inside, (CompiledFunction, CoreFunction)):
+            return self._of_machine_code(t, y, args)
+        given = [*self._inputs(t), *args]
+        if isinstance(inside, CompiledFunction):
+            return self._of_compiled(inside, t, y, given)
+        return np.ravel(np.asarray(inside(t, y.copy(), *given)))
+
+    def require_numbers(self, at: Point) -> None:
+        """Raise a TypeError unless F also accepts floating-point values for integer parameters."""
+        given = numbers_at_places(self.args, ((one.index, one.item) for one in self._own))
+        for one, number in zip(self._own, given, strict=True):
+            if not isinstance(number, (int, np.integer)):
+                continue
+            try:
+                self.with_args(at.t, at.y, with_numbers(self.args, as_floats(self.args, [one])))
+            except (TypeError, IndexError) as error:
+                raise TypeError(
+                    f"{self.called} has no derivative with respect to {one.name} = {number}, which has to be an "
+                    f"integer ({error}): name the other parameters"
+                ) from error
+
+    def _with(self, p: Array) -> tuple[Any, ...]:
+        changes: dict[int, dict[int, Any]] = {}
+        for one, value in zip(self._own, p.tolist(), strict=True):
+            changes.setdefault(one.index, {})[one.item or 0] = value
+        return with_numbers(self.args, changes)
+
+    def _inputs(self, t: Any) -> list[Any]:
+        """Return the values of the inputs at t, in the shapes that F takes."""
+        if not isinstance(self._fun, NativeWithInputs):
+            return []
+        rows = [one.evaluate(np.array([np.real(t)]))[0] for one in self._fun.inputs]
+        return [row.reshape(shape)[()] for row, shape in zip(rows, self._fun.shapes, strict=True)]
+
+    def _of_compiled(self, fun: CompiledFunction, t: Any, y: Array, given: list[Any]) -> Array:
+        """Call the Python function of a compiled F with the arguments as it was traced or, failing that, with all
+        numbers in one array, as numba takes it."""
+        numbers = [np.concatenate([np.ravel(np.asarray(one)) for one in given])] if given else []
+        out: Array | None = None
+        if fun.inplace:
+            out = np.full(self.size, np.nan, dtype=np.result_type(y, float, *numbers))
+        filled = [] if out is None else [out]
+        try:
+            returned = fun.fun(t, y.copy(), *filled, *given)
+        except (TypeError, IndexError):
+            returned = fun.fun(t, y.copy(), *filled, *numbers)
+        return out if out is not None else np.ravel(np.asarray(returned))
+
+    def _of_machine_code(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
+        if np.iscomplexobj(t) or np.iscomplexobj(y) or self.m is None:
+            raise TypeError(f"{self.called} is machine code for real numbers")
+        arguments = layout_of(args)
+        p = numbers_at(t, self._fun, arguments.numbers)
+        if self._event:
+            code = to_native(self.called, self._fun, len(y), 1, arguments, event=True)
+            return np.array([event_value(code, t, np.ascontiguousarray(y), p)])
+        return as_python(to_native(self.called, self._fun, len(y), self.m, arguments), self.m)(t, y, p)
+
+
+class _Sides:
+    """Derivatives from one side, along a direction, by differences of three values: where a function is singular on
+    one side, or its formula is."""
+
+    def __init__(self, evaluate: _Evaluation, n: int) -> None:
+        self._evaluate, self._n = evaluate, n
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """The derivative along a direction, of shape (m,); NaN where there is none from either side."""
+        p = self._evaluate.p
+        x, direction = np.concatenate([[t], y, p]), np.concatenate([[dt], dy, dp])
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), _sizes_of(p)])
+        length = np.max(np.abs(direction) / size)
+        if length < np.finfo(float).tiny:
+            return np.zeros(self._evaluate.m or 0)
+        found, h = np.full(self._evaluate.m or 0, np.nan), INCREMENT / length
+        for side in (h, -h):
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                try:
+                    wide, narrow = (self._quotient(x, part * side * direction) / (part * side) for part in (1, _PART))
+                except (ValueError, ArithmeticError):  # F is not defined on this side
+                    continue
+                grows = ~(np.abs(narrow) <= _GROWTH * np.abs(wide))  # as it does where it is infinite
+                one = np.where(grows, np.nan, narrow)
+            found = np.where(np.isfinite(found), found, one)
+        return found
+
+    def _quotient(self, x: Array, step: Array) -> Array:
+        """The derivative along a step, by the parabola through three values."""
+        here, near, far = (self._values(x + part * step) for part in (0, 1, 2))
+        return np.asarray((4 * near - far - 3 * here) / 2)
+
+    def _values(self, x: Array) -> Array:
+        return self._evaluate(float(x[0]), x[1 : 1 + self._n], x[1 + self._n :]).astype(float)
+
+
+class _Steps:
+    """Derivatives by complex steps, if these give what differences give; else by central differences."""
+
+    def __init__(self, evaluate: _Evaluation, at: Point, moves_t: bool) -> None:
+        self._evaluate, self._n = evaluate, len(at.y)
+        p, self._size_of_p = evaluate.p, _sizes_of(evaluate.p)
+        direction = np.concatenate(
+            [[max(abs(at.t), 1.0) if moves_t else 0.0], somewhere(at.y), somewhere(p, self._size_of_p)]
         )
-    else:
-        returned = np.asarray(function(t, *(part.copy() for part in parts), *args))
-    if returned.dtype.kind not in "biuf" or returned.ndim > 1 or returned.size == 0:
-        raise ValueError(f"{name} must return a real number or shape (m,), got {returned!r} at t = {t}")
-    return int(returned.size)
+        beside = np.append(0.0, direction[1:])
+        beside[1 + self._n :] = 0
+        works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
+        self.how = "complex step" if works else "differences"
+
+    def of(self, evaluate: _Evaluation) -> _Steps:
+        """Return these steps through F with other arguments."""
+        made = copy(self)
+        made._evaluate, made._size_of_p = evaluate, _sizes_of(evaluate.p)
+        return made
+
+    def _values(self, z: Array) -> Array:
+        t, y, p = z[0], z[1 : 1 + self._n], z[1 + self._n :]
+        values = self._evaluate(t if np.iscomplexobj(t) and t.imag else float(t.real), y, p)
+        if np.iscomplexobj(z):
+            return values
+        return values.astype(float)
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """The derivative along a direction."""
+        x, direction = np.concatenate([[t], y, self._evaluate.p]), np.concatenate([[dt], dy, dp])
+        if not direction.any():
+            return np.zeros(self._evaluate.m or 0)
+        if self.how == "complex step":
+            with np.errstate(all="ignore"):
+                try:
+                    return np.imag(self._values(x + 1j * TINY * direction)) / TINY
+                except NOT_COMPLEX:  # here, where a branch compares numbers, or the like
+                    pass
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
+        h = INCREMENT / np.max(np.abs(direction) / size)
+        up, down = (self._values(x + side * h * direction) for side in (1, -1))
+        return np.asarray((up - down) / (2 * h))
 
 
-def full_pattern(m: int, n: int) -> tuple[Array, Array, Array]:
-    """A matrix of m rows and n columns without zeros, as compressed columns."""
-    starts = np.arange(0, m * n + 1, m, dtype=np.int32) if m else np.zeros(n + 1, dtype=np.int32)
-    return starts, np.tile(np.arange(m, dtype=np.int32), n), np.ones(m * n)
+def _sizes_of(p: Array) -> Array:
+    return np.where(p == 0, 1.0, np.abs(p))
 
 
-def _pattern_of(entries: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """The rows of each column as compressed columns."""
-    starts = np.cumsum([0, *map(len, entries)]).astype(np.int32)
-    return starts, np.concatenate(entries).astype(np.int32), np.ones(starts[-1])
+def _of_compiled(fun: CompiledFunction, t: float, y: Array, args: tuple[Any, ...]) -> Derivative:
+    return derivative_of(fun, (None, len(y)), at=Point(t, y), args=args)
 
 
-def compressed(entries: Array) -> tuple[Array, Array, Array]:
-    """A dense matrix as compressed columns, without its zeros."""
-    starts = np.concatenate([[0], np.cumsum((entries != 0).sum(axis=0))]).astype(np.int32)
-    columns, rows = np.nonzero(entries.T)
-    return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
+def _jacobian_of_args(fun: CompiledFunction, t: float, y: Array, args: tuple[Any, ...]) -> Any:
+    graph = _of_compiled(fun, t, y, args).graph
+    return None if graph is None else graph.jacobian_of_args
 
 
-def spread(count: int) -> Array:
-    """Numbers in [0, 1), spread evenly over it: the multiples of the golden ratio modulo 1."""
-    fractions: Array = np.modf(GOLDEN * np.arange(1, count + 1))[0]
-    return fractions
-
-
-def somewhere(x: Array, size: Array | None = None) -> Array:
-    """A direction in which every component moves by about its size."""
-    size = sizes(x) if size is None else size
-    direction: Array = size * (0.5 + spread(len(x))) * np.where(np.arange(len(x)) % 2, -1, 1)
-    return direction
-
-
-def sizes(x: Array) -> Array:
-    """Return the sizes of the components of x for increments; components that are small take a part of the largest."""
-    size: Array = np.abs(x)
-    largest = size.max(initial=0.0)
-    return np.maximum(size, _SMALLEST_PART * largest) if largest >= SMALLEST_SCALE else np.ones(len(x))
+form_jacobians_by(
+    _jacobian_of_args,
+    lambda fun, t, y, args: _of_compiled(fun, t, y, args).jacobian(t, y),
+)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.matrices import as_matrix, is_sparse
-from .._functions.derivatives import somewhere
+from .._functions.increments import somewhere
 
 #: Where entries that are 0 at the start are looked for, in parts of the sizes of y.
 _BESIDE = 0.1

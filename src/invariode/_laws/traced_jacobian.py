@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import inspect
-import math
-from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from .._base.arguments import Array, call_name
-from .._functions.compiled import as_python
-from .._functions.derivatives import somewhere
-from .._functions.directional import has_llvm
-from .._functions.graph.derived import Derived, native
-from .._functions.graph.plain import plain_graph
-from .._functions.layout import TRUTHS, ArgumentLayout, layout_of
+from .._base.arguments import Array
+from .._functions.derivatives import Derivative, Point, RowPattern, derivative_of, has_llvm
+from .._functions.increments import somewhere
 
 #: From this many components on a trace pays: it takes 10 to 100 ms once, and replaces two to four times as many calls
 #: of g in each step (benchmarks/manifolds.py).
@@ -25,12 +20,8 @@ FEWEST_COMPONENTS = 16
 _INCREMENT, _TOLERANCE = 1e-5, 1e-4
 
 
-#: Where the entries of each row begin, and their columns.
-RowPattern: TypeAlias = tuple[Sequence[int], Sequence[int]]
-
-
 class TracedJacobian:
-    """∂g/∂y as a function of (t, y, \\*args): machine code of the derivatives of the traced g.
+    """∂g/∂y as a function of (t, y, \\*args), for any arguments.
 
     Parameters
     ----------
@@ -38,62 +29,29 @@ class TracedJacobian:
         The invariant g(t, y, \\*args).
     n, m : int
         The numbers of components of y and of values.
+    rows : RowPattern, optional
+        The values are the entries of this pattern, row by row.
     """
 
-    def __init__(self, fun: Callable[..., Any], n: int, m: int) -> None:
-        self._fun, self._n, self._m = fun, n, m
-        self._made: dict[ArgumentLayout, Derived] = {}
-        self._last: tuple[tuple[Any, ...], Callable[[float, Array], Array]] | None = None
-        self._pattern: RowPattern | None = None
+    def __init__(self, fun: Callable[..., Any], n: int, m: int, rows: RowPattern | None = None) -> None:
+        self._fun, self._n, self._m, self._rows = fun, n, m, rows
+        self._last: Derivative | None = None
 
-    def derived_for(self, args: tuple[Any, ...]) -> Derived | None:
-        """The derivatives of g, for all arguments of these kinds; None: it is not traced."""
-        given = layout_of(args).fixed(TRUTHS)
-        if given not in self._made:
-            graph = plain_graph(self._fun, self._n, given, size=self._m)
-            if graph is None:
-                return None
-            self._made[given] = Derived(call_name(self._fun, "g"), graph.outputs, self._n, "own")
-        return self._made[given]
-
-    def by_rows(self, pattern: RowPattern) -> TracedJacobian:
+    def by_rows(self, rows: RowPattern) -> TracedJacobian:
         """Return this Jacobian as a function that returns the entries of a pattern, row by row."""
-        made = TracedJacobian(self._fun, self._n, self._m)
-        made._made, made._pattern = self._made, pattern
-        return made
+        return TracedJacobian(self._fun, self._n, self._m, rows)
+
+    def at(self, t: float, y: Array, args: tuple[Any, ...]) -> Derivative:
+        """Return the derivative of g for these arguments; (t, y): a point at which g is defined."""
+        last = self._last
+        if last is None or len(last.args) != len(args) or not all(map(_is_same_number, last.args, args)):
+            shape, about = (self._m, self._n), Point(t, y)
+            last = self._last = derivative_of(self._fun, shape, at=about, args=args, traces="unnoticed")
+        return last
 
     def __call__(self, t: float, y: Array, *args: Any) -> Array:
-        last = self._last
-        if last is not None and len(last[0]) == len(args) and all(map(_is_same_number, last[0], args)):
-            return last[1](t, y)
-        code = self._code(args)
-        self._last = (args, code)
-        return code(t, y)
-
-    def _code(self, args: tuple[Any, ...]) -> Callable[[float, Array], Array]:
-        found, p = self.derived_for(args), layout_of(args).numbers
-        if found is None or (self._pattern is not None and found.row_pattern != self._pattern):
-            return lambda t, y: self._by_differences(t, y, args)  # arguments of other kinds than those at the start
-        made, shape = found.dense(), [self._m, self._n]
-        if self._pattern is not None:
-            made, shape = found.by_rows(), [found.entries]
-        size = math.prod(shape)
-        code = as_python(native(made, None, self._n, size, len(p)), size)
-        return lambda t, y: code(t, y, p).reshape(shape)
-
-    def _by_differences(self, t: float, y: Array, args: tuple[Any, ...]) -> Array:
-        steps = np.diag(np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(y), 1.0))
-        each = [self.along(t, y, step, args) / (2 * step.max()) for step in steps]
-        whole = np.column_stack(each)
-        if self._pattern is None:
-            return whole
-        starts, columns = self._pattern
-        return whole[np.repeat(np.arange(self._m), np.diff(starts)), columns]
-
-    def along(self, t: float, y: Array, step: Array, args: tuple[Any, ...]) -> Array:
-        """g(t, y + step) - g(t, y - step), of shape (m,)."""
-        after, before = (np.ravel(self._fun(t, y + part * step, *args)) for part in (1, -1))
-        return np.asarray(after - before, dtype=float)
+        made = self.at(t, y, args)
+        return made.jacobian(t, y) if self._rows is None else made.entries(t, y, self._rows)
 
 
 def _is_same_number(a: Any, b: Any) -> bool:
@@ -115,10 +73,10 @@ def traced_jacobian(
     if n < FEWEST_COMPONENTS or y.dtype.kind != "f" or not has_llvm():
         return None
     made = TracedJacobian(fun, n, m)
-    if made.derived_for(args) is None:
+    step, derivative = _INCREMENT * somewhere(y), made.at(t, y, args)
+    if derivative.graph is None:
         return None
-    step = _INCREMENT * somewhere(y)
-    jacobian = made(t, y, *args)
-    found, expected = jacobian @ (2 * step), made.along(t, y, step, args)
+    jacobian = derivative.jacobian(t, y)
+    expected = derivative.value(t, y + step) - derivative.value(t, y - step)
     scale = np.abs(jacobian) @ np.abs(2 * step)
-    return made if (np.abs(found - expected) <= _TOLERANCE * scale).all() else None
+    return made if (np.abs(jacobian @ (2 * step) - expected) <= _TOLERANCE * scale).all() else None

@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, warn
-from .._base.matrices import as_matrix, is_sparse
+from .._base.matrices import as_matrix, compressed, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
-from .._functions.derivatives import compressed
 from .._functions.graph.derived import Derived, derived, native
+from .._functions.increments import compiled_at_complex, python_at_complex
 from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
-from .complex_steps import compiled_at_complex, python_at_complex
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
 from .sparsity import find_pattern, is_large, is_sparse_enough

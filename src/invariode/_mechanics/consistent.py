@@ -10,7 +10,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
-from .._functions.derivatives import sizes, somewhere
+from .._functions.increments import sizes, somewhere
 from .motion import DEPENDENT, MANY_COLUMNS, Motion, Point, lengths, vanishing
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array
+from .._base.matrices import compressed
 from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_native, native_parameters, to_native
-from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
 from .._functions.graph.function import TracedFunction
+from .._functions.increments import somewhere
 from .._functions.layout import ArgumentLayout
+from .differentiable import Differentiable, full_pattern
 from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
@@ -151,10 +153,10 @@ class Motion:
         if function is None:
             self._core_functions[name], self._patterns[name] = None, full_pattern(0, n)
             return 0
-        of = Derivatives(function, start.t, parts, start.args, name + signature, functions.counts.get(name))
+        of = Differentiable(function, start.t, parts, start.args, name + signature, functions.counts.get(name))
         self._core_functions[name] = of.forms
         self._patterns[name] = of.pattern(start.t, np.concatenate(parts))
-        self.derivatives[name] = of.kind
+        self.derivatives[name] = of.how
         return of.m
 
     def _choose_mass(self, mass: Any, start: Point, p: ArgumentLayout) -> tuple[str, Columns]:

@@ -6,9 +6,9 @@ import numpy as np
 
 from .._base.arguments import Array, reals
 from .._base.types import MethodName
-from .._functions.derivatives import GOLDEN, spread
 from .._functions.graph.derived import derived
 from .._functions.graph.nodes import in_order
+from .._functions.increments import GOLDEN, spread
 from .._functions.layout import layout_of
 from .._functions.second_order import states_second_order
 from .._problem.methods import Method, find_method

@@ -17,8 +17,8 @@ from .._base.arguments import Array, call_name, reals, warnings_given
 from .._base.latest import Latest
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
-from .._functions.derivatives import at_complex
 from .._functions.graph.function import TracedFunction
+from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import BoundInvariants, InvariantSpec, values_at_start
 from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver

@@ -23,7 +23,7 @@ import numpy as np
 
 from .._base.arguments import EPS, RTOL, Array, Weights, warn
 from .._functions.compiled import CoreFunction
-from .._functions.directional import Directional, Point
+from .._functions.derivatives import Derivative, Point, derivative_of
 from .._laws.imposing import impose
 from .._problem.events import Event, RootOf, Roots, titled
 from .._problem.invariants import AccuracyWarning, Invariants
@@ -52,7 +52,7 @@ class Rate:
     (Between steps, rests are as exact as Newton's iteration.)
     """
 
-    def __init__(self, problem: Problem, atol: float | Array, slope: Callable[[], Directional]) -> None:
+    def __init__(self, problem: Problem, atol: float | Array, slope: Callable[[], Derivative]) -> None:
         self._slope, self._mass, self._args = problem.slope, problem.matrices.mass, problem.args
         self._algebraic = AlgebraicOverTime(problem)
         self._derivatives = slope() if self.is_singular else None
@@ -67,7 +67,7 @@ class Rate:
     def __call__(self, t: float, y: Array) -> Array:
         f = self._slope(np.array([t]), y[:, None])[:, 0]
         if self._derivatives is not None:
-            ft = self._derivatives.along(t, y, 1.0, np.zeros_like(y), np.zeros(self._derivatives.k))
+            ft = self._derivatives.of_time(t, y)
             J, algebraic = self._derivatives.jacobian(t, y), self._algebraic.at(t)
             rate = algebraic.rate(J, f, ft)
             rests = self._rests(y, rate)  # algebraic components follow from the others
@@ -97,7 +97,7 @@ def is_at_root(event: Along, t: float, y: Array, f: Array) -> bool:
     return bool(abs(event.value(t, y)[0]) <= _AT_ROOT * size)
 
 
-def of_event(event: Event, derivatives: Callable[..., Directional]) -> tuple[Directional, bool]:
+def of_event(event: Event, derivatives: Callable[..., Derivative]) -> tuple[Derivative, bool]:
     """Return the derivatives of the function of an event, of a condition those of a function whose zeros are its
     changes; and whether they are known.
 
@@ -108,7 +108,7 @@ def of_event(event: Event, derivatives: Callable[..., Directional]) -> tuple[Dir
     """
     called = titled(event.__name__)
     made = derivatives(event.fun, called, m=1, moves_t=True, event=True)
-    surface = made.surface
+    surface = None if made.graph is None else made.graph.surface(called)
     if surface is not None:
         return derivatives(surface, called, m=1, moves_t=True), True
     if made.is_condition:
@@ -122,7 +122,7 @@ def _unknown(t: Any, y: Any, *args: Any) -> Any:
 
 
 class Along(Protocol):
-    """The part of `Directional` that jumps use."""
+    """The part of `Derivative` that jumps use."""
 
     k: int
 
@@ -149,7 +149,7 @@ class OfRoots(NamedTuple):
     is_known: bool = True
 
 
-def of_roots(roots: Roots, derivatives: Callable[..., Directional], start: Array) -> OfRoots:
+def of_roots(roots: Roots, derivatives: Callable[..., Derivative], start: Array) -> OfRoots:
     """Return the derivatives of a vector of functions and of its action; S at the start is (k, n).
 
     Warns
@@ -166,7 +166,7 @@ def of_roots(roots: Roots, derivatives: Callable[..., Directional], start: Array
     if not is_known:
         warn(_UNTRACED.format(name), AccuracyWarning)
         fun = derivatives(lambda t, y, *args: [0.0 * y[0]] * roots.count, name, m=roots.count, moves_t=True)
-    elif (surfaces := fun.surfaces) is not None:
+    elif fun.graph is not None and (surfaces := fun.graph.surface(name)) is not None:
         fun = derivatives(surfaces, name, m=roots.count, moves_t=True)
     return OfRoots(fun, _ActionOfRoots(roots, derivatives, fun.k), is_known)
 
@@ -174,11 +174,11 @@ def of_roots(roots: Roots, derivatives: Callable[..., Directional], start: Array
 class _ActionOfRoots:
     """The derivatives of an action that remembers nothing, for the roots of its latest call."""
 
-    def __init__(self, roots: Roots, derivatives: Callable[..., Directional], k: int) -> None:
+    def __init__(self, roots: Roots, derivatives: Callable[..., Derivative], k: int) -> None:
         self._roots, self._derivatives, self.k = roots, derivatives, k
-        self._made: dict[tuple[bytes, bytes], Directional] = {}
+        self._made: dict[tuple[bytes, bytes], Derivative] = {}
 
-    def _of_latest(self, y: Array) -> Directional:
+    def _of_latest(self, y: Array) -> Derivative:
         which, directions = self._roots.latest
         key = which.tobytes(), directions.tobytes()
         if key not in self._made:
@@ -227,7 +227,7 @@ class EventTime:
     def of_each(
         cls,
         events: Sequence[Event],
-        derivatives: Callable[..., Directional],
+        derivatives: Callable[..., Derivative],
         roots: Mapping[int, OfRoots],
         rate: Rate,
         weights: Weights,
@@ -314,14 +314,15 @@ class _Restored(CoreFunction):
         return np.asarray(impose([*self._demanded], t, y, args=args, rtol=RTOL, atol=self._atol).y)
 
 
-def restoration(problem: Problem, names: Sequence[ParameterName], threshold: float | Array) -> Directional | None:
+def restoration(problem: Problem, names: Sequence[ParameterName], threshold: float | Array) -> Derivative | None:
     """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
     differences, which do not depend on the tolerance."""
     demanded = [one for one in problem.invariants if one.value is not None]
     if not any(one.level > 0 for one in demanded):
         return None
     at, n = Point(problem.t_span[0], problem.y0), len(problem.y0)
-    return Directional(_Restored(demanded, threshold), problem.args, names, n, at=at, m=n, moves_t=True)
+    restored = _Restored(demanded, threshold)
+    return derivative_of(restored, (n, n), at=at, args=problem.args, names=names, moves_t=True)
 
 
 class _Moment(NamedTuple):
@@ -373,7 +374,7 @@ class ActionOfEvent:
     """S behind the action of an event."""
 
     _action: Along
-    _restored: Directional | None
+    _restored: Derivative | None
     _time: EventTime
     _rate: Rate
     _together: Together
@@ -414,8 +415,8 @@ class ActionOfEvent:
 class ActionAtPoint:
     """S behind the action at a breakpoint, whose time does not depend on parameters."""
 
-    _action: Directional
-    _restored: Directional | None
+    _action: Derivative
+    _restored: Derivative | None
     _together: Together
 
     def __call__(self, t: float, Y: Array, after: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
 from .._base.matrices import as_matrix
-from .._functions.directional import Directional, Point
+from .._functions.derivatives import Derivative, Point, derivative_of
 from .._functions.layout import with_numbers
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
@@ -50,7 +50,7 @@ class MassDerivatives:
 
     Attributes
     ----------
-    derivatives : Directional
+    derivatives : Derivative
         Derivatives of the mass matrix.
     """
 
@@ -58,20 +58,19 @@ class MassDerivatives:
         n = len(problem.y0)
         at = Point(problem.t_span[0], problem.y0)
         rows = _Rows(problem.matrices.mass)
-        self.derivatives = Directional(rows, problem.args, names, n, at=at, called="mass", m=n * n)
+        self.derivatives = derivative_of(rows, (n * n, n), at=at, args=problem.args, names=names, called="mass")
         self._rate, self._n = rate, n
 
     def __call__(self, t: float, y: Array) -> Array:
         """(∂M/∂p_j) y' in row j, (k, n)."""
-        n, k = self._n, self.derivatives.k
-        of_p = self.derivatives.columns(t, y, np.zeros(k), np.zeros((k, n)), np.eye(k))
-        return np.asarray(of_p.reshape(k, n, n) @ self._rate(t, y))
+        of_p = self.derivatives.of_parameters(t, y).T
+        return np.asarray(of_p.reshape(-1, self._n, self._n) @ self._rate(t, y))
 
 
 class WithMass:
     """J S_j + ∂f/∂p_j − (∂M/∂p_j) y', as the core calls it."""
 
-    def __init__(self, slope: Directional, mass: MassDerivatives) -> None:
+    def __init__(self, slope: Derivative, mass: MassDerivatives) -> None:
         self._slope, self._mass = slope, mass
 
     def __call__(self, t: float, Y: ArrayLike) -> Array:
@@ -109,12 +108,11 @@ class AlgebraicOverTime:
         return found
 
 
-def mass_rate(problem: Problem, derivatives: Callable[..., Directional]) -> Callable[[float], Array]:
+def mass_rate(problem: Problem, derivatives: Callable[..., Derivative]) -> Callable[[float], Array]:
     """M' as a function of t."""
     n = len(problem.y0)
     made = derivatives(_Rows(problem.matrices.mass), "mass", m=n * n, moves_t=True)
-    along = np.ones(1), np.zeros((1, n)), np.zeros((1, made.k))
-    return lambda t: made.columns(t, problem.y0, *along).reshape(n, n)
+    return lambda t: made.of_time(t, problem.y0).reshape(n, n)
 
 
 def mass_derivatives(

@@ -16,8 +16,8 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import is_native
-from .._functions.derivatives import somewhere
-from .._functions.directional import Directional, Point
+from .._functions.derivatives import Derivative, Point
+from .._functions.increments import somewhere
 from .._problem.breakpoints import Breakpoint
 from .._problem.events import Event, roots_among
 from .._problem.invariants import Invariants
@@ -214,7 +214,7 @@ def in_complex(pairs: Array, axis: int) -> Array:
     return np.moveaxis(moved[..., 0::2] + 1j * moved[..., 1::2], -1, axis)
 
 
-def require_analytic(slope: Directional, at: Point, name: str) -> None:
+def require_analytic(slope: Derivative, at: Point, name: str) -> None:
     """Raise an error unless f satisfies the Cauchy–Riemann equations, so that y has a derivative with respect to y0.
 
     Raises

@@ -14,7 +14,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import EPS, Array, Weights, warn
 from .._functions.compiled import is_native
-from .._functions.directional import Directional, Given, Point, has_llvm
+from .._functions.derivatives import Derivative, Given, Point, derivative_of, has_llvm
 from .._functions.graph.nodes import Node
 from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
@@ -72,7 +72,7 @@ class Variations:
         Largest distance in t between a discontinuity and the change of a condition that explains it.
     follows_jumps : bool
         The conditions of f are known.
-    derivatives_of : list of Directional
+    derivatives_of : list of Derivative
         Derivatives of all functions.
     schedule : Schedule or None
         Times at which f changes its branch as a function of t alone.
@@ -94,7 +94,7 @@ class Variations:
     log: list[tuple[float, str]]
     near: float
     follows_jumps: bool
-    derivatives_of: list[Directional]
+    derivatives_of: list[Derivative]
     schedule: Schedule | None = None
     is_complex: bool = False
 
@@ -103,7 +103,8 @@ class Variations:
         """Reason why the variations differ between initial values and parameters in more than the tolerances, or None:
         conditions of f are compared around y0, functions called with the arguments, and complex derivatives tested at
         y0."""
-        if self.derivatives_of[0].has_conditions:
+        graph = self.derivatives_of[0].graph
+        if graph is not None and graph.has_conditions():
             return "f has branches, which are examined for each trajectory"
         of_start = any(one.kind != "args" for one in self.sizes.names)
         return "f must be analytic, which is tested for each trajectory" if self.is_complex and of_start else None
@@ -116,13 +117,13 @@ class Variations:
         TypeError
             A parameter is a constant of the graph of f.
         """
-        found = self.derivatives_of[0].tangent_nodes()
-        if found is None:
+        graph = self.derivatives_of[0].graph
+        if graph is None:
             raise TypeError(
                 "sensitivities by Taylor series need the derivatives of fun from its graph, of which a parameter is a "
                 "constant, such as the count of a loop: name the other parameters, or use method='dop853' or 'ode89'"
             )
-        return found
+        return graph.tangent_nodes()
 
     def tolerances_at(self, y: Array, args: tuple[Any, ...]) -> Array:
         """Return the tolerances of S, (k, n), from another start with other arguments."""
@@ -187,7 +188,7 @@ class Variations:
     def _undefined(self, t: float, y: Array, i: int, name: str) -> str:
         """Return the message that f has no derivative at a point, from which a run cannot continue."""
         slope = self.derivatives_of[0]
-        where = slope.singular_at(t, y) if len(y) == slope.n else None
+        where = slope.graph.singular_at(t, y, slope.names) if slope.graph and len(y) == slope.n else None
         expression = "" if where is None else f": {where} has none"
         return (
             f"fun is finite at t = {t}, but its derivative in the equation of the sensitivity of component {i} to "
@@ -259,7 +260,7 @@ def make_variations(
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
     times, jumps, doses = about.of_events(problem, points, start, rate, weights)
     switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
-    schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs or ())
+    schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs)
     measure = Sizes.of(wanted, names, weights, args)
     form = for_complex if is_complex else _as_it_is
     at_start = (t0, np.vstack([y0, start]))
@@ -322,13 +323,14 @@ class _Derivatives:
         self._args, self._names, self._n, self.at = args, names, n, at
         self.how: dict[str, str] = {}
         self.log: list[tuple[float, str]] = []  # of conditions of f that have changed
-        self.made: list[Directional] = []
+        self.made: list[Derivative] = []
 
-    def of(self, fun: Any, called: str, **more: Any) -> Directional:
+    def of(self, fun: Any, called: str, m: int | None = None, **more: Any) -> Derivative:
         """Return the derivatives of a function."""
-        return self._note(Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more))
+        about: dict[str, Any] = {"at": self.at, "args": self._args, "names": self._names, "called": called}
+        return self._note(derivative_of(fun, (m, self._n), **about, **more))
 
-    def of_fun(self, problem: Problem, atol: float | Array) -> tuple[Directional, Rate]:
+    def of_fun(self, problem: Problem, atol: float | Array) -> tuple[Derivative, Rate]:
         """Return the derivatives of f along directions of y and the parameters, and its rate along the solution."""
         fun, given = given_derivatives(problem, self._names)
         if problem.delays is not None:
@@ -336,14 +338,15 @@ class _Derivatives:
         slope = self.of(fun, "fun", m=self._n, given=given)
         return slope, Rate(problem, atol, lambda: self.of(fun, "fun", m=self._n, given=given, moves_t=True))
 
-    def _of_past(self, problem: Problem, fun: Any, given: Given) -> Directional:
+    def _of_past(self, problem: Problem, fun: Any, given: Given) -> Derivative:
         """Return the derivatives of f of (t, x), where x is y and its delayed values."""
         assert problem.delays is not None
         n, x = self._n, problem.delays.stacked_at_start(self.at.t, self.at.y, self._args)
         of_x = problem.delays.in_one_vector(fun, n)
         at = Point(self.at.t, x)
-        slope = self._note(Directional(of_x, self._args, self._names, len(x), given, at=at, m=n, called="fun"))
-        if slope.switches(at):
+        about: dict[str, Any] = {"at": at, "args": self._args, "names": self._names, "called": "fun"}
+        slope = self._note(derivative_of(of_x, (n, len(x)), given, **about))
+        if slope.graph is not None and slope.graph.switches(at):
             warn(
                 "sensitivities: fun jumps at conditions, which are not followed in problems with delays: sensitivities "
                 "may be wrong behind them. Pass the times of those on t alone as breakpoints",
@@ -351,15 +354,15 @@ class _Derivatives:
             )
         return slope
 
-    def _note(self, made: Directional) -> Directional:
+    def _note(self, made: Derivative) -> Derivative:
         self.how[made.called] = made.how
         self.made.append(made)
         return made
 
-    def of_laws(self, problem: Problem, specs: Sequence[InvariantSpec]) -> list[Directional]:
+    def of_laws(self, problem: Problem, specs: Sequence[InvariantSpec]) -> list[Derivative]:
         """Return the derivatives of the invariants."""
         return [
-            self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given(one.jac if _is_python(one.jac) else None))
+            self.of(one.fun, f"invariant {spec.name}", m=spec.m, given=Given.of(one.jac))
             for one, spec in zip(problem.invariants, specs, strict=True)
         ]
 
@@ -387,7 +390,7 @@ class _Derivatives:
         times: Sequence[EventTime],
         roots: Mapping[int, OfRoots],
         rate: Rate,
-        restored: Directional | None,
+        restored: Derivative | None,
     ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
         """Return the jumps of S at the actions of events and at breakpoints. `roots`: the derivatives of each `Roots`,
         by its id."""
@@ -454,13 +457,13 @@ class Switching:
         Name of the condition in messages.
     function : callable
         e, for events.
-    difference : Directional
+    difference : Derivative
         The derivatives of e.
     """
 
     name: str
     function: Any
-    difference: Directional
+    difference: Derivative
     _value: Callable[[float, Array], Array]
     _below: Callable[[float, Array], Array]
     _above: Callable[[float, Array], Array]
@@ -530,13 +533,14 @@ class Switching:
 
 
 def followed(
-    slope: Directional, about: Callable[..., Directional], problem: Problem, log: list[tuple[float, str]]
+    slope: Derivative, about: Callable[..., Derivative], problem: Problem, log: list[tuple[float, str]]
 ) -> list[Switching]:
     """The conditions of f at which it jumps, if they can be followed; if not, there is a warning."""
-    found = slope.switches(Point(problem.t_span[0], problem.y0))
-    if not found:
+    graph = slope.graph
+    found = [] if graph is None else graph.switches(Point(problem.t_span[0], problem.y0))
+    if graph is None or not found:
         return []
-    unknown = problem.matrices.mass is not None or any(slope.of_inputs(one.difference) for one in found)
+    unknown = problem.matrices.mass is not None or any(graph.of_inputs(one.difference) for one in found)
     if len(found) > _MOST_SWITCHES or unknown:
         warn(
             f"sensitivities: fun jumps at {len(found)} conditions, where sensitivities jump too. With a mass matrix, "
@@ -549,9 +553,9 @@ def followed(
     made = []
     for i, switch in enumerate(found):
         name = f"condition {i + 1} of fun"
-        function = slope.on_graph([switch.difference], "condition")
+        function = graph.with_values([switch.difference], "condition")
         difference = about(function, name, m=1, moves_t=True)
-        value, below, above = (slope.branch(one) for one in ([switch.difference], switch.below, switch.above))
+        value, below, above = (graph.branch(one) for one in ([switch.difference], switch.below, switch.above))
         event = function if has_llvm() else _sign_of(value)
         made.append(Switching(name, event, difference, value, below, above, forward, log))
     return made
@@ -583,7 +587,10 @@ def require_possible(problem: Problem) -> None:
 def given_derivatives(problem: Problem, names: Sequence[ParameterName]) -> tuple[Any, Given]:
     """f with its inputs, and what is given of its derivatives, of (t, y, *args)."""
     dfdp = None if problem.sensitivities is None else problem.sensitivities.dfdp
-    return _with_inputs(problem), Given(_jacobian(problem), _dfdp(dfdp, problem, names))
+    matrices, jac = problem.matrices, fed(problem.matrices.jac, problem.inputs)
+    if is_native(jac) and matrices.jac_sparsity is not None:  # it writes the entries of the pattern alone
+        jac = None
+    return _with_inputs(problem), Given.of(jac, _dfdp(dfdp, problem, names), matrices.bands)
 
 
 def _with_inputs(problem: Problem) -> Any:
@@ -591,30 +598,6 @@ def _with_inputs(problem: Problem) -> Any:
     fun, inputs = problem.fun, problem.inputs
     fun = fun.first_order if isinstance(fun, SecondOrder) else fun
     return with_tables(fun, inputs) if inputs else fun
-
-
-def _is_python(given: Any) -> bool:
-    return callable(given) and not is_native(given)
-
-
-def _jacobian(problem: Problem) -> Any:
-    """The Jacobian that is given, whole; None: none, or machine code."""
-    matrices = problem.matrices
-    given = fed(matrices.jac, problem.inputs)
-    if given is None or isinstance(given, str) or is_native(given) or hasattr(given, "matvec"):
-        return None
-    if matrices.bands is None:
-        return given
-    from scipy.sparse import dia_array
-
-    lower, upper = matrices.bands
-    n = len(problem.y0)
-
-    def whole(t: float, y: Array, *args: Any) -> Any:
-        bands = np.asarray(given(t, y, *args) if callable(given) else given, dtype=float)
-        return dia_array((bands, upper - np.arange(lower + upper + 1)), (n, n)).tocsr()
-
-    return whole
 
 
 def _dfdp(given: Any, problem: Problem, names: Sequence[ParameterName]) -> Any:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, number, shown, state
+from .._base.matrices import is_sparse
 from .._base.package import public
-from .._functions.derivatives import somewhere
-from .._functions.directional import Directional, Given, Point
+from .._functions.derivatives import Derivative, Given, Point, derivative_of
+from .._functions.increments import somewhere
 from .._problem.problem import Problem
 from .._sensitivity.variations import given_derivatives
 
@@ -104,7 +105,7 @@ def check_sensitivities(
     at = Point(problem.t_span[0] if t is None else number("t", t), problem.y0 if y is None else state(y))
     n = len(problem.y0)
     fun, given = given_derivatives(problem, names)
-    computed = Directional(fun, problem.args, names, n, at=at, m=n, called="fun")
+    computed = derivative_of(fun, (n, n), at=at, args=problem.args, names=names, called="fun")
     findings: list[str] = []
     compared = [what for what, one in (("jac", given.jac), ("dfdp", given.dfdp)) if one is not None]
     for part in _BESIDE:
@@ -114,38 +115,32 @@ def check_sensitivities(
             break
     if y0 is not None and wanted.dy0dp is not None:
         compared.append("dy0dp")
-        start = Directional(lambda t, y, *args: y0(*args), problem.args, names, n, at=at, called="y0")
+        start = derivative_of(lambda t, y, *args: y0(*args), (n, n), at=at, args=problem.args, names=names, called="y0")
         found = wanted.start(names, problem.args, n)[:, [one.kind == "args" for one in names]]
-        findings += _differences("dy0dp", found, _columns(start, at, len(names), names), start.how, own)
+        findings += _differences("dy0dp", found, _columns(start, at), start.how, own)
     return SensitivityReport([one.name for one in names], compared, computed.how, findings)
 
 
-def _columns(function: Directional, at: Point, k: int, names: Any) -> Array:
+def _columns(function: Derivative, at: Point) -> Array:
     """Return ∂F/∂p of the parameters in args, (m, k)."""
-    own = np.array([one.kind == "args" for one in names], dtype=bool)
-    rows: Array = function.columns(at.t, at.y, np.zeros(k), np.zeros((k, function.n)), np.eye(k))[own]
-    return rows.T
+    return function.of_parameters(at.t, at.y)[:, [one.kind == "args" for one in function.names]]
 
 
-def _wrong(computed: Directional, given: Given, at: Point, own: list[str]) -> Iterator[str]:
+def _wrong(computed: Derivative, given: Given, at: Point, own: list[str]) -> Iterator[str]:
     """Describe the wrong entries at a point."""
-    n, k, args = computed.n, computed.k, computed.args
+    n, args = computed.n, computed.args
     if given.jac is not None:
-        matrix = given.jac(at.t, at.y.copy(), *args) if callable(given.jac) else given.jac
-        matrix = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, dtype=float)
-        right = computed.columns(at.t, at.y, np.zeros(n), np.eye(n), np.zeros((n, k))).T
+        matrix = given.jacobian("fun", (n, n), args, at.t, at.y)
+        matrix, right = matrix.toarray() if is_sparse(matrix) else matrix, computed.jacobian(at.t, at.y)
         yield from _differences("jac", matrix, right, computed.how, [f"y[{j}]" for j in range(n)], at.t)
     if given.dfdp is not None:
-        found = np.reshape(np.asarray(given.dfdp(at.t, at.y.copy(), *args), dtype=float), (n, -1))
-        yield from _differences("dfdp", found, _columns(computed, at, k, computed.names), computed.how, own, at.t)
+        found = given.of_parameters("fun", (n, len(own)), args, at.t, at.y)
+        yield from _differences("dfdp", found, _columns(computed, at), computed.how, own, at.t)
 
 
 def _differences(
     what: str, found: Array, right: Array, how: str, columns: list[str], t: float | None = None
 ) -> Iterator[str]:
-    if found.shape != right.shape:
-        yield f"{what} has shape {found.shape}, expected {right.shape}"
-        return
     tolerance = _OF_DIFFERENCES if how.endswith("differences") else _ROUNDOFF
     size = np.maximum(np.abs(right), np.abs(found)).max(axis=0, initial=0)
     where = "" if t is None else f" at t = {t:.6g}"

@@ -21,16 +21,14 @@ from .._base.package import public
 from .._base.rational import as_rows
 from .._base.suggestions import meant
 from .._base.types import MethodName
-from .._functions.compiled import as_python, to_native
-from .._functions.directional import Directional, Point, has_llvm, with_graph
-from .._functions.graph.derived import Derived, derived, native
+from .._functions.derivatives import Derivative, Point, derivative_of, has_llvm
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import linear_totals, replaced, staying_zero
-from .._functions.layout import ArgumentLayout, layout_of, place_of, with_numbers
+from .._functions.layout import layout_of, place_of
 from .._problem.grouped import Limits
-from .._problem.parameters import ParameterName, values_of
+from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 
 Totals: TypeAlias = Literal["auto"] | Sequence[Any] | Array
@@ -263,9 +261,11 @@ class SteadyStates:
         self._mass = None if mass is None else np.asarray(mass.toarray() if hasattr(mass, "toarray") else mass, float)
         self._t = problem.t_span[0]
         self._own = [(j, one) for j, one in enumerate(self._names) if one.kind == "args"]
-        fun, exact = self._at_start(problem)
-        self._exact = exact
-        self._values: Any = _OfGraph(fun, exact, self._n, self._own) if exact else _OfPython(fun, problem, self._own)
+        self._derivative = self._last = self._at_start(problem)
+        graph = self._derivative.graph
+        fun: Any = _Frozen(problem.fun, self._t, problem.inputs) if graph is None else graph.fun
+        if graph is not None and not has_llvm():
+            fun = getattr(fun, "fun", fun)
         changes: dict[str, Any] = {
             "fun": fun, "t_span": (self._t, np.inf), "events": None, "invariants": None, "inputs": None,
             "breakpoints": None,
@@ -274,39 +274,44 @@ class SteadyStates:
         self._problem, self._method = problem.replace(**changes), method
         self.totals = self._conserved(totals, problem)
 
-    def _at_start(self, problem: Problem) -> tuple[Any, Derived | None]:
-        """Return f(t0, y, *args) as a function that does not depend on t, and its graph."""
-        fun, t0 = problem.fun, self._t
-        if problem.inputs:
-            fun = _Frozen(fun, t0, problem.inputs)
-        traced = with_graph(fun)
-        args = with_numbers(problem.args, _floats(problem.args, self._own))
-        parameters = layout_of(args)
-        try:
-            exact = None if traced is None else derived(traced, self._n, self._n, parameters)
-        except TypeError:
-            exact = None
-        if exact is None:
-            return _Frozen(fun, t0), None
-        outputs = exact.outputs
-        graph = outputs[0].graph
-        if any(node.op == "t" for node in in_order(outputs)):
-            if not isinstance(traced, GraphFunction):
-                return self._at_start(problem.replace(fun=_Frozen(fun, t0), inputs=None))
-            fixed = replaced(outputs, {graph.t: graph.node(t0)})
-            formula = Formula(traced.__name__, lambda: fixed, (self._n,), traced.fun.parameters)
-            traced = GraphFunction(formula, traced.elementary)
-            exact = derived(traced, self._n, self._n, parameters)
-        return (traced if has_llvm() else getattr(traced, "fun", traced)), exact
+    def _at_start(self, problem: Problem) -> Derivative:
+        """Return the derivative of f(t0, y, *args), which does not depend on t."""
+        names, t0 = [one for _, one in self._own], self._t
+        fun = _Frozen(problem.fun, t0, problem.inputs) if problem.inputs else problem.fun
+        about: dict[str, Any] = {"at": Point(t0, problem.y0), "args": problem.args, "names": names, "called": "fun"}
+        made = derivative_of(fun, (self._n, self._n), **about)
+        if made.graph is None or not any(node.op == "t" for node in in_order(made.outputs)):
+            return made
+        traced, graph = made.graph.fun, made.outputs[0].graph
+        if not isinstance(traced, GraphFunction):
+            return self._at_start(problem.replace(fun=_Frozen(fun, t0), inputs=None))
+        fixed = replaced(made.outputs, {graph.t: graph.node(t0)})
+        formula = Formula(traced.__name__, lambda: fixed, (self._n,), traced.fun.parameters)
+        return derivative_of(GraphFunction(formula, traced.elementary), (self._n, self._n), **about)
+
+    def derivative(self, args: tuple[Any, ...]) -> Derivative:
+        """Return the derivative of f for these arguments."""
+        if self._last.args is not args:
+            self._last = self._derivative.with_args(args)
+        return self._last
+
+    def value(self, y: Array, args: tuple[Any, ...]) -> Array:
+        """Return f at y, (n,), as fast as possible."""
+        made = self.derivative(args)
+        return made.value(self._t, y) if made.graph is None else made.graph.value(self._t, y)
+
+    def linear(self, y: Array, args: tuple[Any, ...]) -> tuple[Array, Array]:
+        """Return f (n,) and ∂f/∂y (n, n)."""
+        return self.value(y, args), self.derivative(args).jacobian(self._t, y)
 
     def _conserved(self, totals: Totals, problem: Problem) -> Array:
         """Return the rows of the totals."""
         if isinstance(totals, str):
             if totals != "auto":
                 raise ValueError(f"totals must be 'auto' or rows of coefficients, got {totals!r}")
-            return as_rows([] if self._exact is None else linear_totals(self._exact.outputs), self._n)
+            return as_rows(linear_totals(self._derivative.outputs) if self._derivative.graph else [], self._n)
         rows = np.array([self._row(one, problem.labels) for one in totals], dtype=float).reshape(-1, self._n)
-        f, J, _ = self._values(problem.y0, problem.args, with_parameters=False)
+        f, J = self.linear(problem.y0, problem.args)
         size = np.abs(rows) @ np.abs(J)
         wrong = np.abs(rows @ J) > 1e-8 * size.max(initial=0.0)
         if wrong.any() or (np.abs(rows @ f) > 1e-8 * (np.abs(rows) @ np.abs(f))).any():
@@ -359,11 +364,11 @@ class SteadyStates:
     def _staying(self, args: tuple[Any, ...], y0: Array) -> tuple[Array, Array]:
         """Return the components that stay zero, and those that stay constant because of that, as truths."""
         zero, still = np.zeros((2, self._n), dtype=bool)
-        if self._exact is not None:
+        if self._derivative.graph is not None:
             moving = {place_of(args, one.index, one.item) for _, one in self._own}
             p = layout_of(args).numbers
             constants = {i for i in np.flatnonzero(p == 0).tolist() if i not in moving}
-            found = staying_zero(self._exact.outputs, set(np.flatnonzero(y0 == 0).tolist()), constants)
+            found = staying_zero(self._derivative.outputs, set(np.flatnonzero(y0 == 0).tolist()), constants)
             for truths, places in zip((zero, still), found, strict=True):
                 truths[[*places]] = True
         return zero, still
@@ -390,8 +395,9 @@ class SteadyStates:
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
         """Return S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
-        _, _, fp = self._values(y, args, with_parameters=True)
-        D = sizes(y, y0)
+        k = len(self._own)
+        fp = self.derivative(args).tangent(self._t, np.vstack([y, np.zeros((k, self._n))])).T
+        D = sizes_of(y, y0)
         A, lengths = self.system(J, D, still)
         moving = ~still
         if moving.any() and np.linalg.matrix_rank(A[:, moving], tol=_ZERO) < moving.sum():
@@ -414,7 +420,7 @@ def is_stable(rates: Array) -> bool:
     return not len(rates) or bool(rates.real.max() <= _GROWS * np.abs(rates).max())
 
 
-def sizes(y: Array, y0: Array) -> Array:
+def sizes_of(y: Array, y0: Array) -> Array:
     """Return the sizes of components: those far below the largest, now or at the start, count as of a part of that."""
     largest = max(np.abs(y).max(initial=0.0), np.abs(y0).max(initial=0.0)) or 1.0
     return np.maximum(np.abs(y), _FLOOR * largest)
@@ -432,8 +438,8 @@ class _Approach:
     def follow(self) -> None:
         """Run until a steady state is found."""
         states = self._states
-        self.f, J, _ = states._values(self._y0, self._args, with_parameters=False)
-        D = sizes(self._y0, self._y0)
+        self.f, J = states.linear(self._y0, self._args)
+        D = sizes_of(self._y0, self._y0)
         rate = max(np.abs(J * D / D[:, None]).sum(axis=1).max(initial=0.0), np.abs(self.f / D).max(initial=0.0))
         self._next = 1 / rate if rate > 0 and np.isfinite(rate) else 0.0
         self._end = _LONGEST * (self._next or np.inf)
@@ -449,7 +455,7 @@ class _Approach:
             self.y, self.time = sol.y[:, -1], float(sol.t[-1]) - self._t0
             self.reason = self.reason or sol.message
             if np.isfinite(self.y).all():
-                self.f = states._values.value(self.y, self._args)
+                self.f = states.value(self.y, self._args)
 
     def _step(self, t: float, y: Array) -> bool:
         """Return whether the run has arrived."""
@@ -459,8 +465,8 @@ class _Approach:
         if self._end < T:
             self.reason = f"after t = {t:.6g} the solution still moves"
             return True
-        f = self._states._values.value(y, self._args)
-        if self._states._mass is None and not (T * np.abs(f) <= _NEAR * sizes(y, self._y0)).all():
+        f = self._states.value(y, self._args)
+        if self._states._mass is None and not (T * np.abs(f) <= _NEAR * sizes_of(y, self._y0)).all():
             return False
         self._try(T, np.array(y), f)
         self._next = _LATER * T
@@ -469,25 +475,27 @@ class _Approach:
     def _try(self, T: float, y: Array, f: Array) -> None:
         """Newton's method from a state of the run; what it finds is accepted if it is near, and stable, or the state
         itself."""
-        states, near, D = self._states, y, sizes(y, self._y0)
+        states, near, D = self._states, y, sizes_of(y, self._y0)
         W = states.totals if states._mass is None else states.totals @ states._mass
         step = np.full(len(y), np.inf)
         for _ in range(_ITERATIONS):
-            f, J, _ = states._values(y, self._args, with_parameters=False)
+            f, J = states.linear(y, self._args)
             if not (np.isfinite(f).all() and np.isfinite(J).all()):
                 return
-            E = sizes(y, self._y0)
+            E = sizes_of(y, self._y0)
             A, lengths = states.system(J, E, self._still)
             right = np.concatenate([-f, W @ (self._y0 - y)]) / lengths
             step = E * np.linalg.lstsq(A, right, rcond=_ZERO)[0]
             y = y + step
             if not (np.abs(y - near) <= _NEAR * D).all():
                 return
-            if (np.abs(step) <= states._tol * sizes(y, self._y0)).all():
+            if (np.abs(step) <= states._tol * sizes_of(y, self._y0)).all():
                 break
         else:
             return
-        f, J, _ = states._values(y, self._args, with_parameters=False)
+        f, J = states.linear(y, self._args)
+        if not (np.isfinite(f).all() and np.isfinite(J).all()):
+            return
         if not is_stable(states.rates(J, ~self._still)) and (T > 0 or self.f.any()):
             return  # the solution passes by: a state where it starts is where it stays
         self.found = y, f, J, T
@@ -502,89 +510,3 @@ class _Frozen:
 
     def __call__(self, t: float, y: Any, *args: Any) -> Any:
         return self.fun(self.t0, y, *self.inputs, *args)
-
-
-class _OfGraph:
-    """f, ∂f/∂y and ∂f/∂p by the graph of f: machine code, if there is LLVM."""
-
-    def __init__(self, fun: Any, exact: Derived, n: int, own: Sequence[tuple[int, ParameterName]]) -> None:
-        self._fun, self._exact, self._n, self._own = fun, exact, n, own
-        self._made: dict[Any, Any] = {}
-        self._last: tuple[tuple[Any, ...], ArgumentLayout] | None = None
-
-    def _numbers(self, args: tuple[Any, ...]) -> ArgumentLayout:
-        """Return the numbers of the arguments, which a run evaluates f with at each of its steps."""
-        if self._last is None or self._last[0] is not args:
-            self._last = args, layout_of(args)
-        return self._last[1]
-
-    def _called(self, key: Any, made: Any, n: int, size: int, p: ArgumentLayout) -> Any:
-        """Return a derivative as a Python function, made once."""
-        if key not in self._made:
-            machine = has_llvm()
-            self._made[key] = (
-                as_python(native(made(), self._fun, n, size, p.size), size) if machine else made().fun.array
-            )
-        return self._made[key]
-
-    def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """Return f at y, (n,)."""
-        p, n = self._numbers(args), self._n
-        if "f" not in self._made:
-            machine = has_llvm()
-            formula = Formula("f", lambda: self._exact.outputs, (n,))
-            self._made["f"] = as_python(to_native("fun", self._fun, n, n, p), n) if machine else formula.array
-        found: Array = self._made["f"](0.0, y, p.numbers)
-        return found
-
-    def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k) if it is wanted."""
-        n, p, fp = self._n, self._numbers(args), np.zeros((self._n, len(self._own)))
-        flat = p.numbers
-        J = self._called("J", self._exact.dense, n, n * n, p)(0.0, y, flat).reshape(n, n)
-        if with_parameters and self._own:
-            places = [place_of(args, one.index, one.item) for _, one in self._own]
-            k = len(places)
-            made = self._called(tuple(places), lambda: self._exact.tangents(places), (1 + k) * n, k * n, p)
-            fp = made(0.0, np.concatenate([y, np.zeros(k * n)]), flat).reshape(k, n).T
-        return self.value(y, args), J, fp
-
-
-class _OfPython:
-    """f, ∂f/∂y and ∂f/∂p of a function without a graph."""
-
-    def __init__(self, fun: Any, problem: Problem, own: Sequence[tuple[int, ParameterName]]) -> None:
-        self._t, self._n = problem.t_span[0], len(problem.y0)
-        names = [one for _, one in own]
-
-        def derivatives(args: tuple[Any, ...]) -> Directional:
-            return Directional(fun, args, names, self._n, at=Point(self._t, problem.y0), m=self._n, called="fun")
-
-        self._of = derivatives
-        self._last: tuple[tuple[Any, ...], Directional] | None = None
-
-    def _at(self, args: tuple[Any, ...]) -> Directional:
-        if self._last is None or self._last[0] is not args:
-            self._last = args, self._of(args)
-        return self._last[1]
-
-    def value(self, y: Array, args: tuple[Any, ...]) -> Array:
-        """Return f at y, (n,)."""
-        return self._at(args).value(self._t, y)
-
-    def __call__(self, y: Array, args: tuple[Any, ...], *, with_parameters: bool) -> tuple[Array, Array, Array]:
-        """Return f (n,), ∂f/∂y (n, n), and ∂f/∂p (n, k)."""
-        of, n, k = self._at(args), self._n, self._at(args).k
-        none = np.zeros((k, n))
-        fp = of.columns(self._t, y, np.zeros(k), none, np.eye(k)).T if with_parameters and k else none.T
-        return of.value(self._t, y), of.jacobian(self._t, y), fp
-
-
-def _floats(args: tuple[Any, ...], own: Sequence[tuple[int, ParameterName]]) -> dict[int, dict[int, float]]:
-    """Return the parameters among the arguments as floats: an integer may be an index, a parameter may not."""
-    names = [one for _, one in own]
-    values = values_of(args, np.zeros(0), names)
-    changes: dict[int, dict[int, float]] = {}
-    for one, value in zip(names, values.tolist(), strict=True):
-        changes.setdefault(one.index, {})[one.item or 0] = value
-    return changes

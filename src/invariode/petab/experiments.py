@@ -18,7 +18,7 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.types import MethodName
-from .._functions.directional import has_llvm
+from .._functions.derivatives import has_llvm
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.directional import Directional
+from .._functions.derivatives import Derivative
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.derivatives import jacobian
 from .._functions.graph.nodes import Node, in_order
@@ -41,7 +41,7 @@ _HOLDS: dict[str, Callable[[int], bool]] = {
 _MOST_AT_ONCE = 3000
 
 #: (fun, name in messages, ...) -> its derivatives.
-Derive = Callable[..., Directional]
+Derive = Callable[..., Derivative]
 
 #: Relative to t (or 1), times as near as this are one.
 SAME_TIME = 1e-12
@@ -72,7 +72,7 @@ class _Part:
         self.nodes = nodes
         self.code = ArrayFunction(nodes).code
 
-    def derivatives(self, of: Derive, called: str) -> Directional:
+    def derivatives(self, of: Derive, called: str) -> Derivative:
         """Return the derivatives of the numbers."""
         return of(Formula(called, lambda: self.nodes, (len(self.nodes),)), called, m=len(self.nodes), moves_t=True)
 
@@ -486,12 +486,12 @@ class MachineDerivatives:
 
     def __init__(self, machine: Machine, of: Derive, start: Array) -> None:
         self._machine, self._of, self._start, self.k = machine, of, start, len(start)
-        self._made: dict[tuple[int, str], Directional] = {}
+        self._made: dict[tuple[int, str], Derivative] = {}
         #: The derivatives of the times of executions by these times, (k,).
         self.times: dict[float, Array] = {}
         self.due = _DueAlong(self)
 
-    def _part(self, event: int, name: str) -> Directional:
+    def _part(self, event: int, name: str) -> Derivative:
         key = event, name
         if key not in self._made:
             part: _Part = getattr(self._machine.code.events[event], name)

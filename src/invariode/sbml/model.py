@@ -14,7 +14,7 @@ from .._base.package import extra
 from .._base.rational import as_rows
 from .._base.suggestions import meant
 from .._base.types import MethodName
-from .._functions.directional import has_llvm
+from .._functions.derivatives import has_llvm
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order

@@ -123,10 +123,13 @@ class PlainGraph:
     ----------
     outputs : list of Node
         Its values.
+    exact : Derived or None
+        Its derivatives, once they have been formed.
     """
 
     def __init__(self, outputs: list[Node]) -> None:
         self.outputs = outputs
+        self.exact: Any = None
 
     @cached_property
     def timed(self) -> list[Crossing]:

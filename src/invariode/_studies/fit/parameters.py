@@ -14,8 +14,8 @@ import numpy as np
 from ..._base.arguments import Array, choice, flag, items, number, shown
 from ..._base.package import public
 from ..._base.suggestions import meant
-from ..._functions.derivatives import OfNumbers
 from .priors import Prior, PriorLike, to_prior
+from .through import OfNumbers
 
 
 @public

@@ -16,7 +16,7 @@ from ..._base.latest import Latest
 from ..._base.types import MethodName
 from ..._functions.compile import compile
 from ..._functions.compiled import is_native
-from ..._functions.directional import Point, has_llvm
+from ..._functions.derivatives import Point, has_llvm
 from ..._functions.graph.nodes import in_order
 from ..._functions.graph.python import Formula
 from ..._functions.layout import layout_of, place_of

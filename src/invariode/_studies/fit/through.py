@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._base.arguments import Array, warn
-from ..._functions.directional import Directional, Point
+from ..._base.arguments import Array, number, warn
+from ..._functions.derivatives import Derivative, Point, derivative_of
 from ..._functions.graph.arrays import ArrayFunction
 from ..._functions.graph.derivatives import jacobian
 from ..._functions.graph.function import GraphFunction
@@ -86,7 +86,7 @@ class Through:
         called: str,
     ) -> None:
         self._settings, self._n = settings, len(at.y)
-        self._derivatives: Directional | None = None
+        self._derivatives: Derivative | None = None
         self._fast: _OnGraph | None = None
         formulas = [_formula(one) for one in functions]
         if all(one is not None for one in formulas):
@@ -113,16 +113,11 @@ class Through:
             return found[0] if len(found) == 1 else np.concatenate(found)
 
         whole = np.concatenate([at.y, guesses])
-        self._derivatives = Directional(together, (), (), len(whole), at=Point(at.t, whole), called=called)
-        if self._derivatives.how == "differences":
-            warn(
-                f"fit: the derivatives of {called} are differences, which are accurate to 1e-10 at best: it cannot be "
-                "traced, and does not take complex numbers. Write it with NumPy's functions",
-                AccuracyWarning,
-            )
-        if (outputs := self._derivatives.outputs) is not None:
+        self._derivatives = derivative_of(together, (None, len(whole)), at=Point(at.t, whole), called=called)
+        _tell(self._derivatives)
+        if (graph := self._derivatives.graph) is not None:
             try:
-                self._fast = _OnGraph(outputs, n, "y", {n + j: j for j in range(len(names))})
+                self._fast = _OnGraph(graph.outputs, n, "y", {n + j: j for j in range(len(names))})
             except NotImplementedError:  # an operation that takes one time after the other
                 self._fast = None
 
@@ -145,6 +140,46 @@ class Through:
         size = self._derivatives.m
         made = np.reshape(np.array(slopes), (len(t), k, size)).transpose(2, 0, 1) if tangent is not None else None
         return Curves(np.reshape(rows, (len(t), size)).T, made)
+
+
+class OfNumbers:
+    """A real function of numbers, with its derivatives.
+
+    Parameters
+    ----------
+    called : str
+        Name of the function in messages.
+    function : callable
+        The user's, of one or more numbers.
+    """
+
+    def __init__(self, called: str, function: Callable[..., Any]) -> None:
+        self._called, self._function = called, function
+        self._derivative: Derivative | None = None
+
+    def value(self, at: Array) -> float:
+        """Return the function itself."""
+        return number(f"the value of {self._called}", self._function(*at))
+
+    def slopes(self, at: Array) -> Array:
+        """Return the derivative with respect to each number, (n,)."""
+        if self._derivative is None:
+            self._derivative = derivative_of(
+                lambda t, y: self._function(*y), (1, len(at)), at=Point(0.0, at), called=self._called
+            )
+            _tell(self._derivative)
+        n = len(at)
+        return self._derivative.columns(0.0, at, np.zeros(n), np.eye(n), np.zeros((n, 0)))[:, 0]
+
+
+def _tell(made: Derivative) -> None:
+    """Warn if derivatives are differences."""
+    if made.how == "differences":
+        warn(
+            f"fit: the derivatives of {made.called} are differences, which are accurate to 1e-10 at best: it cannot be "
+            "traced, and does not take complex numbers. Write it with NumPy's functions",
+            AccuracyWarning,
+        )
 
 
 def _formula(function: Any) -> Formula | None:
