@@ -119,6 +119,22 @@ def test_an_imaginary_part_that_is_dropped_later_is_noticed(method_code):
     np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], rtol=1e-2)
 
 
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+def test_complex_steps_are_examined_after_an_iteration_that_failed(method):
+    """From t = 2 on f drops imaginary parts: radau takes two Jacobians from it, the others one."""
+    late = []
+
+    def fun(t, y):
+        if np.iscomplexobj(y) and t >= 2:
+            late.append(t)
+            y = y.real + 0j
+        return np.array([-1e4 * (y[0] ** 3 - np.cos(3 * t) ** 3), y[0] - y[1]])
+
+    with pytest.warns(UserWarning, match="differences are used from there on"):
+        iv.solve_ivp(fun, (0, 3), [1.0, 1.0], method, rtol=1e-4, atol=1e-7, jac="complex-step")
+    assert 2 <= len(late) <= 2 * 2
+
+
 @pytest.fixture(params=IMPLICIT)
 def method_code(request):
     return request.param

@@ -11,7 +11,6 @@ class JacobianAge {
   enum class Taken {
     earlier,    ///< in an earlier step
     here,       ///< at the point that the steps have reached
-    beside,     ///< beside that point, since f jumps or bends there
     plainly,    ///< at that point by plain increments, or to be taken so, after one that was much too large
     at_iterate  ///< at an iterate of the step in work, of which a step has one
   };
@@ -33,7 +32,6 @@ class JacobianAge {
     steps_ = 0;
     if (!plain()) taken_ = Taken::here;
   }
-  void take_beside() { taken_ = Taken::beside; }
   /// J is about to be taken at an iterate.
   void begin_at_iterate() { taken_ = Taken::at_iterate; }
   /// A preconditioner was set up, where J is not a matrix: it ages as J does.
@@ -54,8 +52,8 @@ class JacobianAge {
     return renewable;
   }
   /// After an iteration that failed: is the step to be tried again with another J? A J of the point reached cannot be
-  /// improved, unless it is much too large and may be that of a place where f has another derivative: it was taken
-  /// beside the point, or by increments that were adapted. One of an iterate is renewed, and shorter steps are to be
+  /// improved, unless it is much too large and was taken by increments that were adapted, which may have led to where f
+  /// has another derivative. One of an iterate is renewed, and shorter steps are to be
   /// made all the same.
   [[nodiscard]] bool fail(bool renewable, bool adapted) {
     switch (taken_) {
@@ -65,10 +63,9 @@ class JacobianAge {
         renew(renewable);
         return false;
       case Taken::plainly: return false;
-      case Taken::here:
-      case Taken::beside: break;
+      case Taken::here: break;
     }
-    if (!too_large_ || !renewable || (!adapted && taken_ != Taken::beside)) return false;
+    if (!too_large_ || !renewable || !adapted) return false;
     taken_ = Taken::plainly;
     return renew();
   }

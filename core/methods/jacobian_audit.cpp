@@ -32,8 +32,8 @@ void JacobianAudit::begin(double t, const double* y) {
   note_branch(t, y);
 }
 
-JacobianAudit::Result JacobianAudit::look(double t, const double* y, const double* slope) {
-  return slope != nullptr && due(y) ? fit_or_mend(t, y, slope) : Result::at_point;
+Status JacobianAudit::look(double t, const double* y, const double* slope) {
+  return slope != nullptr && due(y) ? fit_or_mend(t, y, slope) : Status::ok;
 }
 
 Outcome JacobianAudit::evaluate(double t, const double* y, double* out) {
@@ -57,7 +57,7 @@ bool JacobianAudit::due(const double* y) {
 
 /// J is to describe f as far as steps are accurate: otherwise Newton's iteration may seem to converge at once, to what
 /// does not solve the equations. This takes evaluations of f that are counted apart.
-JacobianAudit::Result JacobianAudit::fit_or_mend(double t, const double* y, const double* slope) {
+Status JacobianAudit::fit_or_mend(double t, const double* y, const double* slope) {
   Callback f = f_;
   // Columns that are differenced together and share a row after all fit in the direction of the increments: random
   // signs tell them apart, in parts of y that leave its signs as they are.
@@ -72,12 +72,11 @@ JacobianAudit::Result JacobianAudit::fit_or_mend(double t, const double* y, cons
     }
     return Status::ok;
   };
-  const auto at_point = [](Status status) { return status == Status::stop ? Result::stop : Result::at_point; };
-  Result result = Result::stop;
+  Status result = Status::stop;
   switch (fit(f, t, y, slope, 1)) {
     case JacobianCheck::Fit::stop: break;
-    case JacobianCheck::Fit::good: result = at_point(seek_missing()); break;
-    case JacobianCheck::Fit::wrong: result = at_point(mend(f, t, y, slope)); break;
+    case JacobianCheck::Fit::good: result = seek_missing(); break;
+    case JacobianCheck::Fit::wrong: result = mend(f, t, y, slope); break;
     case JacobianCheck::Fit::bent: result = take_beside(f, t, y); break;
   }
   evaluations_ += f.calls() - f_.calls();
@@ -95,24 +94,24 @@ JacobianCheck::Fit JacobianAudit::fit(Callback& f, double t, const double* y, co
 }
 
 /// f jumps, or bends sharply, within the tolerance: J is taken on the side to which f leads.
-JacobianAudit::Result JacobianAudit::take_beside(Callback& f, double t, const double* y) {
+Status JacobianAudit::take_beside(Callback& f, double t, const double* y) {
   const std::size_t n = weights_.size();
-  if (jacobian_.kind() == Jacobian::Kind::constant) return Result::at_point;
+  if (jacobian_.kind() == Jacobian::Kind::constant) return Status::ok;
   std::vector<double> point(y, y + n), slope(n);
   for (std::size_t j = 0; j < n; ++j) point[j] += check_.direction()[j];
-  if (f(t, point.data(), slope.data()) == Status::stop) return Result::stop;
-  if (!all_finite(slope.data(), n)) return Result::at_point;
+  if (f(t, point.data(), slope.data()) == Status::stop) return Status::stop;
+  if (!all_finite(slope.data(), n)) return Status::ok;
   note_branch(t, point.data());
-  if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Result::stop;
+  if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
   switch (fit(f, t, point.data(), slope.data(), on_one_side)) {
-    case JacobianCheck::Fit::stop: return Result::stop;
+    case JacobianCheck::Fit::stop: return Status::stop;
     case JacobianCheck::Fit::wrong:
-      if (mend(f, t, point.data(), slope.data()) == Status::stop) return Result::stop;
+      if (mend(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
       break;
     case JacobianCheck::Fit::good:
     case JacobianCheck::Fit::bent: break;
   }
-  return Result::beside;
+  return Status::ok;
 }
 
 /// f is smooth, and J is not its derivative: entries are missing, increments are too small for the noise of f, or the

@@ -25,8 +25,7 @@ class JacobianAudit {
   /// J is taken at (t, y).
   void begin(double t, const double* y);
   /// Tests J at (t, y), where f is `slope`, if that is due. What does not fit is mended as far as it can be.
-  enum class [[nodiscard]] Result { at_point, beside, stop };
-  Result look(double t, const double* y, const double* slope);
+  Status look(double t, const double* y, const double* slope);
   /// How J fits the iterate y at t, of which updates by J have not removed the residual r. It is `of_another_branch` if
   /// J r was not the derivative of f where J was taken, or if this derivative jumps between there and (t, y); otherwise
   /// `stiffness_has_gone` says that c times the derivative along r is not large any more. (r points to where J is
@@ -46,9 +45,9 @@ class JacobianAudit {
 
  private:
   bool due(const double* y);
-  Result fit_or_mend(double t, const double* y, const double* slope);
+  Status fit_or_mend(double t, const double* y, const double* slope);
   JacobianCheck::Fit fit(Callback& f, double t, const double* y, const double* slope, double part);
-  Result take_beside(Callback& f, double t, const double* y);
+  Status take_beside(Callback& f, double t, const double* y);
   Status mend(Callback& f, double t, const double* y, const double* slope);
   void note_branch(double t, const double* y);
   void find_increment(const double* y, const double* r, const double* w);

@@ -114,13 +114,7 @@ Status AgingJacobian::take_jacobian(double t, const double* y, const double* slo
   if (audit_) audit_->begin(t, y);
   if (age_.plain()) return jacobian_.evaluate_plainly(f, t, y, slope);
   if (jacobian_.evaluate(f, t, y, slope) == Status::stop) return Status::stop;
-  if (!audit_) return Status::ok;
-  switch (audit_->look(t, y, slope)) {
-    case JacobianAudit::Result::stop: return Status::stop;
-    case JacobianAudit::Result::beside: age_.take_beside(); break;
-    case JacobianAudit::Result::at_point: break;
-  }
-  return Status::ok;
+  return audit_ ? audit_->look(t, y, slope) : Status::ok;
 }
 
 Status AgingJacobian::multiply(double t, const double* y, const double* slope, const double* v, double* out) {
@@ -558,7 +552,7 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
 /// that updates are too small to show that nothing is solved. What is not stiff cannot be: there the solution is not
 /// farther off than its residual.
 Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
-  if (matrix_free() || mass() != nullptr || noisy()) return Result::converged;
+  if (matrix_free() || mass() != nullptr) return Result::converged;
   const bool several = convergence_.iterations() > 1;
   if (before <= tolerated_residual() && (!several || solved(size, last, before))) return Result::converged;
   const auto norm = [this](const std::vector<double>& v) {
