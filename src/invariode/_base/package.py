@@ -25,13 +25,14 @@ def version() -> str:
     return metadata.version(NAME)
 
 
-def extra(module: str, what: str, of: str) -> Any:
-    """The module, or an error that begins with `what` and says which extra installs its package."""
+def extra(module: str, what: str, of: str, called: str = "") -> Any:
+    """Return the module, or raise an error that begins with `what` and says which extra installs its package, which is
+    `called` otherwise if the name is given."""
     package = module.partition(".")[0]
     try:
         return import_module(module)
     except ModuleNotFoundError as missing:
         if (missing.name or "").partition(".")[0] != package:
             raise
-        message = f'{what} {package}: pip install "invariode[{of}]"'
+        message = f'{what} {called or package}: pip install "invariode[{of}]"'
         raise ModuleNotFoundError(message, name=package) from None

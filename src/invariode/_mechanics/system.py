@@ -17,7 +17,7 @@ from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
 from .._problem.problem import Problem
-from .._results.points import HasPoints
+from .._results.solution import HasPoints
 from .consistent import consistent_state, nearby_state, redundant_rows
 from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point, vanishing
 

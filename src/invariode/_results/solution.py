@@ -21,11 +21,11 @@ from .pictures.whole_run import thumbnail
 
 if TYPE_CHECKING:
     from .._problem.accepted import extension_options
-
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
 
     from .animation import Film
+from typing import TYPE_CHECKING
 
 
 @dataclasses.dataclass(eq=False, repr=False, init=False)
@@ -512,3 +512,33 @@ def _of_the_run(name: str) -> TypeError:
         f"{name} cannot change within a run: extend takes {', '.join(own)}. For another {name} solve from the final "
         "state"
     )
+
+
+class HasPoints:
+    """A system whose motion can be shown as that of its points."""
+
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
+        """Return the points as a function of t and y, shape (k, 2) or (k, 3); a `ValueError` if there are no points."""
+        raise NotImplementedError
+
+    def animate(self, sol: Any, **options: Any) -> Film:
+        """Show the motion of the `points` of the system as a film.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        **options
+            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
+
+        Returns
+        -------
+        Film
+
+        Raises
+        ------
+        ValueError
+            The system was made without `points`.
+        """
+        film: Film = sol.animate(self._places(sol), **options)
+        return film

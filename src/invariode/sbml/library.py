@@ -15,11 +15,7 @@ def libsbml() -> Any:
     ModuleNotFoundError
         The extra `sbml` is not installed.
     """
-    try:
-        return extra("libsbml", "invariode.sbml needs", "sbml")
-    except ModuleNotFoundError as error:
-        message = 'invariode.sbml needs python-libsbml: pip install "invariode[sbml]"'
-        raise ModuleNotFoundError(message, name=error.name) from None
+    return extra("libsbml", "invariode.sbml needs", "sbml", called="python-libsbml")
 
 
 class UnsupportedError(ValueError):

@@ -13,7 +13,7 @@ from .._base.arguments import Array, choice, distinct, extra_arguments, interval
 from .._base.types import Points, Span
 from .._problem.invariants import Invariants
 from .._problem.problem import Problem
-from .._results.points import HasPoints
+from .._results.solution import HasPoints
 from .._studies.check import check_invariants
 from .code import Code, System, functions
 from .mechanism import Consistent, Correction, Mechanism
