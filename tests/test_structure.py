@@ -166,6 +166,8 @@ ONLY_IN = {
     r"\bPrepared\(": {"_run/prepared.py", "_solve/prepared.py"},
     r"\bPreparedSolver\(": {"_solve/prepared.py", "_solve/bridge.py", "_problem/problem.py"},
     r"next\(iter\(\w+\)\)\]": {"_base/latest.py"},
+    r"^class ArgumentLayout\b": {"_functions/layout.py"},
+    r"^class \w+\((int|float|np\.ndarray)\b": set(),
     r"__dict__(\.get\(|\[)\"_make\"|^class Deferred\b": {"_results/result.py"},
     r"^class (Problem|Posed|Description)\b": {"_problem/problem.py", "petab/problem.py"},
     r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
