@@ -140,6 +140,16 @@ def opaque(equations: Callable[..., Any]) -> Callable[..., Any]:
     return unpacked
 
 
+def by_ida(IDA: Any, F: Callable[..., Any], t_span: tuple[float, float], start: Any, rtol: float, atol: float) -> Any:
+    """The solution of SUNDIALS' IDA, from a consistent start."""
+
+    def residual(t: float, y: Any, yp: Any, out: Any) -> None:
+        out[:] = F(t, y, yp)
+
+    solver = IDA(residual, rtol=rtol, atol=atol, max_num_steps=10**6)
+    return solver.solve(np.array(t_span, dtype=float), start.y, start.yp)
+
+
 def residual_form() -> Iterator[Row]:
     """Calls of F that cannot be traced, structure included, against those of IDA."""
     try:
@@ -161,13 +171,7 @@ def residual_form() -> Iterator[Row]:
             theirs = "–"
             if IDA is not None:
                 F = opaque(problem.F)
-
-                def residual(t: float, y: Any, yp: Any, out: Any, F: Any = F) -> None:
-                    out[:] = F(t, y, yp)
-
-                found = IDA(residual, rtol=rtol, atol=atol, max_num_steps=10**6).solve(
-                    np.array(problem.t_span, dtype=float), start.y, start.yp
-                )
+                found = by_ida(IDA, F, problem.t_span, start, rtol, atol)
                 end = found.y[-1][[*problem.components]]
                 scale = np.maximum(np.abs(problem.reference()), problem.floor)
                 theirs = f"IDA {F.calls}, {(np.abs(end - problem.reference()) / scale).max():.0e}"

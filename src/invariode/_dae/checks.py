@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.failures import InvariantError
 from .._functions.graph.rounding import bounds
 from .._results.solution import Solution
 from .expressions import Values
@@ -99,6 +100,24 @@ def jump(sol: Solution, reduction: Reduction, p: Array) -> str:
                 "after the jump."
             )
     return ""
+
+
+def require_no_jump(reduction: Reduction, span: tuple[float, float], state: Array, p: Array) -> None:
+    """Raise an InvariantError if a constraint jumps right behind the start."""
+    t0, later = span[0], float(np.nextafter(*span))
+    for level in reduction.levels:
+        values = Values(level.in_states, p)
+        errors = np.array(bounds(level.in_states, t0, state.tolist(), p.tolist()))
+        close, wide = (np.abs(values(t, state) - values(t0, state)) for t in (later, t0 + _NEAR * (span[1] - t0)))
+        found = np.flatnonzero(
+            (close > _STAYS * wide) & (close > _ROUNDOFFS * np.where(np.isfinite(errors), errors, 0))
+        )
+        if len(found):
+            raise InvariantError(
+                f"the constraint {level.names[found[0]]} = 0 jumps by {close[found[0]]:.3g} right behind the start, "
+                f"t = {t0:.10g}: write its condition so that the value at t0 is the one behind it, such as t >= 0 in "
+                "place of t > 0, or start elsewhere"
+            )
 
 
 def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:

@@ -44,7 +44,7 @@ from .._problem.sensitivities import SensitivitiesLike
 from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
-from .checks import impasse, jump, point_of, violation
+from .checks import impasse, jump, point_of, require_no_jump, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
 from .reduction import Given, Reduction
 from .solution import Unknowns, in_unknowns
@@ -585,7 +585,9 @@ class Dae:
         if (callback := options.get("callback")) is not None:
             options["callback"] = through.callback(callback)
         points = [] if (given := options.get("breakpoints")) is None else through.breakpoints(given)
-        options["breakpoints"] = points + self._switches(reduction, starts, span, points)
+        if switches := self._switches(reduction, starts, span, points):
+            require_no_jump(reduction, span, np.array([x[one] for one in reduction.states]), self._p)
+        options["breakpoints"] = points + switches
         atol = self._atol(reduction, options)
         describing: dict[str, Any] = {
             "sensitivities": sensitivities,

@@ -20,6 +20,7 @@ import numpy as np
 from .._base.arguments import ATOL, EPS, RTOL, Array, shown
 from .._base.matrices import as_matrix, is_sparse
 from .._base.types import EventsLike, MethodName, OnFailure
+from .._linear.least_norm import Ended, newton
 from .._linear.null_space import null_space
 from .._problem.events import to_events
 from .._problem.grouped import bandwidth
@@ -39,8 +40,6 @@ _INCREMENT = EPS ** (1 / 3)
 _ROUNDOFF = 1e-6
 #: Derivatives below it are compared with it.
 _SMALL = 1e-3
-#: Newton's iteration for the start, and its smallest changes.
-_ITERATIONS, _SETTLED = 20, 1e-12
 #: Tolerances of z in units of those of y: errors of derivatives are not tested, as in other codes for F = 0. It stands
 #: for infinity, which atol does not take: on the problems of the tests 1e8 to 1e14 give the same steps.
 _UNTESTED = 1e10
@@ -244,17 +243,20 @@ class ResidualForm:
     def _consistent(self, t: float, u: Array, args: tuple[Any, ...]) -> Array:
         """Return u with F = 0 and this w_d, by Newton's iteration; u itself, which the run then tests, if none is
         near."""
-        found = u.copy()
-        for _ in range(_ITERATIONS):
-            y, yp = self.y(found), self.yp(found)
-            A, F = self._determining(t, y, yp, args), self.residual(t, y, yp, *args)
-            if not (np.isfinite(A).all() and np.isfinite(F).all()):
-                return u
-            change = np.linalg.lstsq(A, F, rcond=None)[0]
-            found[self.r :] -= change
-            if (np.abs(change) <= _SETTLED * np.maximum(1.0, np.abs(found[self.r :]))).all():
-                return found
-        return u
+
+        def values(rest: Array) -> tuple[Array, Array]:
+            at = np.concatenate([u[: self.r], rest])
+            return self.y(at), self.yp(at)
+
+        def slopes(rest: Array) -> tuple[Array, Array]:
+            A = self._determining(t, *values(rest), args)
+            return A, np.abs(A) @ np.abs(rest)
+
+        first = u[self.r :]
+        found = newton(
+            lambda rest: self.residual(t, *values(rest), *args), slopes, first, np.maximum(1.0, np.abs(first))
+        )
+        return np.concatenate([u[: self.r], found.x]) if found.ended is Ended.SETTLED else u
 
     def _require_index_1(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> None:
         if not len(self.free):

@@ -7,7 +7,7 @@ is regular, and earlier stages stay solved. In weights w the smallest change is 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,17 +16,13 @@ from .._base.failures import InvariantError
 from .._functions.graph.derivatives import jacobian
 from .._functions.graph.nodes import Node
 from .._functions.graph.rounding import bounds
+from .._linear.least_norm import Ended, newton
 from .expressions import Values, is_zero, leaves, primed, substituted
 from .linear_systems import SINGULAR, condition, equilibrated
 from .offsets import Block
 from .reduction import Reduction, Variable
 from .structure import filled
 
-#: Newton's iteration ends when changes are this part of the values, or decrease no more below the second number.
-_SETTLED, _STAGNATES = 1e-13, 1e-10
-_ITERATIONS, _HALVINGS = 100, 20
-#: Singular values below this part of the largest are 0.
-_RANK = 1e-12
 #: Residuals are roundoff below this part of their terms.
 _ROUNDOFF = 1e-9
 #: Weights of values that are 0, and of derivatives whose guess is unknown.
@@ -35,8 +31,6 @@ _SMALL, _UNKNOWN = 1e-3, 1.0
 _ROUNDOFFS = 64.0
 #: Entries of a null vector below the first number are roundoff; below that part of the largest they are not named.
 _PART_OF_IT, _IN_IT = 1e-6, 0.1
-#: Systems of more unknowns are solved by sparse factors.
-_DENSE = 60
 
 
 class _UnsolvableError(Exception):
@@ -285,72 +279,36 @@ class _Stage:
         """Move x onto the equations, by the smallest change in the weights, without moving what is fixed."""
         free = [k for k, one in enumerate(self.moves) if one not in fixed]
         where = tuple(np.array([self.moves[k] for k in free], dtype=int).reshape(-1, 2).T)
-        r, A = self.evaluate(t, x)
-        if not (np.isfinite(r).all() and np.isfinite(A).all()):
-            bad = [self.names[i] for i in np.flatnonzero(~(np.isfinite(r) & np.isfinite(A).all(axis=1)))]
+
+        rows = np.zeros((len(self.equations), len(self.moves)))
+
+        def residual(values: Array) -> Array:
+            x[where] = values
+            r, rows[:] = self.evaluate(t, x)  # by one function
+            return r if np.isfinite(rows).all() else np.where(np.isfinite(rows).all(axis=1), r, np.nan)
+
+        def slopes(values: Array) -> tuple[Array, Array]:
+            return rows[:, free], np.abs(rows) @ np.abs(np.array([x[one] for one in self.moves]))
+
+        found = newton(residual, slopes, x[where], w[where])
+        if found.ended is Ended.SETTLED:
+            return
+        names = ", ".join(self.names[i] for i in found.rows)
+        if found.ended is Ended.UNDEFINED:
             raise _UnsolvableError(
-                f"{', '.join(bad)} cannot be evaluated at the guess, t = {t:.6g}: give other initial values", self
+                f"{names} cannot be evaluated at the guess, t = {t:.6g}: give other initial values", self
             )
-        previous = np.inf
-        for _ in range(_ITERATIONS):
-            B = A[:, free] * w[where]
-            scale = np.maximum(np.linalg.norm(B, axis=1), 1e-300)
-            step, is_deficient = _least_norm(B / scale[:, None], r / scale)
-            left = np.abs(B @ step - r) / scale
-            sizes = np.abs(A) @ np.abs(np.array([x[one] for one in self.moves])) / scale
-            if is_deficient and (left > _ROUNDOFF * np.maximum(np.abs(r) / scale, np.minimum(sizes, 1.0))).any():
-                i = int(np.argmax(left))
-                raise _UnsolvableError(
-                    f"no consistent values near the guess at t = {t:.6g}: {self.names[i]} is {r[i]:.6g}, and what may "
-                    f"move does not change that (a singular point, or too many values are fixed)",
-                    self,
-                    is_deficient=True,
-                )
-            change, before, norm = w[where] * step, x[where].copy(), float(np.abs(r / scale).max(initial=0))
-            part = 1.0
-            for _ in range(_HALVINGS):
-                x[where] = before - part * change
-                r, A = self.evaluate(t, x)
-                finite = np.isfinite(r).all() and np.isfinite(A).all()
-                if finite and float(np.abs(r / scale).max(initial=0)) <= max(2 * norm, _SETTLED):
-                    break
-                part /= 2
-            size = float((np.abs(change) / np.maximum(w[where], np.abs(before))).max(initial=0))
-            if size <= _SETTLED or (size < _STAGNATES and size >= 0.5 * previous):
-                return
-            previous = size
-        i = int(np.argmax(np.abs(r)))
+        where_it_is = f"no consistent values near the guess at t = {t:.6g}:"
+        value = f"{found.residual[found.rows[0]]:.6g}"
+        if found.ended is Ended.DEPENDENT:
+            raise _UnsolvableError(
+                f"{where_it_is} {names} is {value}, and what may move does not change that (a singular point, or too "
+                "many values are fixed)",
+                self,
+                is_deficient=True,
+            )
         raise _UnsolvableError(
-            f"no consistent values near the guess at t = {t:.6g}: Newton's iteration does not converge, and leaves "
-            f"{self.names[i]} = {r[i]:.6g}. Give better initial values",
+            f"{where_it_is} Newton's iteration does not converge, and leaves {names} = {value}. Give better initial "
+            "values",
             self,
         )
-
-
-def _least_norm(A: Array, r: Array) -> tuple[Array, bool]:
-    """Return the x of least norm with A x = r, or nearest to it, and whether the rows of A depend on each other."""
-    if max(A.shape) > _DENSE and (found := _by_factors(A, r)) is not None:
-        return found, False
-    x, _, rank, _ = np.linalg.lstsq(A, r, rcond=_RANK)
-    return x, bool(rank < len(r))
-
-
-def _by_factors(A: Array, r: Array) -> Array | None:
-    """Return the x of least norm with A x = r, from sparse factors of (1, Aᵀ; A, 0) or of a square A; None if
-    inaccurate."""
-    from scipy.sparse import block_array, csc_array, eye_array
-    from scipy.sparse.linalg import splu
-
-    m, n = A.shape
-    rows: Any = csc_array(A)
-    try:
-        if m == n:
-            x = splu(rows).solve(r)
-        else:
-            whole = block_array([[eye_array(n), rows.T], [rows, None]], format="csc")
-            x = splu(whole).solve(np.concatenate([np.zeros(n), r]))[:n]
-    except RuntimeError:  # singular
-        return None
-    if not np.isfinite(x).all() or (np.abs(rows @ x - r) > _ROUNDOFF * (abs(rows) @ np.abs(x) + np.abs(r))).any():
-        return None
-    return np.asarray(x)

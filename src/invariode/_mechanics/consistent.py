@@ -11,6 +11,7 @@ from .. import _core
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
 from .._functions.increments import sizes, somewhere
+from .._linear.least_norm import by_factors
 from .motion import DEPENDENT, MANY_COLUMNS, Motion, Point, lengths, vanishing
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
@@ -111,7 +112,7 @@ def _least_change(weight: Any, rows: Any, right: Array) -> Array:
     """Return the x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
     n = rows.shape[1]
     if hasattr(weight, "toarray") and hasattr(rows, "toarray"):
-        found = _sparse_least_change(weight, rows, right)
+        found = by_factors(rows, right, weight, accuracy=_ROUNDOFF)
         if found is not None:
             return found
     A = np.ascontiguousarray(_dense(rows))
@@ -121,21 +122,6 @@ def _least_change(weight: Any, rows: Any, right: Array) -> Array:
         if solution[-1]:  # unique
             break
     return change
-
-
-def _sparse_least_change(weight: Any, rows: Any, right: Array) -> Array | None:
-    """Return the x of least xᵀ W x with A x = right, from sparse factors of (W, -Aᵀ; A, 0); None if not determined."""
-    from scipy.sparse import block_array  # takes longer to import than everything else
-    from scipy.sparse.linalg import splu
-
-    try:
-        factors = splu(block_array([[weight, -rows.T], [rows, None]], format="csc"))
-    except RuntimeError:  # singular
-        return None
-    n = rows.shape[1]
-    change: Array = factors.solve(np.concatenate([np.zeros(n), right]))[:n]
-    off = np.abs(rows @ change - right) > _ROUNDOFF * (abs(rows) @ np.abs(change) + np.abs(right))
-    return change if np.isfinite(change).all() and not off.any() else None
 
 
 def _identity(n: int) -> Any:
