@@ -113,6 +113,19 @@ def test_gradients_of_published_problems(problems, name):
     np.testing.assert_allclose(found.gradient[chosen] / unit, slopes / unit, rtol=0, atol=1e-5)
 
 
+@beside
+@pytest.mark.parametrize(("method", "error_test"), [("radau", True), ("radau", False), ("ode15s", False)])
+def test_sensitivities_below_roundoff_do_not_fail_attempts(problems, method, error_test):
+    """Of an atol that S cannot reach, since terms of its slope cancel: hardly more attempts fail than without S."""
+    loaded = petab.load(yaml_in(problems, "Bachmann_MSB2011"))
+    names = [name for name in loaded.names if name in loaded.model.parameters]
+    values = {name: 10.0**x for name, x in zip(loaded.names, loaded.nominal, strict=True) if name in names}
+    problem = loaded.model.problem((0, 120), **values)
+    wanted = iv.Sensitivities(names, error_test=error_test)
+    sol = problem.replace(sensitivities=wanted).solve(method, rtol=1e-8, atol=1e-16)
+    assert sol.stats.failed <= 0.05 * sol.stats.steps
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # A problem of our own: A ⇌ B, in equilibrium before k1 changes; noise with a parameter, on a logarithmic scale
 

@@ -225,6 +225,19 @@ void AgingJacobian::forget_roundoff(double c, const double* y, std::initializer_
       if (std::abs((*r)[i]) <= JacobianAudit::roundoffs_of_f * eps * std::abs(c) * scratch_[i]) (*r)[i] = 0;
 }
 
+bool AgingJacobian::forget_sensitivity_roundoff(double c, const double* Y, double* v) {
+  if (free_) return false;
+  const std::size_t n = extent().n;
+  for (std::size_t block = n; block < coupled(); block += n) {
+    const double* S = Y + block;
+    for (std::size_t i = 0; i < n; ++i) scratch_[i] = std::abs(S[i]);
+    jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(c * value * S[j]); });
+    for (std::size_t i = 0; i < n; ++i)
+      if (std::abs(v[block + i]) <= Convergence::roundoff_units * eps * scratch_[i]) v[block + i] = 0;
+  }
+  return coupled() > n;
+}
+
 bool AgingJacobian::stiff(double c, const double* w) {
   if (mass_) return true;
   if (free_) return false;  // J is never an old one
@@ -494,24 +507,29 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   };
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
-  sensitivity_convergence_.begin(weights_.rtol(), Convergence::roundoff_units * eps * norm(p));
+  const double roundoff = Convergence::roundoff_units * eps * norm(p);
+  sensitivity_convergence_.begin(weights_.rtol(), roundoff);
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
-  for (;;) {
+  for (bool forgets = false;;) {
     const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
     if (evaluated != Result::converged) return evaluated;
     residual(place_.c, psi, d, n, all);
     if (const Result solved = solve_columns(sensitivity_convergence_.goal(), residual_.data());
         solved != Result::converged)
       return solved;
-    const double size = norm(residual_.data());
     for (std::size_t i = n; i < all; ++i) {
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
     if (coupled() == n) return Result::converged;
-    switch (sensitivity_convergence_.judge(size)) {
+    if (forgets) forget_sensitivity_roundoff(place_.c, y, residual_.data());
+    switch (sensitivity_convergence_.judge(norm(residual_.data()))) {
       case Convergence::Verdict::converged: return Result::converged;
-      case Convergence::Verdict::diverged: return Result::failed;
+      case Convergence::Verdict::diverged:
+        if (forgets || matrix_free()) return Result::failed;
+        forgets = true;
+        sensitivity_convergence_.begin(weights_.rtol(), roundoff);
+        break;
       case Convergence::Verdict::go_on: break;
     }
   }

@@ -172,7 +172,7 @@ Newton::Result Radau::iterate(Convergence& convergence) {
   const double roundoff = Convergence::roundoff_units * eps * norm_of_part(y());
   convergence.begin(weights_.rtol(), roundoff, solver_.careful());
   const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
-  for (;;) {
+  for (bool forgets = false;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
     if (part_.first == 0) {
@@ -186,14 +186,17 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    const double size = update_stages();
+    const double size = update_stages(forgets);
     if (part_.first == solver_.coupled()) return Newton::Result::converged;  // the first update of quadratures is exact
     switch (convergence.judge(size)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged:
         if (part_.first == 0 && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
           solver_.note_too_large();
-        return Newton::Result::failed;
+        if (part_.first == 0 || forgets || solver_.matrix_free()) return Newton::Result::failed;
+        forgets = true;  // updates of S that are roundoff
+        convergence.begin(weights_.rtol(), roundoff);
+        break;
       case Convergence::Verdict::go_on: break;
     }
   }
@@ -235,11 +238,14 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
-/// Adds the updates, which the residuals have become, to Z. Their size.
-double Radau::update_stages() {
+/// Adds the updates, which the residuals have become, to Z. Their size. `forgets`: without roundoff.
+double Radau::update_stages(bool forgets) {
   for (std::size_t stage = 0; stage < stages(); ++stage)
     for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.end; ++i) increments_[i] += residuals_[i];
   weigh_first_update();
+  if (forgets)
+    for (std::size_t stage = 0; stage < stages(); ++stage)
+      solver_.forget_sensitivity_roundoff(signed_h_, y(), residuals_.data() + stage * n());
   MaxNorm size;
   for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm_of_part(residuals_.data() + stage * n()));
   return size.value();
@@ -264,6 +270,8 @@ Newton::Result Radau::estimate() {
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] += c * f_[i];
   const Newton::Result first = damp(error_vector_.data());
   error_ = norm(error_vector_.data());
+  if (error_ > weights_.rtol() && solver_.forget_sensitivity_roundoff(c, candidate_.data(), error_vector_.data()))
+    error_ = norm(error_vector_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
   // HW take f at y + e in place of f(y). Where f is linear, that is (M − c J)⁻¹ M e; where f jumps between these
   // points, it is what stages beyond the jump agree with, and they alone: the estimate would be blind.

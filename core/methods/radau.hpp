@@ -74,7 +74,7 @@ class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
   Newton::Result solve_part(double tolerance, bool& negligible);
   [[nodiscard]] double norm_of_part(const double* v) const;
   Outcome stage_residuals();
-  double update_stages();
+  double update_stages(bool forgets);
   void weigh_first_update();
   Newton::Result estimate();
   Newton::Result damp(double* v);
