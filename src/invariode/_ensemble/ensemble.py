@@ -186,13 +186,15 @@ def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any
     if args is None or isinstance(args, tuple):
         own = extra_arguments(args) or problem.args
         require_taken(problem, own)
-        return np.atleast_2d(states), own
+        return np.atleast_2d(problem.start_with(own) if y0 is None else states), own
     extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else as_array("args", args)
     if isinstance(extra, list) and len(set(map(len, extra))) > 1:
         raise ValueError(f"rows of args must be of one length, got lengths {sorted(set(map(len, extra)))}")
     if isinstance(extra, np.ndarray) and extra.ndim != 2:
         raise _no_rows(f"shape {extra.shape}")
     require_taken(problem, extra)
+    if y0 is None and problem.y0_of_args is not None:
+        states = np.array([problem.start_with(tuple(row)) for row in extra]).reshape(len(extra), len(problem.y0))
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
     if len(states) != len(extra):

@@ -698,7 +698,7 @@ class ProblemArguments(DescribingOptions, CallingOptions, ScheduleOptions, total
 
     fun: Function
     t_span: Span
-    y0: ArrayLike
+    y0: ArrayLike | Callable[..., Any]
     parameters: Mapping[str, float] | None
     inputs: InputsLike | None
     name: str | None

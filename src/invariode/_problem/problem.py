@@ -57,6 +57,7 @@ from .options import (
 from .parameters import ParameterName
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
+from .start import follow_start
 
 if TYPE_CHECKING:
     from .._ensemble.solution import EnsembleSolution
@@ -74,7 +75,7 @@ _NOTHING_GIVEN: Mapping[str, Any] = dict.fromkeys(
 #: The attributes of a problem that has nothing besides f, y0, t_span and args.
 _NOTHING_ELSE: Mapping[str, Any] = {
     **dict.fromkeys(("invariants", "events", "inputs", "breakpoints"), ()),
-    **dict.fromkeys(("bounds", "delays", "sensitivities", "_title", "_labels"), None),
+    **dict.fromkeys(("bounds", "delays", "sensitivities", "y0_of_args", "_title", "_labels"), None),
     **dict.fromkeys(("records_events", "second_order"), False),
     "matrices": NO_MATRICES,
     "_as_given": _NOTHING_GIVEN,
@@ -93,8 +94,9 @@ class Problem:
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
         or one of its `limits` ends it.
-    y0 : array_like of shape (n,)
-        Initial state, real or complex.
+    y0 : array_like of shape (n,) or callable
+        Initial state, real or complex; or a function ``y0(*args)`` that returns it. Then the initial state follows the
+        arguments: in `replace`, ensembles and fits, and in sensitivities.
     {describing}
     parameters : dict of str and float, optional
         Numbers by any name, instead of `args`: f and all other functions of the problem are called as ``f(t, y, p)``
@@ -158,6 +160,7 @@ class Problem:
     bounds: Bounds | None
     delays: Delays | None
     sensitivities: Sensitivities | None
+    y0_of_args: Callable[..., Any] | None
     records_events: bool
     second_order: bool
     _title: str | None
@@ -168,7 +171,7 @@ class Problem:
         self,
         fun: Function,
         t_span: Span,
-        y0: ArrayLike,
+        y0: ArrayLike | Callable[..., Any],
         *by_position: Never,
         args: Iterable[Any] | None = (),
         parameters: Mapping[str, float] | None = None,
@@ -195,8 +198,11 @@ class Problem:
         if unknown or by_position:
             raise _no_such_argument(unknown, by_position)
         args = _args_or(parameters, args)
-        self._pose(_filled(fun, inplace, delays is not None), t_span, start_of(y0, history, t_span, args), args)
+        state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
+        self._pose(_filled(fun, inplace, delays is not None), t_span, start_of(state, history, t_span, args), args)
         called, start, described = self.fun, self.y0, self.__dict__
+        if of_args is not None:
+            described["y0_of_args"] = of_args
         given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
         if any(one is not None for one in given.values()):
             given = {key: own_matrix(one) for key, one in given.items()}
@@ -221,9 +227,9 @@ class Problem:
         if second_order is not False or type(called) is not FunctionType:
             described["second_order"] = _is_second_order(second_order, called, start)
         if sensitivities is not None:
-            described["sensitivities"] = to_sensitivities(sensitivities)
-            if self.args:
-                self.parameter_names()
+            described["sensitivities"] = wanted = to_sensitivities(sensitivities)
+            if wanted is not None and (self.args or of_args is not None):
+                described["sensitivities"] = follow_start(wanted, of_args, self.parameter_names(), len(start))
 
     @classmethod
     def plain(cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> Self:
@@ -253,6 +259,10 @@ class Problem:
     def name(self) -> str:
         """Name for tables and plots."""
         return call_name(self.fun, "problem") if self._title is None else self._title
+
+    def start_with(self, args: tuple[Any, ...]) -> Array:
+        """Return the initial state with other arguments, (n,)."""
+        return self.y0 if self.y0_of_args is None else state(self.y0_of_args(*args))
 
     def _require_real(self, what: str) -> None:
         """Raise an error unless the states are real; `what` is not defined for complex ones."""
@@ -353,7 +363,7 @@ class Problem:
         now = {
             "fun": self.fun,
             "t_span": self.t_span,
-            "y0": self.y0,
+            "y0": self.y0 if self.y0_of_args is None else self.y0_of_args,
             "args": self.args,
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,

@@ -91,6 +91,8 @@ class PreparedSolver:
             raise ValueError("dy0dp is of no use without sensitivities, which the problem does not ask for")
         known = prepared.any_y0 and (args is None or prepared.any_args) and (t_span is None or self._any_span)
         start = problem.y0 if y0 is None else _as_state(y0, problem.y0)
+        if y0 is None and args is not None and problem.y0_of_args is not None:
+            start = _as_state(problem.start_with(args), problem.y0)
         if known and start is not None:
             course = prepared.plan.course
             if t_span is not None:

@@ -19,6 +19,7 @@ from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
+from .._functions.graph.structure import replaced
 from .._problem.delays import GraphOfPast
 from .._problem.invariants import Invariants
 from .._problem.methods import METHODS
@@ -91,6 +92,47 @@ class ModelEvent:
     delayed: bool
     prioritised: bool
     persistent: bool
+
+
+class _Start:
+    """The initial state of a problem as a function of its parameters, a record: behind events at the start, and as
+    algebraic rules demand. `formula` is the same of (t, y, p), unless it is more than a formula."""
+
+    def __init__(self, model: Model, t0: float, p: Array, machine: Machine | None) -> None:
+        self._model, self._t0, self._p, self._machine = model, t0, p, machine
+
+    def __call__(self, parameters: Any) -> Array:
+        p = self._p.copy()
+        own = np.array([*parameters], dtype=float)
+        p[: len(own)] = own
+        y = self._model._consistent(self._t0, self._model._equations.initial_state(self._solved(p)), p)
+        return y if self._machine is None else self._machine.start(self._t0, y, p)
+
+    def _solved(self, p: Array) -> Array:
+        """Return p with the numbers that algebraic rules determine at the start."""
+        e = self._model._equations
+        return e.parameters(dict(zip(e.names, p.tolist(), strict=False))) if e.matched else p
+
+    @cached_property
+    def formula(self) -> Formula | None:
+        e = self._model._equations
+        if e.matched or e.has_fast or not (self._machine is None or self._machine.begins_quietly):
+            return None
+        nodes = [e.state_at_start(name) for name in e.states]
+        count = len(self._model._names)
+        fixed = {e.graph.p(i): e.graph.node(self._p[i]) for i in used(nodes, "p") if i >= count}
+        inside = replaced(nodes, fixed) if fixed else nodes
+        return Formula("y0", lambda: inside, (len(nodes),))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Start, (self._model, self._t0, self._p, self._machine)
+
+    @property
+    def varies(self) -> bool:
+        """True if the initial state depends on the parameters."""
+        e = self._model._equations
+        nodes = [e.state_at_start(name) for name in e.states]
+        return bool(e.matched) or min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
 
 
 class Model:
@@ -264,14 +306,16 @@ class Model:
             A name that the model does not have, or a symbol that a rule determines.
         """
         model, p, y0 = self._start(values)
-        t0 = float(t_span[0])
+        t0, machine = float(t_span[0]), None
         y0 = model._consistent(t0, y0, p)
         more: dict[str, Any] = {}
         if model.events:
             machine = Machine(model._events, model._equations)
             y0 = machine.start(t0, y0, p)
             more["events"] = machine.functions(model._differences, once=False)
-        return model._problem(t_span, p, y0, moieties, **more)
+        start = _Start(model, t0, p, machine)
+        follows = bool(model.states and model._names) and not model._equations.delays and start.varies
+        return model._problem(t_span, p, start if follows else y0, moieties, **more)
 
     def _consistent(self, t: float, y: Array, p: Array) -> Array:
         """Return a state as it is for output: at least of one component, and as algebraic rules demand."""
@@ -286,7 +330,13 @@ class Model:
         return self._function("comparisons", found, len(found)) if found else None
 
     def _problem(
-        self, t_span: tuple[float, float], p: Array, y0: Array, moieties: bool, explicit: bool = False, **more: Any
+        self,
+        t_span: tuple[float, float],
+        p: Array,
+        y0: Array | _Start,
+        moieties: bool,
+        explicit: bool = False,
+        **more: Any,
     ) -> Problem:
         """Return the model as a problem. `explicit`: with algebraic rules differentiated, and imposed."""
         e, fun = self._equations, self.fun

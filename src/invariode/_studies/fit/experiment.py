@@ -20,6 +20,7 @@ from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
 from ..._problem.problem import Problem
+from ..._problem.start import of_t_and_y
 from .data import Data, in_order, is_table, read
 
 
@@ -83,10 +84,10 @@ class Experiment:
     event_sigma : float, str or dict, optional
         The standard deviation of these times, specified as for `sigma`.
     y0 : {"steady"} or callable, optional
-        Default: the problem's y0. "steady": each run starts at the steady state of f(t0, y), for the parameters of the
-        trial, that is reached from the problem's y0. Linear totals that f conserves are those of y0, whose components
-        ``y0[label]`` can be parameters. A function ``y0(t0, y, *args)`` of the problem's y0 and of the parameters
-        returns the initial values, (n,).
+        Default: the problem's y0, which may be a function of its arguments. "steady": each run starts at the steady
+        state of f(t0, y), for the parameters of the trial, that is reached from the problem's y0. Linear totals that f
+        conserves are those of y0, whose components ``y0[label]`` can be parameters. A function ``y0(t0, y, *args)`` of
+        the problem's y0 and of the parameters returns the initial values, (n,).
     where : dict, optional
         Parameters that this experiment has under another name, or with a value of its own:
         ``{"k": "k_cold", "y0[drug]": "dose_2", "flow": 0.5}``. A name is that of a parameter of the fit, which other
@@ -144,7 +145,11 @@ class Experiment:
         self._where = _Where(given, where, "where")
         self.problem = problem = self._where.problem
         self.start = y0 if callable(y0) or is_native(y0) else None
-        if y0 is not None and self.start is None:
+        #: `start` is that of the problem, of which initial values may be parameters besides.
+        self.starts_as_problem = self.start is None and given.y0_of_args is not None
+        if self.start is None and given.y0_of_args is not None:
+            self.start = of_t_and_y(given.y0_of_args)
+        if y0 is not None and (self.start is None or self.starts_as_problem):
             choice("y0", y0, ("steady",))
             if before is not None:
                 raise TypeError('y0="steady" and before= are two steady states: leave y0 out')

@@ -272,7 +272,13 @@ class Simulation:
             return _Start(args, y0, S)
         first = self._first if settings is self._own else self._first_before
         found = first(np.array(problem.t_span[:1]), y0[:, None], None if S is None else S[:, None], values, args)
-        return _Start(args, found.values[:, 0], None if found.tangent is None else found.tangent[:, 0])
+        start = _Start(args, found.values[:, 0].copy(), None if found.tangent is None else found.tangent[:, 0].copy())
+        for j, one in settings.entries if self.experiment.starts_as_problem else ():
+            if one.kind == "y0":
+                start.y0[one.index] = y0[one.index]
+                if start.slopes is not None:
+                    start.slopes[one.index] = np.arange(len(values)) == j
+        return start
 
     @cached_property
     def _first_before(self) -> Through:

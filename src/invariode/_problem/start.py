@@ -1,0 +1,44 @@
+"""Initial values that follow the arguments: y0 as a function of them, with its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.directional import Directional, Point
+from .._functions.graph.python import Formula
+from .parameters import ParameterName
+from .sensitivities import Sensitivities
+
+
+class SlopesOfStart:
+    """∂y0/∂p as a function of the arguments: the `dy0dp` of a problem whose y0 is a function of them."""
+
+    def __init__(self, start: Callable[..., Any], names: Sequence[ParameterName], n: int) -> None:
+        self._start, self._names, self._n = start, names, n
+
+    def __call__(self, *args: Any) -> Array:
+        k, n, y = len(self._names), self._n, np.zeros(self._n)
+        made = Directional(of_t_and_y(self._start), args, self._names, n, at=Point(0.0, y), m=n, called="y0")
+        return made.columns(0.0, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
+
+
+def of_t_and_y(start: Callable[..., Any]) -> Any:
+    """Return y0(\\*args) as a function of (t, y, \\*args), whose graph is known if y0 is a formula."""
+    formula = getattr(start, "formula", None)
+    return formula if isinstance(formula, Formula) else lambda t, y, *args: start(*args)
+
+
+def follow_start(
+    wanted: Sensitivities, start: Callable[..., Any] | None, names: Sequence[ParameterName], n: int
+) -> Sensitivities:
+    """Return the sensitivities with the derivatives of y0 as a function of the arguments; without those of another
+    one. Derivatives that the user gives stay."""
+    if wanted.dy0dp is not None and not isinstance(wanted.dy0dp, SlopesOfStart):
+        return wanted
+    own = [one for one in names if one.kind == "args"]
+    return replace(wanted, dy0dp=SlopesOfStart(start, own, n) if start is not None and own else None)

@@ -1,0 +1,100 @@
+"""Initial values that are functions of the arguments."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from test_sbml import event, formula, model, parameter, reaction, species
+
+sbml = pytest.importorskip("invariode.sbml")
+pytest.importorskip("libsbml")
+
+
+def decay(t, y, k, a):
+    return [-k * y[0], a - y[1]]
+
+
+def start(k, a):
+    return [a + k**2, 3.0]
+
+
+def exact(k, a, t=1.5):
+    return np.array([(a + k**2) * np.exp(-k * t), a + (3 - a) * np.exp(-t)])
+
+
+def slopes(of, at):
+    return np.array([np.imag(of(*(np.array(at) + 1e-30j * one))) / 1e-30 for one in np.eye(len(at))]).T
+
+
+def test_the_start_follows_the_arguments():
+    """In replace, prepared runs and ensembles; in sensitivities, also to initial values, and gradients; in fits."""
+    at = (0.7, 1.3)
+    problem = iv.Problem(decay, (0, 1.5), start, args=at)
+    run = {"method": "dop853", "rtol": 1e-10, "atol": 1e-12}
+    other = (0.4, 2.0)
+    np.testing.assert_allclose(problem.solve(**run).y_end, exact(*at), rtol=1e-9)
+    np.testing.assert_allclose(problem.replace(args=other).solve(**run).y_end, exact(*other), rtol=1e-9)
+    solver = problem.prepare(**run)
+    np.testing.assert_array_equal(solver(args=other).y_end, problem.replace(args=other).solve(**run).y_end)
+    many = problem.solve_ensemble(args=[at, other], **run)
+    np.testing.assert_allclose(many.y[:, :, -1] if many.y.ndim == 3 else many.y, [exact(*at), exact(*other)], rtol=1e-9)
+    for names in (["k", "a"], ["a", "y0[0]"]):
+        varied = problem.replace(sensitivities=names)
+        wanted = slopes(exact, at)[:, 0 if names[0] == "k" else 1 :]
+        found = varied.solve(**run).sensitivities[:, :, -1]
+        np.testing.assert_allclose(found[:, : wanted.shape[1]], wanted, rtol=1e-8)
+        again = varied.replace(args=other).solve(**run).sensitivities[:, 0, -1]
+        np.testing.assert_allclose(again, slopes(exact, other)[:, 0 if names[0] == "k" else 1], rtol=1e-8)
+    fixed = problem.replace(sensitivities=["a"]).replace(y0=[1.0, 3.0])  # another start, which a does not change
+    np.testing.assert_allclose(fixed.solve(**run).sensitivities[0, 0, -1], 0, atol=1e-12)
+    gradient = problem.solve(dense_output=True, **run).gradient([1.0, 0.0])
+    np.testing.assert_allclose(gradient, slopes(exact, at)[0], rtol=1e-6)
+    t = np.linspace(0.25, 1.5, 6)
+    data = np.array([exact(*other, one) for one in t]).T
+    fit = iv.fit(problem, t, data, {"k": (0, 5), "a": (0, 5)}, sigma=0.01)
+    np.testing.assert_allclose([fit.parameters["k"], fit.parameters["a"]], other, rtol=1e-5)
+
+
+INITIAL = "".join(
+    f'<initialAssignment symbol="{name}">{formula(one)}</initialAssignment>'
+    for name, one in (("S", "2 * a + b"), ("a", "k + b"), ("b", "k * k"))
+)
+CHAIN = model(
+    species("S", 1, substance="false") + species("P", 0.5, substance="false"),
+    "".join(parameter(name, value) for name, value in (("k", 0.5), ("a", 0), ("b", 0), ("lambda", 0.3))),
+    reactions=reaction("r", {"S": 1}, {"P": 1}, "lambda * S"),
+    events=event("e", "P > k", {"S": "S + a"}, delay="k"),
+    initial=INITIAL,
+    size="2",
+)
+
+
+def test_initial_assignments_follow_the_parameters():
+    """S = 2 a + b with a = k + b and b = k², in a volume c: y0 and its derivatives, through an event too."""
+    loaded = sbml.load(CHAIN)
+    problem = pickle.loads(pickle.dumps(loaded)).problem((0, 3))
+    names, run = ["k", "lambda", "c"], {"method": "radau", "rtol": 1e-10, "atol": 1e-12}
+    assert problem.y0[0] == 2 * (2 * 0.5 + 3 * 0.25)
+    np.testing.assert_allclose(problem.replace(parameters={"k": 0.8}).y0, loaded.problem((0, 3), k=0.8).y0)
+    found = problem.replace(sensitivities=names).solve(**run).sensitivities[:, :, -1]
+    for j, name in enumerate(names):
+        h = 1e-4 * problem.parameters[name]
+        ends = [
+            loaded.problem((0, 3), **{name: problem.parameters[name] + s * h}).solve(**run).y_end
+            for s in (1, -1, 2, -2)
+        ]
+        expected = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * h)
+        np.testing.assert_allclose(found[:, j], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_fits_of_models_follow_initial_assignments_and_events():
+    loaded = sbml.load(CHAIN)
+    t = np.linspace(0.3, 3, 10)
+    run = {"method": "radau", "rtol": 1e-9, "atol": 1e-12}
+    data = loaded.problem((0, 3), k=0.62, **{"lambda": 0.41}).solve(t_eval=t, **run).y
+    fit = iv.fit(loaded.problem((0, 3)), t, data, {"k": (0.1, 2), "lambda": (0.1, 1)}, sigma=0.01, **run)
+    np.testing.assert_allclose([fit.parameters["k"], fit.parameters["lambda"]], [0.62, 0.41], rtol=1e-4)
