@@ -98,3 +98,29 @@ def test_fits_of_models_follow_initial_assignments_and_events():
     data = loaded.problem((0, 3), k=0.62, **{"lambda": 0.41}).solve(t_eval=t, **run).y
     fit = iv.fit(loaded.problem((0, 3)), t, data, {"k": (0.1, 2), "lambda": (0.1, 1)}, sigma=0.01, **run)
     np.testing.assert_allclose([fit.parameters["k"], fit.parameters["lambda"]], [0.62, 0.41], rtol=1e-4)
+
+
+def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_path):
+    """A dose with a lag: `extend` finds what waits, unless another run has begun, or the run comes from a file; a dose
+    at the start depends on its parameter; problems can be pickled after runs with sensitivities."""
+    text = model(
+        species("D", 0),
+        parameter("dose", 5) + parameter("lag", 0.7),
+        reactions=reaction("e", {"D": 1}, {}, "D"),
+        events=event("first", "time >= 0", {"D": "dose"}, initial="false")
+        + event("second", "time >= 0.5", {"D": "D + dose"}, delay="lag", at_trigger="false"),
+    )
+    problem = sbml.load(text).problem((0, 1))
+    run = {"method": "dop853", "rtol": 1e-10, "atol": 1e-12}
+    varied = problem.replace(sensitivities=["dose", "lag"])
+    sol = pickle.loads(pickle.dumps([varied.solve(**run), varied][1])).solve(**run).extend(4)
+    np.testing.assert_allclose(sol.y_end[0], 5 * (np.exp(-4) + np.exp(-2.8)), rtol=1e-8)
+    expected = [np.exp(-4) + np.exp(-2.8), 5 * np.exp(-2.8)]
+    np.testing.assert_allclose(sol.sensitivities[0, :, -1], expected, rtol=1e-6)
+    assert problem.replace(parameters={"dose": 2.0}).y0[0] == 2
+    first = problem.solve(**run)
+    first.save(tmp_path / "run.npz")
+    problem.replace(parameters={"dose": 2.0}).solve(**run)
+    for one in (first, iv.load(tmp_path / "run.npz", sbml.load(text).problem((0, 1)))):
+        with pytest.raises(ValueError, match="can be extended only before another one begins"):
+            one.extend(4)

@@ -113,7 +113,10 @@ class Task:
         return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
 
     def _problem(self, i: int) -> Problem:
-        return self.problem.replace(y0=self.y0[i], args=self.args_of(i))
+        problem, args = self.problem, self.args_of(i)
+        if problem.y0_of_args is not None and np.array_equal(problem.start_with(args), self.y0[i]):
+            return problem.replace(args=args)
+        return problem.replace(y0=self.y0[i], args=args)
 
 
 @dataclasses.dataclass

@@ -243,8 +243,13 @@ class Machine:
         self.first_due: Waiting | None = None
         self._derivatives: tuple[Array, MachineDerivatives] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out derivatives, which belong to runs of this process."""
+        return {**self.__dict__, "_derivatives": None}
+
     def start(self, t: float, y: Array, p: Array) -> Array:
-        """Begin a run; return the state after the events at its start."""
+        """Return the state after the events at the start of a run, which may begin there."""
+        self._is_running = False
         behind = self._begun(t, y, p, executes=True)
         #: The beginning with the state behind the events at the start, for further runs.
         self._beginning = self._snapshot()
@@ -321,8 +326,14 @@ class Machine:
 
     def due(self, t: float, y: Array, *args: Any) -> list[float]:
         """Return how long the next execution has been due; a start at t0 begins another run."""
-        if t == self._t0 and args:
+        if args and t == self._t0:
             self._again(np.array(y), np.array(args[0], dtype=float))
+            self._is_running = True
+        elif args and not (self._is_running and np.array_equal(args[0], self.p[: len(args[0])])):
+            raise ValueError(
+                "a run of a model with events can be extended only before another one begins, and not from a file: "
+                "what waits for its execution is not kept with the solution. Solve the longer interval"
+            )
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:

@@ -106,7 +106,9 @@ class _Start:
         own = np.array([*parameters], dtype=float)
         p[: len(own)] = own
         y = self._model._consistent(self._t0, self._model._equations.initial_state(self._solved(p)), p)
-        return y if self._machine is None else self._machine.start(self._t0, y, p)
+        if self._machine is None:
+            return y
+        return Machine(self._machine.code, self._machine.equations).start(self._t0, y, p)  # that of runs may be in one
 
     def _solved(self, p: Array) -> Array:
         """Return p with the numbers that algebraic rules determine at the start."""
@@ -132,7 +134,9 @@ class _Start:
         """True if the initial state depends on the parameters."""
         e = self._model._equations
         nodes = [e.state_at_start(name) for name in e.states]
-        return bool(e.matched) or min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
+        if e.matched or e.has_fast or not (self._machine is None or self._machine.begins_quietly):
+            return True
+        return min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
 
 
 class Model:
