@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.directional import Directional, Point
+from .._functions.derivatives import Point, derivative_of
 from .._functions.graph.python import Formula
 from .parameters import ParameterName
 from .sensitivities import Sensitivities
@@ -23,7 +23,8 @@ class SlopesOfStart:
 
     def __call__(self, *args: Any) -> Array:
         k, n, y = len(self._names), self._n, np.zeros(self._n)
-        made = Directional(of_t_and_y(self._start), args, self._names, n, at=Point(0.0, y), m=n, called="y0")
+        at, fun = Point(0.0, y), of_t_and_y(self._start)
+        made = derivative_of(fun, (n, n), at=at, args=args, names=self._names, called="y0")
         return made.columns(0.0, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
 
 
