@@ -483,12 +483,13 @@ Integration::Course Integration::judge_invariants() {
 
 Integration::Course Integration::find_discontinuities() {
   const double t1 = step_->t(), *y1 = step_->y();
-  const std::int64_t attempts = counts_.steps + counts_.failed;
-  if (stiffness_.note(*step_, counts_.steps, t0_, y0_.data()) &&
-      ended(unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(), StiffnessDetector::every,
-                                                       attempts, stiffness_.limited()))))
-    return Course::ended;
-  return unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, attempts));
+  if (stiffness_.note(*step_, counts_.steps, t0_, y0_.data())) {
+    if (ended(unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(),
+                                                         StiffnessDetector::every, counts_, stiffness_.limited()))))
+      return Course::ended;
+    if (discontinuities_.endless()) limits_.look_soon();
+  }
+  return unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, counts_.steps + counts_.failed));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -563,7 +564,10 @@ void Integration::look_at_limits() {
     state_ = State::stopped_by_request;
     return;
   }
-  if (const std::optional<Limit> limit = limits_.look(counts_.steps, emitter_)) reach(*limit);
+  if (const std::optional<Limit> limit = limits_.look(counts_.steps, emitter_))
+    reach(*limit);
+  else if (discontinuities_.endless() && !limits_.given())
+    reach(Limit::sticking);
 }
 
 void Integration::reach(Limit limit) {

@@ -36,7 +36,7 @@ enum class State {
 };
 
 /// The limits that may stop a run early (settings.hpp).
-enum class Limit { steps, time, points, memory };
+enum class Limit { steps, time, points, memory, sticking };
 
 /// A component of y that shows why steps fail, at the start of the last one.
 struct Component {

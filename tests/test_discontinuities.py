@@ -191,9 +191,10 @@ def test_where_f_jumps_all_the_time_the_search_ends():
     found = np.array(sol.stats.discontinuities)
     assert 20 <= len(found) <= 64
     assert np.abs(10 * found - np.round(10 * found)).max() < 1e-12
-    # To name jumps 256 and a quarter of the attempts, to keep steps over them accurate 1024 and the attempts.
-    assert sol.stats.nfev_check <= 256 + 1024 + 60 + 1.25 * (sol.stats.steps + sol.stats.failed)
-    assert sol.stats.nfev_check < 0.25 * sol.nfev
+    # To name jumps, and to look for sticking, 256 and a quarter of the attempts each; to keep steps over jumps accurate
+    # 4096 and the attempts.
+    assert sol.stats.nfev_check <= 2 * 256 + 4096 + 60 + 1.5 * (sol.stats.steps + sol.stats.failed)
+    assert sol.stats.nfev_check < sol.nfev / 3
     assert f"and at {len(found) - 4} or more other times (stats.discontinuities)" in sol.message
 
 
@@ -268,9 +269,9 @@ class Staircase:
         return y
 
 
-#: Pairs whose estimate is small by chance, with an error of more than 100 tolerances, in at most a tenth of 60 runs
-#: (docs/known-limits.md). Where they trust estimates, ode78 is in most.
-BY_CHANCE = {"ode45": 6, "dop853": 6, "ode78": 6}
+#: Pairs whose estimate is small by chance where their slopes are like those of a smooth f too, with an error of more
+#: than 100 tolerances, in so many of 60 runs (docs/known-limits.md). Where they trust estimates, ode78 is in most.
+BY_CHANCE = {"ode45": 6, "dop853": 1, "ode78": 4}
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -287,10 +288,12 @@ def test_random_jumps_in_y_and_t_are_crossed_within_100_tolerances(method):
     assert beyond <= BY_CHANCE.get(method, 0)
 
 
-@dealt(method=[name for name in METHODS if METHODS[name].order > 3 and name != "ode78"], rtol=[1e-4, 1e-6, 1e-8, 1e-10])
+@dealt(method=[*METHODS, "ode23s"], rtol=[1e-4, 1e-6, 1e-8, 1e-10])
 @untold
 def test_steps_down_a_staircase(method, rtol):
     """y' = -ceil(10.5 y) / 10, a case of the SBML Test Suite, decays in straight lines."""
+    if METHODS[method].order <= 3:
+        rtol = max(rtol, 1e-6)
     y, rest, level = 1.0, 2.0, 11
     while (duration := (y - (level - 1) / 10.5) / (level / 10)) < rest:
         y, rest, level = (level - 1) / 10.5, rest - duration, level - 1
@@ -304,12 +307,24 @@ def sliding(t, y):
 
 
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")
-@pytest.mark.parametrize("method", ["ode23", "ode89", "ode113", "ode15s", "ode23t", "ode23tb", "radau", "auto"])
-def test_methods_whose_steps_become_short_say_that_a_solution_sticks(method):
-    """Those of ode45, ode78, dop853 and ode23s stay as long as their tolerance allows, and come to the end at once."""
-    with pytest.warns(iv.DiscontinuityWarning, match="the solution sticks where fun jumps"):
-        sol = iv.solve_ivp(hidden(sliding), (0, 50), [0.0], method, rtol=1e-3, atol=1e-4, max_steps=20_000)
-    assert abs(sol.y[0, -1] - 0.5) <= 0.1
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_says_that_a_solution_sticks(method):
+    for rtol in (1e-3, 1e-5):
+        with pytest.warns(iv.DiscontinuityWarning, match="the solution sticks where fun jumps"):
+            sol = iv.solve_ivp(hidden(sliding), (0, 50), [0.0], method, rtol=rtol, atol=0.1 * rtol, max_steps=4000)
+        assert abs(sol.y[0, -1] - 0.5) <= 20 * rtol
+
+
+@untold
+@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")
+@pytest.mark.parametrize("method", ["ode45", "ode113", "ode15s", "radau", "ode23s"])
+def test_a_run_that_would_follow_it_for_a_million_steps_ends_with_these_words_unless_it_has_a_limit(method):
+    problem = iv.Problem(hidden(sliding), (0, 1e6), [0.0])
+    sol = problem.solve(method, rtol=1e-3, atol=1e-4)
+    assert sol.status == -3
+    assert "the solution sticks where fun jumps" in sol.message.lower()
+    assert sol.y[0, -1] == pytest.approx(0.5, abs=0.02)
+    assert problem.solve(method, rtol=1e-3, atol=1e-4, max_steps=3000).stats.steps == 3000
 
 
 @untold

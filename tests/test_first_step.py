@@ -166,10 +166,19 @@ def test_steps_at_the_start_may_be_as_short_as_the_spacing_of_t(name):
     assert abs(sol.y[0, -1] / math.sqrt(2e-8 * 86400) - 1) <= 1e-3
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("ode23t", "ode23tb")])
+@pytest.mark.parametrize("method", METHODS)
 def test_f_that_changes_within_the_spacing_of_unix_seconds_is_integrated(method):
     """y' = 1e-8 / y from y = 1e-8, below atol: f becomes a seventh of itself within one spacing of t."""
     start, day = 1.6e9, 86400.0
     sol = iv.solve_ivp(lambda t, y: [1e-8 / y[0]], (start, start + day), [1e-8], method)
     assert sol.success
     assert sol.y[0, -1] == pytest.approx(math.sqrt(1e-16 + 2e-8 * day), rel=1e-2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_step_leads_over_a_pole_that_the_solution_leaves(method):
+    """y' = c / y from y0 at most as large as atol: the other sign, within the tolerance, would be another solution."""
+    for c, y0 in ((1e-8, 1e-6), (1e-8, 1e-7), (1e-2, 1e-6), (1e-8, -1e-6)):
+        sol = iv.solve_ivp(lambda t, y, c=c: [c / y[0]], (0, 86400.0), [y0], method)
+        assert sol.success, sol.message
+        assert sol.y[0, -1] == pytest.approx(math.copysign(math.sqrt(y0**2 + 2 * c * 86400), y0), rel=1e-2)

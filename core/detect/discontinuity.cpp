@@ -13,13 +13,17 @@ constexpr double grown = 2;       // more than this times the change is a pole, 
 // Of a step that failed: a change within this is a jump, though f may be smooth on a finer scale.
 constexpr double sharp = 1e-3;
 // Steps of which the rest of the interval would take so many, or so much shorter than the longest, may be those of a
-// solution that sticks (docs/algorithms.md, 'Jumps of f').
-constexpr double very_many = 1e5, much_shorter = 300;
-constexpr int meetings = 3;           // one after the other, for which no jump at certain times accounts
+// solution that sticks (docs/algorithms.md, 'Jumps of f'); once f has been seen to jump, or was suspected to in a step
+// that passed its error test, those that are shorter, or of which attempts fail, too.
+constexpr double very_many = 1e5, much_shorter = 300, shorter = 8;
+constexpr double failing = 1.0 / 16;  // of the steps
+constexpr int meetings = 2;           // one after the other, with a jump that f leads onto
 constexpr int pause = 8;              // looks after one that has found nothing
 constexpr double most_of_jump = 5;    // tolerances of error that a step over a jump may have
 constexpr double overshoot = 0.25;    // of a step, by which its stages may lead beyond its end
-constexpr int fewest_halvings = 6;    // that tell a jump from a smooth change
+constexpr int fewest_halvings = 6;    // of a part, that tell a jump from a smooth change
+constexpr double odd = 0.25;          // of the largest change over a part: by less parts differ where f is smooth
+constexpr double at_rest = 1e-3;      // of a jump: with a smaller f a solution stays where it is
 constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller change tells nothing
 
 }  // namespace
@@ -31,7 +35,8 @@ JumpSearch::Result JumpSearch::search(double t0, const double* y0, double t1, co
 
 JumpSearch::Result JumpSearch::bracket(double t0, const double* y0, double t1, const double* y1, double most) {
   if (!begin(t0, y0, t1, y1)) return stopped_ ? Result::stop : Result::none;
-  double whole = jump(), width = std::abs(t1 - t0);
+  if (!enter_odd_part()) return stopped_ ? Result::stop : Result::none;
+  double whole = jump(), width = std::abs(b_.t - a_.t);
   const double narrowest = ulp(std::max(std::abs(t0), std::abs(t1)));
   int halvings = 0;
   while (width > narrowest && (halvings < fewest_halvings || width * whole > most)) {
@@ -54,6 +59,43 @@ bool JumpSearch::begin(double t0, const double* y0, double t1, const double* y1)
   move_to(b_, t1, y1);
   middle_ = a_;
   return evaluate(a_) && evaluate(b_);
+}
+
+/// Narrows the line to one of its parts, over which f changes by something else than over the two nearest ones; if
+/// there is none, to that over which it changes most. (The part with the largest change may be one where f is smooth:
+/// over a part with two jumps f may change by little.) False: as `begin`.
+bool JumpSearch::enter_odd_part() {
+  line_.resize(parts + 1);
+  line_.front() = a_;
+  line_.back() = b_;
+  for (std::size_t k = 1; k < parts; ++k) {
+    const double part = static_cast<double>(k) / parts;
+    Point& point = line_[k];
+    point = a_;
+    point.t += part * (b_.t - a_.t);
+    for (std::size_t i = 0; i < point.y.size(); ++i) point.y[i] += part * (b_.y[i] - a_.y[i]);
+    if (!evaluate(point)) return false;
+  }
+  const auto differ = [this](std::size_t k, std::size_t j) {  // the changes over these parts
+    return max_norm(weight_.size(), [&](std::size_t i) {
+      return (line_[k + 1].f[i] - line_[k].f[i] - (line_[j + 1].f[i] - line_[j].f[i])) / weight_[i];
+    });
+  };
+  std::size_t oddest = 0, steepest = 0;
+  double most = -1, largest = 0;
+  for (std::size_t k = 0; k < parts; ++k) {
+    const std::size_t before = k == 0 ? 2 : k - 1, after = k + 1 == parts ? parts - 3 : k + 1;
+    const double size = std::min(differ(k, before), differ(k, after));
+    if (size > most) oddest = k;
+    most = std::max(most, size);
+    const double whole = change(line_[k], line_[k + 1]);
+    if (whole > largest) steepest = k;
+    largest = std::max(largest, whole);
+  }
+  if (!(most > odd * largest)) oddest = steepest;  // jumps may follow each other at equal distances
+  a_ = line_[oddest];
+  b_ = line_[oddest + 1];
+  return true;
 }
 
 /// f in the middle. False: as `begin`.
@@ -112,14 +154,30 @@ JumpSearch::Result JumpSearch::decided_by_y(double t0) {
   return change(a_, b_) > kept * whole ? Result::found : Result::none;
 }
 
+JumpSearch::Result JumpSearch::attracts(double h) {
+  for (const auto& [from, to] : {std::pair(&a_, &b_), std::pair(&b_, &a_)}) {
+    middle_ = *from;
+    for (std::size_t i = 0; i < middle_.y.size(); ++i) middle_.y[i] += h * from->f[i];
+    if (!evaluate(middle_)) return stopped_ ? Result::stop : Result::none;
+    const double moved = max_norm(weight_.size(), [&](std::size_t i) { return from->f[i] / weight_[i]; });
+    if (moved > at_rest * change(a_, b_) && change(*to, middle_) > change(*from, middle_)) return Result::none;
+  }
+  return Result::found;
+}
+
 Status DiscontinuityDetector::watch_pace(double t, const double* y, const double* slope, double target,
-                                         std::int64_t steps, std::int64_t attempts, bool limited) {
+                                         std::int64_t steps, const Counts& counts, bool limited) {
   const double way = std::abs(t - std::exchange(pace_t_, t)), h = way / static_cast<double>(steps);
   fastest_ = std::max(fastest_, way);
   const double rest = std::abs(target - t);
-  const bool slow = limited || much_shorter * way < fastest_ || (std::isfinite(rest) && very_many * h < rest);
+  const bool suspected = !found_.empty() || evaluations_passing_ > 0;
+  const bool fails = static_cast<double>(counts.failed) > failing * static_cast<double>(counts.steps);
+  const bool slow = limited || (suspected ? fails || shorter * way < fastest_ : much_shorter * way < fastest_) ||
+                    (std::isfinite(rest) && very_many * h < rest);
+  endless_ = sticks_since_ && std::isfinite(rest) && endless_from * h < rest;
   if (sticks_since_ || !slow) meetings_ = 0;
-  if (sticks_since_ || !slow || pause_-- > 0 || !may_search(attempts, evaluations_ahead_)) return Status::ok;
+  if (sticks_since_ || !slow || pause_-- > 0 || !may_search(counts.steps + counts.failed, evaluations_ahead_))
+    return Status::ok;
   pause_ = 0;
   const double length = std::copysign(std::min(way, rest), target - t);
   make_room();
@@ -134,6 +192,7 @@ Status DiscontinuityDetector::watch_pace(double t, const double* y, const double
     if (!all_finite(ahead_.data(), ahead_.size())) break;
     result = search_->search(t, y, t + length, ahead_.data(), std::abs(length));
     if (result == JumpSearch::Result::found) result = search_->decided_by_y(t);
+    if (result == JumpSearch::Result::found) result = search_->attracts(std::copysign(h, length));
     if (result != JumpSearch::Result::none) break;
   }
   evaluations_ahead_ += search_->calls() - before;

@@ -8,6 +8,7 @@
 
 #include "callback.hpp"
 #include "detect/failed_series.hpp"
+#include "report.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 
@@ -23,14 +24,17 @@ class JumpSearch {
 
   /// `resolved`: |h| of a step that would resolve f if it were smooth.
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
-  /// Searches only so far that a step over the jump, or of the length of what is left, would have an error of at most
-  /// `most`: |h| times the change of f, in the weights.
+  /// Searches only in the part of the line in which f changes otherwise than in its neighbours, and so far that a step
+  /// over the jump, or of the length of what is left, would have an error of at most `most`: |h| times the change of f,
+  /// in the weights.
   Result bracket(double t0, const double* y0, double t1, const double* y1, double most);
   /// By how much f changes, in the weights, over what the latest search has left, and where that begins.
   [[nodiscard]] double jump() const { return change(a_, b_); }
   [[nodiscard]] double before() const { return a_.t; }
   /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
   Result decided_by_y(double t0);
+  /// After that: does f lead from each side, within a step of size h, to the other one, or nowhere?
+  Result attracts(double h);
   /// The time of the discontinuity: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }
   /// Evaluations of f in the latest search.
@@ -43,7 +47,10 @@ class JumpSearch {
     double t = 0;
     std::vector<double> y, f;
   };
+  static constexpr std::size_t parts = 8;
+
   bool begin(double t0, const double* y0, double t1, const double* y1);
+  bool enter_odd_part();
   bool halve();
   void move_to(Point& point, double t, const double* y) const;
   Result narrow(double resolved);
@@ -56,6 +63,7 @@ class JumpSearch {
   std::int64_t calls_before_ = 0;
   std::vector<double> weight_;
   Point a_, b_, middle_;  // kept, for the memory
+  std::vector<Point> line_;
   double t1_ = 0;
   bool stopped_ = false;
 };
@@ -89,10 +97,10 @@ class DiscontinuityDetector {
   /// The method starts again, where the solution or f may have jumped.
   void restart() { series_.forget(); }
   /// `steps` steps have been accepted since the last call, the last one to (t, y), where y' is `slope`. Where they have
-  /// become very short, or are limited by stability (`limited`), and what lies ahead is again and again a jump of f
-  /// that y decides on, the solution sticks there.
+  /// become short, attempts fail again and again, or stability limits the steps (`limited`), and what lies ahead is a
+  /// jump of f that y decides on and that f leads onto from both sides, the solution sticks there.
   Status watch_pace(double t, const double* y, const double* slope, double target, std::int64_t steps,
-                    std::int64_t attempts, bool limited);
+                    const Counts& counts, bool limited);
 
   /// Does f change by more than half of itself over one spacing of t along y' = `slope`, and move a component by more
   /// than `tolerances` tolerances with that? For starts whose first step is shorter than t can represent.
@@ -111,6 +119,9 @@ class DiscontinuityDetector {
   [[nodiscard]] const std::vector<double>& found() const { return found_; }
   /// The time from which the solution sticks where f is discontinuous.
   [[nodiscard]] const std::optional<double>& sticks_since() const { return sticks_since_; }
+  /// Returns whether it would take more than `endless_from` steps to follow such a solution to the end.
+  [[nodiscard]] bool endless() const { return endless_; }
+  static constexpr double endless_from = 1e6;
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_ + evaluations_ahead_ + evaluations_passing_; }
 
   void state(Archive& archive);
@@ -125,7 +136,7 @@ class DiscontinuityDetector {
   /// Returns whether f may be evaluated again to keep a step over a jump accurate. That is worth one evaluation for
   /// each attempt, beside a first allowance.
   static constexpr bool may_pass(std::int64_t attempts, std::int64_t evaluations) {
-    return evaluations <= 1024 + attempts;
+    return evaluations <= 4096 + attempts;
   }
 
  private:
@@ -146,6 +157,7 @@ class DiscontinuityDetector {
   int pause_ = 0;                    // calls that do not look
   std::int64_t evaluations_ahead_ = 0;
   std::optional<double> sticks_since_;
+  bool endless_ = false;  // as the latest call of `watch_pace` found
   std::int64_t evaluations_ = 0, evaluations_passing_ = 0;
 };
 

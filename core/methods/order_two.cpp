@@ -50,11 +50,19 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
   const double c = d_ * signed_h_;
   const Newton::Result ready = newton_result(solver_.prepare(c, t));
   if (ready != Newton::Result::converged) return ready;
+  keep_sides();
   for (std::size_t i = 0; i < n(); ++i) base_[i] += psi_[i];
   weights_.fill(this->y(), base_.data(), weight_.data());
   const Newton::Result result = solver_.solve(c, t, base_.data(), psi_.data(), weight_.data(), increment_.data(), y);
   for (std::size_t i = 0; i < n(); ++i) z[i] = (psi_[i] + increment_[i]) / d_;
   return result;
+}
+
+/// Where y' leads a component away from 0 but its prediction is beyond it, y' is the prediction: f may have a pole at
+/// 0, as c / y has, and Newton's iteration would converge to a solution on the other side.
+void OrderTwo::keep_sides() {
+  for (std::size_t i = 0; i < solver_.extent().n; ++i)
+    if (signed_h_ * slope_[i] * y_[i] > 0 && (base_[i] + psi_[i]) * y_[i] < 0) psi_[i] = d_ * signed_h_ * slope_[i];
 }
 
 /// The estimate before it is damped measures the slopes of which P is made. Where it is within the tolerance, it is all
@@ -101,7 +109,7 @@ Newton::Result OrderTwo::filter_defect(double theta) {
 }
 
 bool OrderTwo::reject(Cause cause, double hmin) {
-  if (cause == Cause::newton) return retry_newton(hmin, newton_cut);
+  if (cause == Cause::newton) return retry_newton(hmin, newton_cut) || (h_ <= hmin && solver_.iterate_fully());
   return retry_of_order_two(cause, hmin);
 }
 

@@ -47,6 +47,7 @@ class OrderTwo : public ImplicitBase<Newton> {
   double last_h_ = 0;               // signed, of the last accepted step; 0: there was none
 
  private:
+  void keep_sides();
   /// The stages of the attempt, the candidate last.
   virtual Newton::Result stages() = 0;
   /// The error of the candidate, O(h³), before it is damped by (M − d h J)⁻¹ M: of stiff components it says too much.

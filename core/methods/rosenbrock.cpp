@@ -14,11 +14,15 @@ namespace {
 constexpr double d = 1 / (2 + std::numbers::sqrt2);
 constexpr double e32 = 6 + std::numbers::sqrt2;
 
+// |h| times what f in the middle of the step does not have in common with its linearization, in units of rtol and of
+// the error estimate: of a smooth f that is about 3 times the estimate.
+constexpr double harmless_difference = 20, told_difference = 100;
+
 }  // namespace
 
 Rosenbrock::Rosenbrock(Callback& f, const Weights& weights, const LinearAlgebra& linear)
     : ImplicitBase(f, weights, linear), lu_(make_factorization(solver_.jacobian().structure, linear.lapack)) {
-  provide({&f0_, &f1_, &f2_, &ft_, &k1_, &k2_, &k3_, &slope_, &last_y_, &scratch_});
+  provide({&f0_, &f1_, &f2_, &ft_, &k1_, &k2_, &k3_, &slope_, &last_y_, &scratch_, &bend_});
 }
 
 /// 1/h is 1.25 ‖y'‖ / rtol^{1/3}.
@@ -38,6 +42,7 @@ Step::Attempt Rosenbrock::attempt(double h, double t1) {
   if (outcome == Outcome::ok) {
     for (std::size_t i = 0; i < n(); ++i) k3_[i] = h / 6 * (k1_[i] - 2 * k2_[i] + k3_[i]);
     error_ = error_norm(k3_);
+    bent_ = error_ <= weights_.rtol() && looks_like_jump();
   }
   return {outcome, error_, candidate_.data(), linearized};
 }
@@ -83,6 +88,22 @@ Outcome Rosenbrock::stages() {
   Mk = times_mass(k2_);
   for (std::size_t i = 0; i < n(); ++i) k3_[i] += f2_[i] - e32 * (Mk[i] - f1_[i]);
   return solve(k3_) == Status::stop ? Outcome::stop : Outcome::ok;
+}
+
+/// Where f jumps the same from the start to the middle and from there to the end, and J tells nothing of it, the
+/// estimate vanishes. W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. Roundoff of J and
+/// what is stiff in f are left out by W, as in the estimate.
+bool Rosenbrock::looks_like_jump() {
+  const std::size_t states = solver_.extent().n;
+  const auto size = [&] {
+    return h_ * max_norm(states, [&](std::size_t i) { return bend_[i] / weights_.at(i, y_[i], candidate_[i]); });
+  };
+  const double harmless = std::max(harmless_difference * weights_.rtol(), told_difference * error_);
+  const double* Mk = times_mass(k1_);
+  for (std::size_t i = 0; i < states; ++i) bend_[i] = f1_[i] - f0_[i] - (Mk[i] - f0_[i]) / (2 * d);
+  if (solver_.mass() == nullptr && !(size() > harmless)) return false;
+  lu_->solve(bend_.data());
+  return size() > harmless;
 }
 
 Status Rosenbrock::solve(std::vector<double>& b) {

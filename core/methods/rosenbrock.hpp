@@ -32,18 +32,21 @@ class Rosenbrock final : public ImplicitBase<AgingJacobian> {
   Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return formula_order; }
+  [[nodiscard]] Trust trust() const override { return bent_ ? Trust::never : Trust::unless_suspicious; }
 
  private:
   Outcome linearize();
   Outcome stages();
   Status solve(std::vector<double>& b);
+  bool looks_like_jump();
   [[nodiscard]] const double* times_mass(const std::vector<double>& k);
 
   std::unique_ptr<Factorization> lu_;
   std::vector<double> f0_, f1_, f2_, ft_;  // f at the start, in the middle and at the end of the step; ∂f/∂t
   std::vector<double> k1_, k2_, k3_;
-  std::vector<double> scratch_;
+  std::vector<double> scratch_, bend_;
   bool ft_known_ = false;
+  bool bent_ = false;  // the slopes of the attempt look like those of an f that jumps
 };
 
 }  // namespace invariode

@@ -18,11 +18,11 @@ inline constexpr double largest_growth = 5;  // of h after a success
 // (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
 inline constexpr double largest_slope = 100;
 
-// Where f jumps inside a step, a divided difference of its slopes is as large as a lower one; where f is smooth, it is
-// smaller: of five stages of ode78, for which a jump anywhere makes the quotient 0.6 to 1.2
-// (tests/native/tableaux.cpp).
-inline constexpr double bend_of_jump = 0.5;
-inline constexpr double harmless_bend = 20;  // of |h| times the difference, in units of rtol
+// Where f jumps inside a step, a divided difference of its slopes is about as large as the jump; where f is smooth, it
+// is much smaller than the range of the slopes, or the error estimate tells of it (docs/algorithms.md, 'Jumps of f').
+inline constexpr double bend_of_jump = 0.2;  // of the range of the slopes: any jump leaves more than 0.5
+inline constexpr double harmless_bend = 20;  // |h| times the difference, in units of rtol
+inline constexpr double told_bend = 100;     // the same, in units of the error estimate
 
 /// |h| after a success without failures before it, `root` = (error / rtol)^{1/q}.
 template <class Real>
@@ -117,18 +117,32 @@ struct Kernel {
       return norm.value();
   }
 
-  /// ‖D₄ k‖ and ‖D₂ k‖, of divided differences over the stages `T.bends`, all five and the first, third and last of
-  /// them, each scaled so that it is at most 1 where the slopes jump from 0 to 1.
+  /// ‖D k‖, of the divided difference over the stages `T.bends`, scaled so that it is at most 1 where the slopes jump
+  /// from 0 to 1, and the norm of the range of their slopes.
   template <class Weight>
-  static std::array<Real, 2> bends(const Stages& k, std::size_t n, Weight weight) {
-    static constexpr auto b = bend_weights<T>();
-    Norm high, low;
+  static std::array<Real, 2> bend(const Stages& k, std::size_t n, Weight weight) {
+    static constexpr auto d = bend_weights<T>();
+    Norm difference, range;
     for (std::size_t i = 0; i < n; ++i) {
       const Real w = weight(i);
-      high.add(dot<T.stages>(k, [](auto j) { return b.high[j]; }, i) / w);
-      low.add(dot<T.stages>(k, [](auto j) { return b.low[j]; }, i) / w);
+      difference.add(dot<T.stages>(k, [](auto j) { return d[j]; }, i) / w);
+      Real least = k[T.bends[0]][i], most = least;
+      [&]<std::size_t... J>(std::index_sequence<J...>) {
+        ((least = smaller(least, k[T.bends[J + 1]][i]), most = larger(most, k[T.bends[J + 1]][i])), ...);
+      }(std::make_index_sequence<T.bends.size() - 1>{});
+      range.add((most - least) / w);
     }
-    return {high.value(), low.value()};
+    return {difference.value(), range.value()};
+  }
+
+  /// Returns whether slopes with that `bend`, over a step of that |h| with that error estimate, look like those of an f
+  /// that jumps. `nearly`: 1, or less to include all that do by other roundoff.
+  static auto looks_like_jump(const std::array<Real, 2>& bend, const Real& length, const Real& error, double rtol,
+                              double nearly = 1) {
+    const auto [difference, range] = bend;
+    const Real size = length * difference;
+    return (Real(nearly * harmless_bend * rtol) < size) & (Real(nearly * bend_of_jump) * range < difference) &
+           (Real(nearly * told_bend) * error < size);
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
@@ -157,6 +171,7 @@ struct Kernel {
     [&]<std::size_t... D>(std::index_sequence<D...>) {
       (coefficient<D>(h, k, n, out + D * n), ...);
     }(std::make_index_sequence<T.degree>{});
+    if constexpr (T.all_stages > T.stages && T.watches_bends()) prefer_cubic(h, k, n, out);
   }
 
   /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
@@ -179,6 +194,28 @@ struct Kernel {
     constexpr double weight_of_crude = 0.1;
     const Real ratio = weight_of_crude * crude / error;
     return choose(Real(0) < error, error / square_root(Real(1) + ratio * ratio), error);
+  }
+
+  /// Keeps, of each component, only the first three terms of the extension, the cubic Hermite interpolant, if their
+  /// slopes at inner stages of the step are closer to those of f: where stability limits the step, the other terms
+  /// magnify what is left of a fast component in the slopes of the further stages (docs/algorithms.md, 'Runge-Kutta').
+  static void prefer_cubic(const Real& h, const Stages& k, std::size_t n, Real* out) {
+    constexpr std::size_t cubic = 3;
+    static constexpr std::array inner{T.bends[1], T.bends[2], T.bends[3]};
+    static constexpr std::array slopes{nested_slopes<T.degree>(T.c[inner[0]]), nested_slopes<T.degree>(T.c[inner[1]]),
+                                       nested_slopes<T.degree>(T.c[inner[2]])};
+    for (std::size_t i = 0; i < n; ++i) {
+      Real off(0), cubic_off(0);
+      for (std::size_t s = 0; s < inner.size(); ++s) {
+        Real left = h * k[inner[s]][i];
+        for (std::size_t d = 0; d < cubic; ++d) left = left - slopes[s][d] * out[d * n + i];
+        cubic_off = larger(cubic_off, absolute(left));
+        for (std::size_t d = cubic; d < T.degree; ++d) left = left - slopes[s][d] * out[d * n + i];
+        off = larger(off, absolute(left));
+      }
+      const auto closer = cubic_off < off;
+      for (std::size_t d = cubic; d < T.degree; ++d) out[d * n + i] = choose(closer, Real(0), out[d * n + i]);
+    }
   }
 
   template <std::size_t D>

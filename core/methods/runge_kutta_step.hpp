@@ -56,8 +56,7 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
   [[nodiscard]] Trust trust() const override {
     if constexpr (T.watches_bends()) {
       const auto weight = [this](std::size_t i) { return weights_.at(i, y_[i], candidate_[i]); };
-      const auto [bend, low] = Kernel::bends(k_, n(), weight);
-      if (h_ * bend > harmless_bend * weights_.rtol() && bend > bend_of_jump * low) return Trust::never;
+      if (Kernel::looks_like_jump(Kernel::bend(k_, n(), weight), h_, error_, weights_.rtol())) return Trust::never;
     }
     return Trust::unless_suspicious;
   }

@@ -36,33 +36,22 @@ constexpr auto probe() {
   return p;
 }
 
-/// Weights of two divided differences of slopes: see `Kernel::bends`.
-template <std::size_t S>
-struct Bends {
-  std::array<double, S> high{}, low{};
-};
-
-/// The weights of the divided difference over these stages, in the order of their times, in units of its largest value
-/// for slopes that are 0 up to some stage and 1 after it.
-template <const auto& T, std::size_t N>
-constexpr auto scaled_difference(const std::array<std::size_t, N>& stages) {
-  std::array<double, T.stages> v{};
-  double part = 0, most = 0;
-  for (const std::size_t i : stages) {
-    v[i] = 1;
-    for (const std::size_t j : stages)
-      if (j != i) v[i] /= T.c[i] - T.c[j];
-    part += v[i];
-    if (i != stages[N - 1] && detail::absolute(part) > most) most = detail::absolute(part);
-  }
-  for (const std::size_t i : stages) v[i] /= most;
-  return v;
-}
-
+/// The weights of the divided difference over the stages `T.bends`, in units of its largest value for slopes that are 0
+/// up to some stage and 1 after it.
 template <const auto& T>
 constexpr auto bend_weights() {
-  const auto& s = T.bends;
-  return Bends<T.stages>{scaled_difference<T>(s), scaled_difference<T>(std::array{s[0], s[2], s[4]})};
+  constexpr std::size_t count = T.bends.size();
+  std::array<double, T.stages> v{};
+  double part = 0, most = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    double& weight = v[T.bends[i]] = 1;
+    for (std::size_t j = 0; j < count; ++j)
+      if (j != i) weight /= T.c[T.bends[i]] - T.c[T.bends[j]];
+    part += weight;
+    if (i + 1 < count && detail::absolute(part) > most) most = detail::absolute(part);
+  }
+  for (double& weight : v) weight /= most;
+  return v;
 }
 
 /// The first x > 0 where the stability polynomial of the higher formula leaves |R(−x)| ≤ 1.

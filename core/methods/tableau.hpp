@@ -40,8 +40,8 @@ struct Tableau {
   std::array<std::array<double, all_stages>, all_stages> A;
   std::array<double, Stages> E;
   std::array<double, Stages> crude{};
-  /// Five accurate stages in the order of their times, from 0 to 1, whose slopes tell a jump of f in the step, where E
-  /// may not: see `Kernel::bends`. None: E tells.
+  /// Five accurate stages in the order of their times, whose slopes tell a jump of f in the step, where E may not: see
+  /// `Kernel::bend`. None: E tells.
   std::array<std::size_t, 5> bends{};
   std::array<std::array<double, Degree>, all_stages> B;
 
@@ -166,6 +166,21 @@ constexpr std::array<double, S> nested_weights(const std::array<std::array<doubl
     w[k] = derivative ? value + theta * slope : theta * value;
   }
   return w;
+}
+
+/// The derivatives at θ of θ, θ (1−θ), θ² (1−θ), …, the terms of a continuous extension.
+template <std::size_t D>
+constexpr std::array<double, D> nested_slopes(double theta) {
+  std::array<double, D> slopes{};
+  double value = theta, slope = 1;
+  for (std::size_t d = 0; d < D; ++d) {
+    slopes[d] = slope;
+    const bool even = d % 2 == 0;
+    const double factor = even ? 1 - theta : theta;
+    slope = factor * slope + (even ? -value : value);
+    value *= factor;
+  }
+  return slopes;
 }
 
 /// Coefficients of size about 10 enter sums of up to a hundred products: what is left of exact cancellation.

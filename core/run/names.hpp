@@ -57,8 +57,11 @@ inline constexpr Named<Unsolved> unsolved_names[] = {{"none", Unsolved::none},
                                                      {"preconditioner", Unsolved::preconditioner},
                                                      {"preconditioner_zero", Unsolved::preconditioner_zero}};
 
-inline constexpr Named<Limit> limit_names[] = {
-    {"steps", Limit::steps}, {"time", Limit::time}, {"points", Limit::points}, {"memory", Limit::memory}};
+inline constexpr Named<Limit> limit_names[] = {{"steps", Limit::steps},
+                                               {"time", Limit::time},
+                                               {"points", Limit::points},
+                                               {"memory", Limit::memory},
+                                               {"sticking", Limit::sticking}};
 
 inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind::none},
                                                          {"stop", Finding::Kind::stop},

@@ -233,7 +233,7 @@ class LaneIntegrator {
     doubted_ = inside_ = cut_ = 0;
     unsigned missing = 0;  // may miss a jump of f
     if constexpr (Stepper::may_miss_jumps) {
-      missing = bits(accepted & stepper_.bends(step, candidate_, nearly)) | passes_series(bits(accepted), step);
+      missing = bits(accepted & stepper_.bends(step, candidate_, error, nearly)) | passes_series(bits(accepted), step);
       const M left = to_mask<W>(missing);
       odd = odd | left;
       accepted = accepted & ~left;

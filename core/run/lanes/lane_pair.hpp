@@ -81,11 +81,10 @@ class LanePair {
   /// Returns where single runs look for a jump of f that the errors may not show, and nearly where they do
   /// (`RungeKuttaStep::trust`).
   static constexpr bool may_miss_jumps = true;
-  M bends(const LaneStep<W>& step, const P* candidate, double nearly) {
+  M bends(const LaneStep<W>& step, const P* candidate, const P& error, double nearly) {
     if constexpr (T.watches_bends()) {
-      const auto [bend, low] = Kernel::bends(k_, job_.all, weight(thresholds_, y_, candidate));
-      return (P(nearly * runge_kutta::harmless_bend * job_.rtol) <= absolute(step.purified) * bend) &
-             (nearly * runge_kutta::bend_of_jump * low <= bend);
+      const auto bend = Kernel::bend(k_, job_.all, weight(thresholds_, y_, candidate));
+      return Kernel::looks_like_jump(bend, absolute(step.purified), error, job_.rtol, nearly);
     } else {
       return no_lane<W>();
     }

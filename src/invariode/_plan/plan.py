@@ -250,7 +250,7 @@ class Plan(NamedTuple):
             course, settings = self.course, self.settings
             limits = {"steps": settings.max_steps, "time": settings.time_limit}
             limits |= {"points": course.max_points, "memory": course.max_bytes}
-            message = limit_reached(run, limits[run.limit], course.t0, course.tf)
+            message = limit_reached(run, limits.get(run.limit), course.t0, course.tf)
             return LIMIT_REACHED, remarked(message, run, self.event_names)
         status, message = status_and_message(run, self.laws, self._stated)
         if run.state == "start_undefined" and (undefined := undefined_arguments(self.bound.args)):

@@ -32,6 +32,10 @@ _LIMITS = {
         "What is kept fills {0} bytes, the most that the limits allow",
         "give a larger Limits(bytes=), or keep less: t_eval or keep='end'",
     ),
+    "sticking": (
+        "The solution sticks where fun jumps, and steps are so short that a run without limits ends here",
+        "make the jump a steep but continuous function, or set max_steps, up to which a run goes on in any case",
+    ),
 }
 
 
@@ -185,7 +189,7 @@ def out_of_bounds(what: str, component: int, bounds: Bounds | None, labels: Sequ
     return f"{what}[{name}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
-def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
+def limit_reached(run: Run, limit: float | None, t0: float, tf: float) -> str:
     """Return the message about a limit of this value: where it was reached, how fast the run was, and what to try."""
     what, advice = _LIMITS[run.limit]
     text = f"{what.format(limit)} at t = {run.t!r}: "
