@@ -417,6 +417,29 @@ def test_a_compiled_function_keeps_its_plans_until_it_has_captured_something_els
         rate[0] += 0.5
 
 
+def test_compiled_events_and_invariants_share_the_plans_of_a_compiled_f() -> None:
+    pytest.importorskip("llvmlite")
+    level = [0.75]
+    f, law, gradient, action = map(iv.compile, (turned, momentum, momentum_gradient, reflected))
+    event = iv.compile(lambda t, y: y[0] - level[0])
+    described: list[dict[str, Any]] = [
+        {"events": event},
+        {"events": iv.Event(event, action=action)},
+        {"events": [above, event]},
+        {"invariants": law},
+        {"invariants": iv.Invariants(law, gradient), "events": event},
+    ]
+    for options in described:
+        for level[0] in (0.75, 0.5):
+            for y0 in (START, START * 0.99, START):
+                call = {"fun": f, "t_span": (0, 3), "y0": y0, "method": "dop853", **options}
+                shared = outcome(**call)
+                kept, f.prepared = f.prepared, {}
+                assert kept
+                np.testing.assert_equal(outcome(**call), shared)
+                f.prepared = kept
+
+
 def test_nested_solves_and_threads_do_not_meet() -> None:
     def inner(t: float, y: Any) -> Any:
         return -y

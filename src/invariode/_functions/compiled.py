@@ -190,6 +190,11 @@ class CompiledFunction:
         self._calls: dict[Any, Any] = {}  # what Python calls, by sizes
         self._derivatives: dict[Any, Any] = {}
 
+    @property
+    def version(self) -> object:
+        """An object that stands for the code: there is another one when the code is forgotten."""
+        return self._captured
+
     def renew(self) -> None:
         """Forget all code if the closure, the globals or the defaults of the function are other ones than when the code
         was made: machine code holds their values as constants."""

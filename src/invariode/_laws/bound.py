@@ -147,6 +147,8 @@ class BoundInvariants:
         """Return these with the functions of other invariants of their kind."""
         specs = [
             spec._replace(fun=one.fun, jac=one.jac if callable(one.jac) else spec.jac)
+            if not isinstance(spec.fun, _core.Native)
+            else spec
             for spec, one in zip(self.specs, invariants, strict=True)
         ]
         return replace(self, specs=specs)

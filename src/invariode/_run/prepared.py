@@ -16,7 +16,15 @@ from .. import _core
 from .._base.arguments import Array, call_name, reals, warnings_given
 from .._base.latest import Latest
 from .._base.types import MethodName
-from .._functions.compiled import CompiledFunction, CoreFunction, constants, is_plain_function, native_parameters, renew
+from .._functions.compiled import (
+    CompiledFunction,
+    CoreFunction,
+    constants,
+    is_native,
+    is_plain_function,
+    native_parameters,
+    renew,
+)
 from .._functions.graph.function import TracedFunction
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
@@ -273,28 +281,41 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     if problem.matrices is not NO_MATRICES or problem.delays is not None:
         return None
     bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
-    laws = tuple(map(_law, problem.invariants))
-    events = tuple(map(_event, problem.events))
+    compiled = isinstance(problem.fun, CompiledFunction)
+    laws = tuple(_law(one, compiled) for one in problem.invariants)
+    events = tuple(_event(one, compiled) for one in problem.events)
     return None if None in laws or None in events else (problem.records_events, bounds, laws, events)
 
 
-def _law(one: Invariants) -> tuple[Any, ...] | None:
-    """Return the data of an invariant whose functions are Python's."""
-    alike = type(one) is Invariants and one.metric is None and is_plain_function(one.fun)
-    if not alike or not (one.jac is None or isinstance(one.jac, str) or is_plain_function(one.jac)):
+def _code_of(fun: Any, compiled: bool) -> object | None:
+    """Return what a plan takes from a function: True of a Python one, nothing; beside a compiled f, which keeps the
+    plan, the code of a compiled one. None: the function has no plan in common with others."""
+    if is_plain_function(fun):
+        return True
+    if not compiled or not isinstance(fun, CompiledFunction):
+        return None
+    fun.renew()
+    return fun.version
+
+
+def _law(one: Invariants, compiled: bool) -> tuple[Any, ...] | None:
+    """Return the data of an invariant whose functions are Python's, or all of them compiled."""
+    code = _code_of(one.fun, compiled) if type(one) is Invariants and one.metric is None else None
+    jac = _code_of(one.jac, compiled) if callable(one.jac) else one.jac
+    if code is None or (callable(one.jac) and (jac is None or (jac is True) != (code is True))):
         return None
     value = None if one.value is None else one.value.tobytes()
     lists = (tuple(one.names or ()), tuple(one.moves or ()))
-    jac = True if callable(one.jac) else one.jac
-    return jac, value, call_name(one.fun, "g"), *lists, one.iterations, one.when, one.level, one.direction
+    return code, jac, value, call_name(one.fun, "g"), *lists, one.iterations, one.when, one.level, one.direction
 
 
-def _event(event: Event) -> tuple[Any, ...] | None:
-    """Return the data of an event whose functions are Python's."""
-    alike = type(event) is Event and not event.at_start and is_plain_function(event.fun)
-    if not alike or not (event.action is None or is_plain_function(event.action)):
+def _event(event: Event, compiled: bool) -> tuple[Any, ...] | None:
+    """Return the data of an event whose functions are Python's or compiled."""
+    code = _code_of(event.fun, compiled) if type(event) is Event and not event.at_start else None
+    action = False if event.action is None else _code_of(event.action, compiled)
+    if code is None or action is None:
         return None
-    which = terminal_count(event), direction_sign(event), event.action is None, event.__name__
+    which = terminal_count(event), direction_sign(event), code, action, event.__name__
     return *which, event.rehold, event.samples, event.touching, event.at_jumps
 
 
@@ -336,9 +357,10 @@ def _functions_of(problem: Problem, bound: BoundInvariants) -> tuple[Any, ...]:
     laws = [
         f
         for one, spec in zip(problem.invariants, bound.specs, strict=True)
+        if not isinstance(one.fun, CompiledFunction)
         for f in (one.fun, *_derivative_of(one, spec))
     ]
-    events = [f for event in problem.events for f in (event.fun, event.action) if f is not None]
+    events = [f for event in problem.events for f in (event.fun, event.action) if f is not None and not is_native(f)]
     return (*own, *laws, *events)
 
 
