@@ -360,6 +360,10 @@ def calls() -> str:
         "plain": solve(),
         "compiled": solve(compiled),
         "compiled, ode15s": solve(compiled, "ode15s"),
+        "compiled, a compiled event": solve(compiled, events=iv.compile(lambda t, y: y[0] - 5.0)),
+        "compiled, a compiled invariant": solve(
+            compiled, invariants=iv.compile(lambda t, y: y[0] * y[0] + y[1] * y[1])
+        ),
         "an event": solve(events=far_off),
         "bounds": solve(bounds=(-2.0, 2.0)),
         "an invariant with its Jacobian": solve(invariants=g),

@@ -71,40 +71,57 @@ Jacobian::Jacobian(const Source& source, Matrix matrix, const Weights& weights)
       matrix_(std::move(matrix)),
       weights_(weights),
       examined_(source_.found_pattern),
-      check_(kind_ == Kind::complex_steps || examined_ ? matrix_.n() : 0) {
-  if (!computed() && kind_ != Kind::derived) return;
+      check_(matrix_.n()) {
+  if (computed() || kind_ == Kind::derived) group_columns();
+}
+
+/// A copy that is never evaluated, as that of a solver from which runs are made, has no room for it.
+void Jacobian::make_room() {
   const std::size_t n = matrix_.n();
-  factor_.assign(n, first_factor);
+  if (point_.size() == n || !groups_) return;
+  make_factors();
   columns_.resize(n);
   point_.resize(n);
   moved_.resize(n);
-  reach_.resize(n);
+  if (kind_ == Kind::complex_steps || source_.found_pattern) reach_.resize(n);
   if (kind_ == Kind::complex_steps) {
     complex_point_.resize(2 * n);
     complex_value_.resize(2 * n);
   }
-  group_columns();
+}
+
+void Jacobian::make_factors() {
+  if (groups_ && factor_.empty()) factor_.assign(matrix_.n(), first_factor);
+}
+
+void Jacobian::end() {
+  columns_ = std::vector<Column>();
+  for (std::vector<double>* one : {&point_, &moved_, &reach_, &complex_point_, &complex_value_})
+    *one = std::vector<double>();
+  check_.rest();
 }
 
 /// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th, unless
 /// there are entries outside.
 void Jacobian::group_columns() {
   const auto& [kind, n, lower, upper] = matrix_.structure;
-  groups_.clear();
   const bool sparse = kind == Structure::Kind::sparse;
   if (!sparse && beyond_.starts.empty()) {
     const std::size_t count = kind == Structure::Kind::dense ? n : std::min(n, lower + upper + 1);
-    groups_.resize(count);
-    for (std::size_t j = 0; j < n; ++j) groups_[j % count].push_back(j);
+    std::vector<std::vector<std::size_t>> groups(count);
+    for (std::size_t k = 0; k < count; ++k) groups[k].reserve((n - k + count - 1) / count);
+    for (std::size_t j = 0; j < n; ++j) groups[j % count].push_back(j);
+    groups_ = std::make_shared<const std::vector<std::vector<std::size_t>>>(std::move(groups));
     return;
   }
-  groups_ = invariode::group_columns(n, n, (sparse ? matrix_.starts : beyond_.starts).data(),
-                                     (sparse ? matrix_.rows : beyond_.rows).data());
+  groups_ = std::make_shared<const std::vector<std::vector<std::size_t>>>(invariode::group_columns(
+      n, n, (sparse ? matrix_.starts : beyond_.starts).data(), (sparse ? matrix_.rows : beyond_.rows).data()));
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
   if (kind_ == Kind::products) return Status::ok;
   matrix_.provide();
+  make_room();
   switch (kind_) {
     case Kind::products:
     case Kind::constant: return Status::ok;
@@ -166,7 +183,7 @@ Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, 
 Status Jacobian::step_complex(double t, const double* y, bool& finite) {
   const std::size_t n = matrix_.n();
   for (std::size_t j = 0; j < n; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
-  for (const std::vector<std::size_t>& group : groups_) {
+  for (const std::vector<std::size_t>& group : *groups_) {
     for (const std::size_t j : group) complex_point_[2 * j + 1] = complex_increment * scale(j, y);
     if (source_.complex_f(t, complex_point_.data(), complex_value_.data()) == Status::stop) return Status::stop;
     finite = finite && all_finite(complex_value_.data(), complex_value_.size());
@@ -193,7 +210,7 @@ Status Jacobian::multiply_groups(double t, const double* y) {
   const std::size_t n = matrix_.n();
   std::vector<double> both(2 * n, 0.0);
   std::copy(y, y + n, both.begin());
-  for (const std::vector<std::size_t>& columns : groups_) {
+  for (const std::vector<std::size_t>& columns : *groups_) {
     for (const std::size_t j : columns) both[n + j] = 1;
     if (source_.product(t, both.data(), moved_.data()) == Status::stop) return Status::stop;
     for (const std::size_t j : columns) {
@@ -333,9 +350,10 @@ Status Jacobian::complete(Callback& f, double t, const double* y, const double* 
 
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
   assert(slope != nullptr || matrix_.n() == 0);
+  make_room();
   drowned_.reserve(matrix_.n());  // once: a copy has no room yet, and later evaluations are not to allocate
   std::copy(y, y + matrix_.n(), point_.begin());
-  for (const std::vector<std::size_t>& group : groups_) {
+  for (const std::vector<std::size_t>& group : *groups_) {
     if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;
     drowned_.clear();
     for (const std::size_t j : group)
@@ -402,9 +420,10 @@ Status Jacobian::evaluate_plainly(Callback& f, double t, const double* y, const 
   if (kind_ != Kind::differences) return evaluate(f, t, y, slope);
   ++count_;
   adapted_ = false;
+  make_room();
   std::copy(y, y + matrix_.n(), point_.begin());
   std::fill(factor_.begin(), factor_.end(), first_factor);
-  for (const std::vector<std::size_t>& group : groups_)
+  for (const std::vector<std::size_t>& group : *groups_)
     if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;
   measure_noise(y, slope);
   return Status::ok;
@@ -448,6 +467,7 @@ void Jacobian::matrix_state(Archive& archive) {
 }
 
 void Jacobian::state(Archive& archive) {
+  make_factors();
   archive(count_, noise_, factor_, adapted_, kind_, abandoned_complex_steps_, enlargements_, doubtful_now_, examined_,
           misfit_);
   source_.complex_f.state(archive);
@@ -457,6 +477,7 @@ void Jacobian::state(Archive& archive) {
 }
 
 void Jacobian::widen_increments() {
+  make_factors();
   for (double& factor : factor_) factor = std::max(factor, wide_factor);
 }
 

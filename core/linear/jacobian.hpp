@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -78,7 +79,9 @@ class Jacobian {
   /// By which increments of component j are scaled: its weight, if that is not too small.
   [[nodiscard]] double scale(std::size_t j, const double* y) const { return defined_scale(weights_.at(j, y[j]), y); }
   /// The number of groups of columns for finite differences and complex steps: so many evaluations of f it takes.
-  [[nodiscard]] std::size_t groups() const { return groups_.size(); }
+  [[nodiscard]] std::size_t groups() const { return groups_ ? groups_->size() : 0; }
+  /// It will be evaluated no more: memory that only this needs is given back.
+  void end();
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }
   /// Evaluations of f at complex y so far.
@@ -111,6 +114,8 @@ class Jacobian {
   };
 
   void group_columns();
+  void make_room();
+  void make_factors();
   void measure_noise(const double* y, const double* slope);
   Status step_complex(double t, const double* y, bool& finite);
   Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
@@ -143,10 +148,11 @@ class Jacobian {
   double abandoned_complex_steps_ = std::numeric_limits<double>::quiet_NaN();
   std::int64_t enlargements_ = 0;
   bool doubtful_now_ = false;
-  bool examined_ = false;                         // a pattern that was found, as long as examining it leads anywhere
-  std::vector<std::vector<std::size_t>> groups_;  // of columns
+  bool examined_ = false;  // a pattern that was found, as long as examining it leads anywhere
+  std::shared_ptr<const std::vector<std::vector<std::size_t>>> groups_;  // of columns; copies share them
   Pattern beyond_;  // of banded ones: entries in and outside the bands; empty: none outside
   std::optional<Misfit> misfit_;
+  // From the first evaluation on:
   std::vector<double> factor_;  // of the columns
   std::vector<Column> columns_;
   std::vector<std::size_t> drowned_;  // columns of a group whose change was roundoff

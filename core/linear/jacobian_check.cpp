@@ -13,8 +13,9 @@ constexpr double tolerated = 0.01;   // of a row: what Newton's iteration then l
 constexpr double misleading = 0.8;   // of a row: Newton's iteration would converge at this rate, too slowly to be seen
 constexpr double closer = 1.0 / 16;  // part of v for a second look, at which the curvature of f is that much smaller
 constexpr double nearly_linear = 0.25;
-constexpr double noise_of_f = 10;     // ε |f_i| and ε |J_ij y_j|: what an evaluation of f may be off,
-constexpr double noise_of_entry = 4;  // and what that does to each entry by differences
+constexpr double noise_of_f = 10;       // ε |f_i| and ε |J_ij y_j|: what an evaluation of f may be off,
+constexpr double noise_of_entry = 4;    // and what that does to each entry by differences
+constexpr std::size_t large = 1 << 16;  // vectors that an allocator returns to the system
 
 }  // namespace
 
@@ -23,9 +24,10 @@ constexpr double noise_of_entry = 4;  // and what that does to each entry by dif
 template <class Sign>
 void JacobianCheck::aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, const Box& box,
                         Sign sign) {
-  const std::size_t n = point_.size();
-  for (std::size_t j = 0; j < n; ++j) {
-    const double part = 2 * scattered(j + n * turn) - 1, length = (1 + std::abs(part)) / 2 * reach[j];
+  for (std::vector<double>* one : {&direction_, &point_, &change_, &back_, &product_, &size_, &terms_, &entries_})
+    one->resize(n_);
+  for (std::size_t j = 0; j < n_; ++j) {
+    const double part = 2 * scattered(j + n_ * turn) - 1, length = (1 + std::abs(part)) / 2 * reach[j];
     const double moved = y[j] + (sign(j, part) < 0 ? -length : length);
     direction_[j] = box.turned(j, y[j], moved - y[j]);
     product_[j] = size_[j] = terms_[j] = entries_[j] = 0;
@@ -40,7 +42,7 @@ void JacobianCheck::aim(const double* y, const Matrix& J, const double* reach, s
 
 JacobianCheck::Verdict JacobianCheck::examine(Callback& f, double t, const double* y, const double* slope,
                                               const Matrix& J, const double* reach, std::size_t turn, const Box& box) {
-  const std::size_t n = point_.size();
+  const std::size_t n = n_;
   if (!all_finite(slope, n)) return Verdict::right;
   aim(y, J, reach, turn, box, [](std::size_t, double part) { return part; });
   if (move(f, t, y, slope, 1, change_.data()) == Status::stop) return Verdict::stop;
@@ -77,7 +79,7 @@ bool JacobianCheck::agrees(const double* slope) const {
 /// All components move to the side to which the differences move them: where f is not defined everywhere, it is there.
 JacobianCheck::Fit JacobianCheck::fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J,
                                       const double* reach, std::size_t turn, const Box& box) {
-  const std::size_t n = point_.size();
+  const std::size_t n = n_;
   if (!all_finite(slope, n)) return Fit::good;
   aim(y, J, reach, turn, box, [slope](std::size_t j, double) { return slope[j]; });
   if (!all_finite(size_.data(), n)) return Fit::good;
@@ -115,8 +117,14 @@ JacobianCheck::Fit JacobianCheck::judge(const double* slope) {
   return fit;
 }
 
+void JacobianCheck::rest() {
+  if (n_ < large) return;
+  for (std::vector<double>* one : {&direction_, &point_, &change_, &back_, &product_, &size_, &terms_, &entries_})
+    *one = std::vector<double>();
+}
+
 double JacobianCheck::size(const Matrix& J, const double* w) {
-  std::fill(size_.begin(), size_.end(), 0);
+  size_.assign(n_, 0);
   J.for_each([&](std::size_t i, std::size_t j, double value) { size_[i] += std::abs(value) * w[j]; });
   return max_norm(size_.size(), [this, w](std::size_t i) { return size_[i] / w[i]; });
 }

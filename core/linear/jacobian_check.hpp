@@ -14,8 +14,7 @@ namespace invariode {
 /// f. Entries that are missing or wrong show unless they hardly count beside the others of their row.
 class JacobianCheck {
  public:
-  explicit JacobianCheck(std::size_t n)
-      : direction_(n), point_(n), change_(n), back_(n), product_(n), size_(n), terms_(n), entries_(n) {}
+  explicit JacobianCheck(std::size_t n) : n_(n) {}
 
   enum class [[nodiscard]] Verdict { right, wrong, stop };
   /// How J describes f in a neighbourhood: well enough for Newton's iteration; not at all, although f is nearly linear
@@ -35,6 +34,8 @@ class JacobianCheck {
   [[nodiscard]] std::size_t row() const { return row_; }
   [[nodiscard]] double change() const { return change_[row_]; }
   [[nodiscard]] double predicted() const { return product_[row_]; }
+  /// Gives memory back if it is large: the result of the latest `fit` is not needed any more.
+  void rest();
   /// max_i Σ_j |J_ij| w_j / w_i
   double size(const Matrix& J, const double* w);
 
@@ -48,6 +49,8 @@ class JacobianCheck {
   [[nodiscard]] Fit judge(const double* slope);
   [[nodiscard]] double noise(std::size_t i, const double* slope) const;
 
+  std::size_t n_;
+  // With room from the first look on:
   std::vector<double> direction_, point_, change_, back_;
   std::vector<double> product_, size_, terms_;  // of each row: Σ J_ij v_j, Σ |J_ij v_j|, Σ |J_ij y_j|,
   std::vector<double> entries_;                 // and how many they are

@@ -3,10 +3,12 @@
 #include <Eigen/SparseCore>
 #include <Eigen/SparseLU>
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <complex>
 #include <new>
+#include <optional>
 #include <string>
 #include <type_traits>
 
@@ -58,6 +60,24 @@ void assemble_columns(const Matrix* mass, Scalar c, const Matrix& jacobian, std:
   if (mass && !dense_mass)
     mass->for_each(
         [&](std::size_t i, std::size_t j, double m) { set(j * height + i, m - c * jacobian.values[i * n + j]); });
+}
+
+/// y = A x of rows of n numbers, some of them side by side: each sum is taken in order, so that one of them alone would
+/// wait for each addition.
+void multiply_rows(const double* a, std::size_t n, const double* x, double* y) {
+  constexpr std::size_t side = 8;
+  std::size_t i = 0;
+  for (; i + side <= n; i += side, a += side * n) {
+    std::array<double, side> sum{};
+    for (std::size_t j = 0; j < n; ++j)
+      for (std::size_t k = 0; k < side; ++k) sum[k] += a[k * n + j] * x[j];
+    std::copy(sum.begin(), sum.end(), y + i);
+  }
+  for (; i < n; ++i, a += n) {
+    double sum = 0;
+    for (std::size_t j = 0; j < n; ++j) sum += a[j] * x[j];
+    y[i] = sum;
+  }
 }
 
 /// LU of small matrices, which cost no call.
@@ -164,18 +184,25 @@ class DenseByLapack final : public Factors<Scalar> {
 template <class Scalar>
 class BandedByRows final : public Factors<Scalar> {
  public:
-  explicit BandedByRows(const Structure& s) : A_(s.n, s.lower, s.upper) {}
+  explicit BandedByRows(const Structure& s) : structure_(s) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
-    A_.clear();
-    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j, Scalar value) { A_.at(i, j) += value; });
-    return finite(A_.entries()) && A_.factor();
+    if (A_)
+      A_->clear();
+    else
+      A_.emplace(structure_.n, structure_.lower, structure_.upper);
+    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j, Scalar value) { A_->at(i, j) += value; });
+    return finite(A_->entries()) && A_->factor();
   }
 
-  void solve(Scalar* b) override { A_.solve(b); }
+  void solve(Scalar* b) override {
+    assert(A_);
+    A_->solve(b);
+  }
 
  private:
-  NarrowBand<Scalar> A_;
+  Structure structure_;
+  std::optional<NarrowBand<Scalar>> A_;  // of a method that may never need it: made when it is
 };
 
 template <class Scalar>
@@ -332,6 +359,7 @@ void Matrix::provide() {
 
 void Matrix::multiply(const double* x, double* y) const {
   assert(x != y || n() == 0);
+  if (structure.kind == Structure::Kind::dense) return multiply_rows(values.data(), n(), x, y);
   std::fill(y, y + n(), 0);
   for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
 }

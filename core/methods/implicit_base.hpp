@@ -24,7 +24,7 @@ class ImplicitBase : public Step, public ImplicitInterface {
     std::copy(error_vector_.begin(), error_vector_.end(), out);
     return true;
   }
-  void end_attempts() final { solver_.end_attempts(); }
+  void end_attempts() override { solver_.end_attempts(); }
 
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const final { return solver_.undefined_component(); }
@@ -41,6 +41,10 @@ class ImplicitBase : public Step, public ImplicitInterface {
   static constexpr double newton_cut = 0.3;      // of h, where a current Jacobian does not help
   static constexpr int old_jacobian = 20;        // steps
 
+  /// Gives back memory that only attempts need.
+  static void give_back(std::initializer_list<std::vector<double>*> vectors) {
+    for (std::vector<double>* v : vectors) *v = std::vector<double>();
+  }
   /// The mass matrix, if there is one, belongs to the caller and outlives this. `more`: of the solver.
   template <class... More>
   ImplicitBase(Callback& f, const Weights& weights, const LinearAlgebra& linear, const More&... more)

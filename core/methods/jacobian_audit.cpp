@@ -82,6 +82,7 @@ Status JacobianAudit::fit_or_mend(double t, const double* y, const double* slope
   evaluations_ += f.calls() - f_.calls();
   weights_.fill(y, reach_.data());
   fitting_ = std::max(fitting_.value_or(0), check_.size(jacobian_.matrix(), reach_.data()));
+  check_.rest();
   return result;
 }
 

@@ -34,6 +34,10 @@ class Ndf final : public ImplicitBase<Newton>, public DelayInterface {
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
   void state(Archive& archive) override;
+  void end_attempts() override {
+    ImplicitBase::end_attempts();
+    give_back({&predictor_, &psi_, &d_, &scratch_});
+  }
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;

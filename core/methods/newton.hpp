@@ -195,6 +195,7 @@ class AgingJacobian {
   /// See `Step::end_attempts`.
   void end_attempts() {
     if (free_) free_->end_attempts();
+    jacobian_.end();
   }
   /// Shorter steps will not help: see MatrixFree.
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
@@ -294,6 +295,12 @@ class Newton : public AgingJacobian {
 
   Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules = suite);
 
+  /// See `Step::end_attempts`.
+  void end_attempts() {
+    AgingJacobian::end_attempts();
+    lu_.reset();
+    for (std::vector<double>* one : {&f_value_, &residual_, &sum_, &before_, &earlier_}) *one = std::vector<double>();
+  }
   /// Memory as it is before any step.
   void restart();
   /// Forgets what was decided for one step.

@@ -66,7 +66,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       accepted_(lowest_),
       convergence_(newton_rules(*lowest_)),
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
-  for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
+  polynomial_.resize(highest_->stages * weights.size());
   provide({&f_, &end_f_, &last_y_, &error_vector_, &gap_, &scratch_});
   for (std::vector<double>* v : {&residual_, &earlier_}) v->resize(solver_.extent().n);
   if (linear.state) provide({&sensitivity_weight_});
@@ -78,6 +78,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
 /// The formula of the next attempt.
 void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
+  for (std::vector<double>* v : {&increments_, &residuals_}) v->resize(std::max(v->size(), stages() * n()));
   convergence_ = Convergence(newton_rules(*formula));
   sensitivity_convergence_ = Convergence(newton_rules(*formula).for_sensitivities());
   solver_.use(*formula);
@@ -313,7 +314,7 @@ double Radau::parts_seen() const { return parts_seen_by_radau; }
 
 /// Between the stages, and between the start and the first of them.
 Step::Attempt Radau::inspect_inside(const Attempt&, double gap) {
-  inside_.resize(highest_->stages * n());
+  inside_.resize(stages() * n());
   formula_->transform(formula_->coefficients, n(), increments_.data(), inside_.data());
   double* defect = residuals_.data() + n();
   double before = 0;

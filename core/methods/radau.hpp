@@ -39,6 +39,10 @@ class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
   void state(Archive& archive) override;
+  void end_attempts() override {
+    ImplicitBase::end_attempts();
+    give_back({&increments_, &residuals_, &end_f_, &gap_, &scratch_, &inside_, &residual_, &earlier_});
+  }
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return (accepted_->stages + 1) * n(); }
@@ -98,7 +102,7 @@ class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
   Part part_{};
   Convergence convergence_, sensitivity_convergence_;
   std::vector<double> sensitivity_weight_;
-  std::vector<double> increments_;    // Z_1 … Z_s
+  std::vector<double> increments_;    // Z_1 … Z_s, with room for the most stages so far
   std::vector<double> polynomial_;    // of the last accepted step, in nested form, 0 at θ = 0
   std::vector<double> residuals_;     // of the stages; before them h Y', afterwards the updates
   std::vector<Matrix> stage_masses_;  // M(t) at the stages
