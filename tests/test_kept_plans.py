@@ -434,7 +434,7 @@ def test_compiled_events_and_invariants_share_the_plans_of_a_compiled_f() -> Non
             for y0 in (START, START * 0.99, START):
                 call = {"fun": f, "t_span": (0, 3), "y0": y0, "method": "dop853", **options}
                 shared = outcome(**call)
-                kept, f.prepared = f.prepared, {}
+                kept, f.prepared = f.prepared, Latest()
                 assert kept
                 np.testing.assert_equal(outcome(**call), shared)
                 f.prepared = kept
