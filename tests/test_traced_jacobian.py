@@ -9,7 +9,7 @@ from scipy import sparse
 
 import invariode as iv
 from cases import explicit_and_implicit, families
-from invariode._laws.traced_jacobian import FEWEST_COMPONENTS, TracedJacobian
+from invariode._laws.jacobians import FEWEST_COMPONENTS, TracedJacobian
 
 PAIRS = FEWEST_COMPONENTS // 2
 STIFFNESS = np.linspace(1.0, 2.0, PAIRS)

@@ -17,7 +17,7 @@ import numpy as np
 
 from .._functions.compiled import CompiledFunction, CoreFunction
 from .._functions.contents import captured, nested
-from .._functions.first_order import FirstOrderForm
+from .._functions.forms import FirstOrderForm
 from .._functions.graph.python import Formula
 
 #: Instructions that change the items of what stands before them in the source,

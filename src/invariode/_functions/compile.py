@@ -8,7 +8,7 @@ from typing import Any, Literal
 from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
 from .derivatives import has_llvm
-from .filling import Filling
+from .forms import Filling
 from .graph.function import TracedFunction
 from .second_order import SecondOrder
 

@@ -33,8 +33,7 @@ from .._base.forks import compiling
 from .._base.latest import Latest
 from .._base.package import extra
 from .contents import Captured
-from .filling import Filling
-from .first_order import FirstOrderForm
+from .forms import Filling, FirstOrderForm
 from .layout import NO_ARGUMENTS, TRUTHS, ArgumentLayout, Constant, Numbers, layout_of
 
 Callback: TypeAlias = Callable[[float, Array], object] | None

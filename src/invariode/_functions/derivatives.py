@@ -30,7 +30,7 @@ from .compiled import (
     is_native,
     to_native,
 )
-from .filling import Filling
+from .forms import Filling
 from .graph.derivatives import singular_where
 from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction

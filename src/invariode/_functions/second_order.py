@@ -10,7 +10,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .compiled import CompiledFunction, CoreFunction, as_python, is_native, native_parameters, to_native
-from .first_order import FirstOrderForm
+from .forms import FirstOrderForm
 from .layout import ArgumentLayout
 
 

@@ -38,8 +38,7 @@ from .._functions.graph.derived import derived
 from .._functions.increments import complex_steps_fit
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, layout_of
 from .._problem.invariants import Invariants
-from .sparse_jacobian import sparse_jacobian
-from .traced_jacobian import takes_no_more, traced_jacobian
+from .jacobians import sparse_jacobian, takes_no_more, traced_jacobian
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
 _NEGLIGIBLE = 0.01

@@ -26,7 +26,7 @@ from .._base.arguments import (
 )
 from .._base.types import Function, JacobianKind, Numbers
 from .._functions.compiled import is_native
-from .._functions.lambdified import unlambdified
+from .._functions.forms import unlambdified
 
 #: How a Jacobian is computed without a function for it.
 _KINDS = ("complex-step", "3-point", "2-point")

@@ -33,9 +33,8 @@ from .._base.types import BreakpointsLike, EventsLike, Function, MethodName, Spa
 from .._core import StateFirst, plainly_posed
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, is_native
-from .._functions.filling import Filling
+from .._functions.forms import Filling, unlambdified
 from .._functions.graph.function import TracedFunction
-from .._functions.lambdified import unlambdified
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints

@@ -24,7 +24,7 @@ from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._functions.layout import layout_of
 from .._laws.bound import BoundInvariants, Jump, as_columns
-from .._laws.traced_jacobian import TracedJacobian
+from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .._plan.plan import Course, Plan, make_plan, ordered_breakpoints, say_established, solver

@@ -22,8 +22,7 @@ import numpy as np
 from ..._base.latest import Latest
 from ..._core import StateFirst
 from ..contents import nested
-from ..filling import Filling
-from ..first_order import FirstOrderForm
+from ..forms import Filling, FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
 from .landings import Crossing, timed
 from .nodes import Node, TraceError
