@@ -147,6 +147,32 @@ def test_derivatives_that_are_not_finite_are_mended_from_one_side(how):
     np.testing.assert_allclose(made.along(0.0, origin, 0.0, np.array([1.0, 0.0]), np.zeros(1))[1], 0.0, atol=1e-2)
 
 
+def test_an_invariant_is_held_where_the_formula_of_its_derivative_is_singular():
+    """a √b at a = b = 0 is defined on one side of b and has the derivative 0, in the formula 0 · ∞: with derivatives by
+    complex steps, from the graph, by differences and as given."""
+
+    def turn(t, y):
+        return [y[1], -y[0], 0 * y[2], 0 * y[3]]
+
+    def g(t, y):
+        return y[0] ** 2 + y[1] ** 2 + y[2] * y[3] ** 0.5
+
+    def of_reals(t, y):
+        return g(t, [float(one) for one in y])
+
+    def jac(t, y):
+        with np.errstate(all="ignore"):
+            return [2 * y[0], 2 * y[1], np.sqrt(y[3]), y[2] * 0.5 / np.sqrt(y[3])]
+
+    forms = {"complex step": g, "traced": iv.compile(g), "differences": of_reals, "given": iv.Invariants(g, jac=jac)}
+    for method in ("ode45", "ode15s", "radau"):
+        for how, invariant in forms.items():
+            sol = iv.solve_ivp(turn, (0, 10), [1.0, 0.0, 0.0, 0.0], method, invariants=invariant)
+            assert sol.success
+            assert how in sol.stats.derivatives
+            assert np.abs(sol.residual).max() < 1e-10
+
+
 def test_given_matrices_have_one_form():
     """A row, a column and a number may be given as such, by everything that takes a matrix."""
     row, column = as_matrix("jac", [1.0, 2.0], (1, 2)), as_matrix("jac", [1.0, 2.0], (2, 1))

@@ -14,7 +14,9 @@ const double sqrt_eps = std::sqrt(eps);      // optimal relative increment of a 
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
 constexpr double smaller_increment = 10;
-constexpr double one_sided_noise = 4;  // of one-sided differences in t of the second order, in units of central ones
+constexpr double part_of_step = 1.0 / 8;  // of a one-sided difference: a smaller one to compare with,
+constexpr double growth = 1.01;           // and by how much a derivative that exists may be larger there
+constexpr double one_sided_noise = 4;     // of one-sided differences in t of the second order, in units of central ones
 
 }  // namespace
 
@@ -138,7 +140,16 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
     double* rows = J + layout_.start(first);
     bool finite = true;
     Status status = Status::ok;
-    if (block.derivative == Derivative::given) status = block.jacobian(t, y, rows);
+    if (block.derivative == Derivative::given) {
+      status = block.jacobian(t, y, rows);
+      if (status == Status::ok && !block.pattern && !all_finite(rows, block.m * n_)) {
+        // Where a formula is singular and g is not, such as 0 · ∞, differences take the place of what is not finite.
+        std::vector<double> differences(block.m * n_);
+        status = difference_block(block, t, y, 1, differences.data());
+        for (std::size_t e = 0; e < differences.size(); ++e)
+          if (!std::isfinite(rows[e])) rows[e] = differences[e];
+      }
+    }
     if (block.derivative == Derivative::complex_step) status = complex_step(block, t, y, rows, finite);
     if (block.derivative == Derivative::forward) status = forward_differences(block, t, y, rows);
     if (status == Status::stop) return status;
@@ -226,8 +237,34 @@ Status Invariants::difference_column(InvariantBlock& block, double t, const doub
     if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;
     point_[j] = y[j];
     for (std::size_t i = 0; i < block.m; ++i) column[i * n_] = (plus_[i] - minus_[i]) / (up - down);
-    if (all_finite(plus_.data(), block.m) && all_finite(minus_.data(), block.m)) break;
+    if (all_finite(plus_.data(), block.m) && all_finite(minus_.data(), block.m)) return Status::ok;
   }
+  return one_sided_column(block, t, y, j, factor * cbrt_eps * sizes_[j], column);
+}
+
+/// Entries of a column that are not finite, from one side, by the parabola through three values: at the edge of where g
+/// is defined. One that grows as the increment shrinks, as √y_j at 0 has it, stays.
+Status Invariants::one_sided_column(InvariantBlock& block, double t, const double* y, std::size_t j, double delta,
+                                    double* column) {
+  std::vector<double> here(block.m), wide(block.m), narrow(block.m);
+  if (block.g(t, y, here.data()) == Status::stop) return Status::stop;
+  ++derivative_calls_;
+  for (const double side : {1.0, -1.0}) {
+    for (const double part : {1.0, part_of_step}) {
+      const double h = side * part * delta;
+      derivative_calls_ += 2;
+      point_[j] = y[j] + h;
+      if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+      point_[j] = y[j] + 2 * h;
+      if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;
+      std::vector<double>& slope = part == 1.0 ? wide : narrow;
+      for (std::size_t i = 0; i < block.m; ++i) slope[i] = (4 * plus_[i] - minus_[i] - 3 * here[i]) / (2 * h);
+    }
+    for (std::size_t i = 0; i < block.m; ++i)
+      if (!std::isfinite(column[i * n_]) && std::abs(narrow[i]) <= growth * std::abs(wide[i]))
+        column[i * n_] = narrow[i];
+  }
+  point_[j] = y[j];
   return Status::ok;
 }
 

@@ -138,6 +138,8 @@ class Invariants {
   Status forward_differences(InvariantBlock& block, double t, const double* y, double* rows);
   Status difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                            double* column);
+  Status one_sided_column(InvariantBlock& block, double t, const double* y, std::size_t j, double delta,
+                          double* column);
 
   std::size_t n_;
   std::vector<InvariantBlock> blocks_;
