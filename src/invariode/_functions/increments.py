@@ -34,6 +34,8 @@ NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
 #: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself. Then parts
 #: of these sizes, on both sides, for a function that is not defined farther away.
 _BESIDE, _NEARER = (0.1, 0.0), (1e-2, 1e-4, 1e-6)
+_POINTS = [(part, 1.0) for part in _BESIDE]
+_POINTS += [(side * _BESIDE[0] * fraction, fraction) for fraction in _NEARER for side in (1, -1)]
 #: Steps that were requested are rejected only if they are wrong beyond doubt: by this many times the expected error.
 _TOLERANT = 10
 #: Its multiples modulo 1 are spread evenly and never repeat.
@@ -76,7 +78,7 @@ class Comparison(NamedTuple):
     stepped: Array | Exception  # the values at a complex argument, or why there are none
     by_difference: Array
     size: Array  # of the values
-    noise: float | Array = 0.0  # of the difference, as another one shows it
+    noise: Callable[[], Array]  # of the difference, as another one shows it
 
     @property
     def by_step(self) -> Array:
@@ -88,13 +90,11 @@ class Comparison(NamedTuple):
             return np.zeros(1, dtype=bool)
         by_step, by_difference = self.by_step, self.by_difference
         noise = 10 * EPS / INCREMENT * self.size + np.finfo(float).tiny
-        error = _SAME * np.maximum(np.abs(by_step), np.abs(by_difference)) + noise + _NOISE * self.noise
-        return np.asarray(np.abs(by_step - by_difference) <= times * error)
-
-    def by_step_differs(self) -> bool:
-        """Return whether there is a complex step, of the right shape, that does not agree."""
-        there = not isinstance(self.stepped, Exception) and self.stepped.shape == self.by_difference.shape
-        return there and not self.agree().all()
+        error = _SAME * np.maximum(np.abs(by_step), np.abs(by_difference)) + noise
+        agree = np.asarray(np.abs(by_step - by_difference) <= times * error)
+        if agree.all():
+            return agree
+        return np.asarray(np.abs(by_step - by_difference) <= times * (error + _NOISE * self.noise()))
 
 
 def compared(
@@ -107,9 +107,7 @@ def compared(
     over the same fractions of the direction.
     """
     beside = direction if beside is None else beside
-    points = [(part, 1.0) for part in _BESIDE]
-    points += [(side * _BESIDE[0] * fraction, fraction) for fraction in _NEARER for side in (1, -1)]
-    for part, length in points:
+    for part, length in _POINTS:
         if (found := _compared_at(function, x + part * beside, length * direction)) is not None:
             return found
     return None
@@ -132,15 +130,19 @@ def _compared_at(function: Callable[[Array], Any], x: Array, direction: Array) -
             stepped = values(x + 1j * TINY * direction)
         except Exception as error:  # the function is not made for this
             stepped = error
-        if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
-            return None
-        found = Comparison(stepped, (up - down) / (2 * INCREMENT), np.maximum(np.abs(up), np.abs(down)))
-        if found.by_step_differs():
-            with suppress(ValueError, ArithmeticError, Warning):  # terms that cancel may be larger than the values
-                up, down = (values(x + 2 * side * INCREMENT * direction) for side in (1, -1))
-                noise = np.abs((up - down) / (4 * INCREMENT) - found.by_difference)
-                found = found._replace(noise=np.where(np.isfinite(noise), noise, 0.0))
-    return found
+    if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
+        return None
+    by_difference = (up - down) / (2 * INCREMENT)
+
+    def noise() -> Array:
+        with suppress(ValueError, ArithmeticError), warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            wide, beyond = (values(x + 2 * side * INCREMENT * direction) for side in (1, -1))
+            found = np.abs((wide - beyond) / (4 * INCREMENT) - by_difference)
+            return np.where(np.isfinite(found), found, 0.0)
+        return np.zeros(up.shape)  # the function is not defined there
+
+    return Comparison(stepped, by_difference, np.maximum(np.abs(up), np.abs(down)), noise)
 
 
 def takes_complex(values: Callable[[Array], Any], x: Array, direction: Array, beside: Array | None = None) -> bool:
