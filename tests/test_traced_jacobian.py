@@ -119,6 +119,8 @@ def test_sparse_jacobians_of_users_are_taken():
     y0 = np.concatenate([np.linspace(1, 2, n), np.zeros(n)])
     for method in ("ode45", "radau"):
         traced = iv.solve_ivp(lattice, (0, 1), y0, method, args=(2.0,), invariants=sums)
+        dense = iv.Invariants(sums, lambda *at: gradients(*at).toarray())  # of the same kind, but for what it returns
+        assert iv.solve_ivp(lattice, (0, 1), y0, method, args=(2.0,), invariants=dense).success
         given = iv.solve_ivp(lattice, (0, 1), y0, method, args=(2.0,), invariants=iv.Invariants(sums, gradients))
         assert (traced.stats.derivatives, given.stats.derivatives) == ("traced", "given")
         np.testing.assert_allclose(traced.y, given.y, rtol=0, atol=1e-12)

@@ -50,7 +50,7 @@ _LEVEL_ITERATIONS = 10
 
 #: Jacobians with this many columns, of which at most this part of the entries can differ from zero, are sparse: as
 #: those of mechanical systems.
-_MANY_COLUMNS, _FEW_ENTRIES = 100, 0.1
+MANY_COLUMNS, _FEW_ENTRIES = 100, 0.1
 _FULL: Sequence[int] = ()
 
 
@@ -413,13 +413,13 @@ def _by_expressions(
         exact, spent = derived_unnoticed(one.fun, n, m, args), 2
         if not args and takes_no_more(one.fun):
             traced = None  # machine code is as good as a function that takes arguments
-    if callable(kind) and not is_native(kind) and n >= _MANY_COLUMNS and y.dtype.kind != "c":
+    if callable(kind) and not is_native(kind) and n >= MANY_COLUMNS and y.dtype.kind != "c":
         sparse = sparse_jacobian(kind, f"jac of {call_name(one.fun, 'g')}", t, y, args, m)
         if sparse is not None:
             return sparse, len(sparse.pattern[1]), sparse.pattern, spent
     if exact is None:
         return kind, m * n, (_FULL, _FULL), spent
-    if n >= _MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
+    if n >= MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
         rows = exact.row_pattern
         return exact.by_rows() if traced is None else traced.by_rows(rows), exact.entries, rows, spent
     return exact.dense() if traced is None else traced, m * n, (_FULL, _FULL), spent

@@ -28,7 +28,7 @@ from .._functions.compiled import (
 from .._functions.graph.function import TracedFunction
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
-from .._laws.bound import BoundInvariants, InvariantSpec, values_at_start
+from .._laws.bound import MANY_COLUMNS, BoundInvariants, InvariantSpec, values_at_start
 from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
 from .._plan.second_order import fits_any_args
 from .._problem.events import Event, direction_sign, terminal_count
@@ -281,6 +281,8 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     if problem.matrices is not NO_MATRICES or problem.delays is not None:
         return None
     bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
+    if reals(problem.y0) >= MANY_COLUMNS and any(callable(one.jac) for one in problem.invariants):
+        return None  # it may return a sparse matrix, which its first call tells
     compiled = isinstance(problem.fun, CompiledFunction)
     laws = tuple(_law(one, compiled) for one in problem.invariants)
     events = tuple(_event(one, compiled) for one in problem.events)
