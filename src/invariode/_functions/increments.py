@@ -124,7 +124,7 @@ def _compared_at(function: Callable[[Array], Any], x: Array, direction: Array) -
         warnings.simplefilter("error", ComplexWarning)  # an imaginary part was dropped
         try:
             up, down = (values(x + side * INCREMENT * direction) for side in (1, -1))
-        except (ValueError, ArithmeticError, Warning):  # as from math.log(-1) and 1 / 0
+        except (TypeError, ValueError, ArithmeticError, Warning):  # as (-1.0) ** 0.5, math.log(-1) and 1 / 0
             return None
         try:
             stepped = values(x + 1j * TINY * direction)
@@ -135,7 +135,7 @@ def _compared_at(function: Callable[[Array], Any], x: Array, direction: Array) -
     by_difference = (up - down) / (2 * INCREMENT)
 
     def noise() -> Array:
-        with suppress(ValueError, ArithmeticError), warnings.catch_warnings(), np.errstate(all="ignore"):
+        with suppress(TypeError, ValueError, ArithmeticError), warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             wide, beyond = (values(x + 2 * side * INCREMENT * direction) for side in (1, -1))
             found = np.abs((wide - beyond) / (4 * INCREMENT) - by_difference)
