@@ -390,12 +390,25 @@ def test_check_false_takes_the_user_at_their_word(method):
 def test_invariant_that_is_not_finite_at_the_start():
     with pytest.raises(ValueError, match="invariant g is not finite at t = 0"):
         iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=lambda t, y: np.inf)
-    with pytest.raises(
-        iv.InvariantError, match="invariant oscillator_energy, or its Jacobian, is not finite at the start"
+    root = iv.Invariants(lambda t, y: np.sqrt(y[1]), jac=lambda t, y: [0, np.inf], names=["root"])
+    with (
+        np.errstate(invalid="ignore"),
+        pytest.raises(iv.InvariantError, match="invariant root, or its Jacobian, is not finite at the start"),
     ):
+        iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=root)
+
+
+def test_a_given_derivative_that_is_nan_is_formed_by_differences():
+    def jac(t, y):
+        return [np.nan, y[1]]
+
+    with pytest.raises(iv.InvariantError, match=r"entry for y\[1\] is"):  # the others are compared as ever
         iv.solve_ivp(
             oscillator, (0, 1), [1, 0], invariants=iv.Invariants(oscillator_energy, jac=lambda t, y: [np.nan, 0])
         )
+    given = iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=iv.Invariants(oscillator_energy, jac=jac))
+    exact = iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=oscillator_energy)
+    np.testing.assert_allclose(given.y, exact.y, rtol=0, atol=1e-10)
 
 
 @dealt(method=METHODS, problem=PROBLEMS)
