@@ -1,21 +1,19 @@
 #include "linear/matrix.hpp"
 
-#include <Eigen/SparseCore>
-#include <Eigen/SparseLU>
 #include <algorithm>
 #include <array>
 #include <cassert>
 #include <cmath>
 #include <complex>
-#include <new>
+#include <numeric>
 #include <optional>
-#include <string>
 #include <type_traits>
+#include <utility>
 
 #include "linear/dense_lu.hpp"
 #include "linear/elimination/elimination.hpp"
-#include "linear/index.hpp"
 #include "linear/narrow_band.hpp"
+#include "linear/sparse_lu.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -26,7 +24,6 @@ namespace {
 // spinning: with another process on the processor a factorisation took 20 times as long.
 constexpr std::size_t dense_in_blocks = 24, dense_by_lapack = 513;
 constexpr std::size_t narrow_band = 24;  // lower + upper, up to which LAPACK's banded LU is slower than ours
-constexpr double least_diagonal = 0.1;   // of the largest entry in its column, to be taken as a sparse pivot
 
 bool finite(const std::vector<double>& v) { return all_finite(v.data(), v.size()); }
 bool finite(const std::vector<std::complex<double>>& v) {
@@ -243,50 +240,36 @@ class BandedByLapack final : public Factors<Scalar> {
   std::vector<int> pivots_;
 };
 
-/// LU by Eigen on the union of the patterns of M and J, analysed again only when that changes. Rows and columns are put
-/// into the minimum degree order of A + Aᵀ (these matrices have a full diagonal and are nearly symmetric in pattern:
-/// half the fill-in of a column ordering), and pivots are taken from the diagonal where they are not small.
+/// LU on the union of the patterns of M and J, analysed again only when that changes. These matrices have a full
+/// diagonal and are nearly symmetric in pattern: the minimum degree order of A + Aᵀ has half the fill-in of a column
+/// ordering.
 template <class Scalar>
-class SparseByEigen final : public Factors<Scalar> {
+class SparseByFronts final : public Factors<Scalar> {
  public:
-  explicit SparseByEigen(std::size_t n) : A_(index(n), index(n)), x_(index(n)) {
-    lu_.isSymmetric(true);
-    lu_.setPivotThreshold(least_diagonal);
-  }
-
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     if (!analysed_ || with_mass_ != (mass != nullptr) || !jacobian.same_pattern(jacobian_) ||
         (mass && !mass->same_pattern(mass_)))
       analyse(mass, jacobian);
-    std::fill(A_.valuePtr(), A_.valuePtr() + A_.nonZeros(), 0);
+    std::fill(A_.begin(), A_.end(), Scalar(0));
     std::size_t p = 0;
     if (mass)
-      mass->for_each([&](std::size_t, std::size_t, double m) { A_.valuePtr()[of_mass_[p++]] += m; });
+      mass->for_each([&](std::size_t, std::size_t, double m) { A_[of_mass_[p++]] += m; });
     else
-      for (; p < of_mass_.size(); ++p) A_.valuePtr()[of_mass_[p]] += 1;
+      for (; p < of_mass_.size(); ++p) A_[of_mass_[p]] += 1;
     p = 0;
-    jacobian.for_each([&](std::size_t, std::size_t, double v) { A_.valuePtr()[of_jacobian_[p++]] -= c * v; });
+    jacobian.for_each([&](std::size_t, std::size_t, double v) { A_[of_jacobian_[p++]] -= c * v; });
     assert(p == of_jacobian_.size());
-    if (!A_.coeffs().allFinite()) return false;
-    lu_.factorize(A_);
-    // Eigen reports a singular matrix and a lack of memory by the same code, or the latter by none.
-    if (lu_.lastErrorMessage().find("MEMORY") != std::string::npos) throw std::bad_alloc();
-    return lu_.info() == Eigen::Success;
+    return finite(A_) && lu_.factor(A_);
   }
 
-  void solve(Scalar* b) override {
-    for (std::size_t i = 0; i < place_.size(); ++i) x_[place_[i]] = b[i];
-    x_ = lu_.solve(x_);
-    for (std::size_t i = 0; i < place_.size(); ++i) b[i] = x_[place_[i]];
-  }
+  void solve(Scalar* b) override { lu_.solve(b); }
 
  private:
   void analyse(const Matrix* mass, const Matrix& jacobian) {
+    analysed_ = false;
     const std::size_t n = jacobian.n();
-    std::vector<Eigen::Triplet<Scalar>> entries;
-    const auto add = [&](std::size_t i, std::size_t j, double) {
-      entries.emplace_back(static_cast<int>(i), static_cast<int>(j), Scalar(0));
-    };
+    std::vector<std::pair<std::size_t, std::size_t>> entries;  // (column, row)
+    const auto add = [&](std::size_t i, std::size_t j, double) { entries.emplace_back(j, i); };
     const auto visit_mass = [&](auto&& visit) {
       if (mass)
         mass->for_each(visit);
@@ -295,41 +278,36 @@ class SparseByEigen final : public Factors<Scalar> {
     };
     jacobian.for_each(add);
     visit_mass(add);
-    A_.setFromTriplets(entries.begin(), entries.end());
-
-    Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> order;
-    Eigen::AMDOrdering<int>()(A_, order);  // order.indices()[k]: which row comes k-th
-    place_.resize(n);
-    for (std::size_t k = 0; k < n; ++k)
-      place_[static_cast<std::size_t>(order.indices()[index(k)])] = static_cast<int>(k);
-    for (Eigen::Triplet<Scalar>& e : entries)
-      e = {place_[static_cast<std::size_t>(e.row())], place_[static_cast<std::size_t>(e.col())], Scalar(0)};
-    A_.setFromTriplets(entries.begin(), entries.end());
-    A_.makeCompressed();
-    const auto find = [this](std::size_t i, std::size_t j) {
-      const int* first = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j]];
-      const int* last = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j] + 1];
-      const int* found = std::lower_bound(first, last, place_[i]);
-      assert(found != last && *found == place_[i]);
-      return found - A_.innerIndexPtr();
+    std::ranges::sort(entries);
+    const auto repeated = std::ranges::unique(entries);
+    entries.erase(repeated.begin(), repeated.end());
+    Pattern pattern{std::vector<int>(n + 1, 0), {}};
+    pattern.rows.reserve(entries.size());
+    for (const auto& [j, i] : entries) {
+      ++pattern.starts[j + 1];
+      pattern.rows.push_back(static_cast<int>(i));
+    }
+    std::partial_sum(pattern.starts.begin(), pattern.starts.end(), pattern.starts.begin());
+    const auto find = [&](std::size_t i, std::size_t j) {
+      const auto first = pattern.rows.begin() + pattern.starts[j], last = pattern.rows.begin() + pattern.starts[j + 1];
+      return static_cast<std::size_t>(std::lower_bound(first, last, static_cast<int>(i)) - pattern.rows.begin());
     };
     of_jacobian_.clear();
     of_mass_.clear();
     jacobian.for_each([&](std::size_t i, std::size_t j, double) { of_jacobian_.push_back(find(i, j)); });
     visit_mass([&](std::size_t i, std::size_t j, double) { of_mass_.push_back(find(i, j)); });
+    A_.resize(entries.size());
     jacobian_.starts = jacobian.starts, jacobian_.rows = jacobian.rows;
     if (mass) mass_.starts = mass->starts, mass_.rows = mass->rows;
-    lu_.analyzePattern(A_);
+    lu_.analyse(pattern);
     with_mass_ = mass != nullptr;
     analysed_ = true;
   }
 
-  Eigen::SparseMatrix<Scalar> A_;
-  Eigen::SparseLU<Eigen::SparseMatrix<Scalar>, Eigen::NaturalOrdering<int>> lu_;
-  Eigen::Matrix<Scalar, Eigen::Dynamic, 1> x_;
-  std::vector<int> place_;                             // of each row and column in A
-  std::vector<std::ptrdiff_t> of_jacobian_, of_mass_;  // where their entries go among those of A
-  Matrix jacobian_, mass_;                             // the patterns that were analysed
+  std::vector<Scalar> A_;  // its entries
+  SparseLu<Scalar> lu_;
+  std::vector<std::size_t> of_jacobian_, of_mass_;  // where their entries go among those of A
+  Matrix jacobian_, mass_;                          // the patterns that were analysed
   bool analysed_ = false, with_mass_ = false;
 };
 
@@ -382,7 +360,7 @@ std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const 
   if (structure.kind == Structure::Kind::banded && narrow) return std::make_unique<BandedByRows<Scalar>>(structure);
   if (structure.kind == Structure::Kind::banded && routines)
     return std::make_unique<BandedByLapack<Scalar>>(structure, *routines);
-  return std::make_unique<SparseByEigen<Scalar>>(structure.n);
+  return std::make_unique<SparseByFronts<Scalar>>();
 }
 
 template std::unique_ptr<Factors<double>> make_factors(const Structure&, const Lapack*);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <new>
@@ -13,6 +14,8 @@
 // Every malloc is counted, Eigen's and those of operator new: by AddressSanitizer's hooks, or by standing in front of
 // glibc's functions. Elsewhere operator new alone is seen.
 static std::atomic<std::int64_t> allocations{0};
+/// The number of the allocation that fails; glibc's only.
+static std::atomic<std::int64_t> failing{-1};
 
 #if defined(__SANITIZE_ADDRESS__)
 extern "C" int __sanitizer_install_malloc_and_free_hooks(void (*on_malloc)(const volatile void*, std::size_t),
@@ -25,7 +28,7 @@ void* __libc_malloc(std::size_t size);
 void* __libc_calloc(std::size_t count, std::size_t size);
 void* __libc_realloc(void* old, std::size_t size);
 void* __libc_memalign(std::size_t alignment, std::size_t size);
-void* malloc(std::size_t size) { return ++allocations, __libc_malloc(size); }
+void* malloc(std::size_t size) { return ++allocations == failing ? nullptr : __libc_malloc(size); }
 void* calloc(std::size_t count, std::size_t size) { return ++allocations, __libc_calloc(count, size); }
 void* realloc(void* old, std::size_t size) { return ++allocations, __libc_realloc(old, size); }
 void* memalign(std::size_t alignment, std::size_t size) { return ++allocations, __libc_memalign(alignment, size); }
@@ -100,6 +103,41 @@ TEST(a_run_that_stores_nothing_allocates_nothing) {
     CHECK(allocations_of(run) == 0);
   });
 }
+
+#if !defined(__SANITIZE_ADDRESS__) && defined(__GLIBC__)
+/// Whichever allocation fails, analysis or factorisation throws, and the same factors are right when they are made
+/// again.
+TEST(sparse_factors_outlive_a_failed_allocation) {
+  constexpr int side = 8, n = side * side;
+  Matrix J({.kind = Structure::Kind::sparse, .n = n});
+  for (int j = 0; j < n; ++j) {
+    for (int i = 0; i < n; ++i)
+      if (std::abs(i / side - j / side) + std::abs(i % side - j % side) <= 1) J.rows.push_back(i);
+    J.starts[static_cast<std::size_t>(j) + 1] = static_cast<int>(J.rows.size());
+  }
+  J.provide();
+  J.for_each([](std::size_t i, std::size_t j, double& a) { a = i == j ? -4 : 1; });
+  std::int64_t failures = 0;
+  for (bool failed = true; failed; failures += failed ? 1 : 0) {
+    const auto lu = make_factorization(J.structure, nullptr);
+    failing = allocations + failures + 1;
+    try {
+      failed = false;
+      (void)lu->factor(nullptr, 1, J);
+    } catch (const std::bad_alloc&) {
+      failed = true;
+    }
+    failing = -1;
+    CHECK(lu->factor(nullptr, 1, J));
+    std::vector<double> x(n, 1), b(n);
+    J.multiply(x.data(), b.data());
+    for (int i = 0; i < n; ++i) b[static_cast<std::size_t>(i)] = 1 - b[static_cast<std::size_t>(i)];
+    lu->solve(b.data());
+    for (const double one : b) CHECK_CLOSE(one, 1, 1e-13);
+  }
+  CHECK(failures > 20);
+}
+#endif
 
 TEST(watching_events_allocates_nothing) {
   // One event that happens and is stored, in room that is there, and one that does not.
