@@ -105,10 +105,9 @@ void property(RunClass& run, const char* name, Read read) {
   run.def_prop_ro(name, [read](const FinishedRun& self) { return read(self.result); });
 }
 
-/// (index, y, slope), or None.
-std::optional<std::tuple<int, double, double>> component(const Component& one) {
-  if (one.index < 0) return std::nullopt;
-  return std::tuple(one.index, one.y, one.slope);
+/// Is there a remark on its steps?
+bool remarkable(const RunResult& r) {
+  return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
 }
 
 void define_report_of_run(RunClass& run) {
@@ -182,17 +181,16 @@ void define_summary_of_run(RunClass& run) {
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
   property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
-  property(run, "remarkable", [](const RunResult& r) {
-    return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
-  });
+  property(run, "remarkable", [](const RunResult& r) { return remarkable(r); });
+  property(run, "below_zero", [](const RunResult& r) { return component(r.below_zero); });
   run.def_prop_ro(
       "ordinary",
       [](const FinishedRun& self) {
         const RunResult& r = self.result;
-        const bool remarkable = r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
         const bool usual =
             r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
-        return usual && !remarkable && std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
+        return usual && !remarkable(r) && r.below_zero.index < 0 && std::isnan(r.linear.abandoned_complex_steps) &&
+               !r.linear.misfit;
       },
       "True if the state of the run describes its end, and nothing else is to be reported.");
   run.def_prop_ro(

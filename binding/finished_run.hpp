@@ -36,6 +36,12 @@ inline std::pair<Vector, Table> to_arrays(Trajectory&& points, std::size_t n) {
   return {to_array<Vector>(std::move(points.t), size), to_array<Table>(std::move(points.y), size, n)};
 }
 
+/// (index, y, slope), or None.
+inline std::optional<std::tuple<int, double, double>> component(const Component& one) {
+  if (one.index < 0) return std::nullopt;
+  return std::tuple(one.index, one.y, one.slope);
+}
+
 void define_finished_run(nb::module_& module);
 
 }  // namespace invariode::binding

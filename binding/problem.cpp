@@ -269,6 +269,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec)
     if (event.vector == EventFunction::alone && !event.function)
       throw std::invalid_argument("an event has no function");
   if (spec.lower || spec.upper) problem_.bounds.emplace(to_vector(spec.lower), to_vector(spec.upper));
+  problem_.signed_states = spec.signed_states;
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
   problem_.landings = make_landings(spec.landings);
   if (spec.variations) add_variations(*spec.variations, functions_, problem_);
@@ -378,17 +379,18 @@ void define_description(nb::module_& module) {
                           "Problem to be solved, except its initial value. n: reals in a state.")
       .def(nb::init<std::size_t, bool, nb::object, nb::tuple, ConstVector, std::optional<LinearSpec>,
                     std::vector<EventSpec>, std::vector<VectorSpec>, std::vector<BreakpointSpec>, LandingsSpec,
-                    nb::object, std::vector<InvariantSpec>, OptionalVector, OptionalVector, OptionalVector,
+                    nb::object, std::vector<InvariantSpec>, OptionalVector, OptionalVector, OptionalVector, bool,
                     std::optional<VariationsSpec>, std::optional<SeriesSpec>, std::optional<SeriesSpec>, std::size_t,
                     std::optional<DelaysSpec>>(),
            nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
            nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
            nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
            nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
-           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("variations") = nb::none(),
-           nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(), nb::arg("condition_count") = 0,
-           nb::arg("delays") = nb::none(),
-           "landings: single times in increasing order, and the first times and periods of progressions. conditions: "
+           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("signed_states") = false,
+           nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(),
+           nb::arg("condition_count") = 0, nb::arg("delays") = nb::none(),
+           "signed_states: y may be negative, and none that falls below 0 is reported. landings: single times in "
+           "increasing order, and the first times and periods of progressions. conditions: "
            "condition_count values along a polynomial, of which one changes its sign where f changes its "
            "branch.");
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")

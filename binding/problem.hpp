@@ -137,6 +137,7 @@ struct ProblemSpec {
   std::vector<InvariantSpec> invariants;
   std::optional<ConstVector> value;
   std::optional<ConstVector> lower, upper;  // bounds of y
+  bool signed_states;                       // y may be negative
   std::optional<VariationsSpec> variations;
   std::optional<SeriesSpec> series;      // of the solution
   std::optional<SeriesSpec> conditions;  // of f, along it

@@ -733,6 +733,9 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; }, nb::lock_self())
       .def_prop_ro(
+          "below_zero", [](Stepper& s) { return component(s.integration().below_zero()); }, nb::lock_self(),
+          "Component that fell below 0 where f did not lead it: (index, y, 0), or None.")
+      .def_prop_ro(
           "stiff_since",
           [](Stepper& s) {
             const Stiffness stiffness = s.integration().stiffness();
@@ -750,7 +753,7 @@ void define_stepper(nb::module_& module) {
           "nfev_check",
           [](Stepper& s) {
             const Integration& loop = s.integration();
-            return loop.discontinuities().evaluations() + linear_work(loop.step()).checks;
+            return loop.evaluations_of_checks() + linear_work(loop.step()).checks;
           },
           nb::lock_self())
       .def_prop_ro(

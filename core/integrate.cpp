@@ -43,6 +43,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       limits_(settings_),
       stiffness_(weights),
       discontinuities_(functions.f, weights),
+      below_zero_(functions.f, weights, forward_, std::move(functions.rate), !functions.signed_states),
       events_(std::move(functions.events), std::move(functions.vectors), n_, step_->max_degree()),
       interpolant_(*step_, extent_, settings_.interpolation, manifold_.output_projector(), manifold_.output_tangent(),
                    manifold_.projector(), manifold_.bounds()),
@@ -96,6 +97,7 @@ State Integration::start(const double* y0) {
   if (ended(pass(initial_checks_.inspect(y)))) return state_;
   if (jumps_.follow_equations(t, y) == State::interrupted) return state_ = State::interrupted;
   if (ended(unless_stopped(manifold_.start(t, y)))) return state_;
+  below_zero_.start(y, lower_bounds());
   emitter_.begin(reached_);
   if (delays_ != nullptr && ended(begin_past(y))) return state_;
   const bool breaks = breaks_.at(t);
@@ -420,8 +422,7 @@ Integration::Course Integration::explain_failure(Cause cause) {
 /// Reports a component below whose 0 f is not finite.
 Integration::Course Integration::find_undefined_below_zero() {
   constexpr double near = 0.1;  // of the time since the start: the solution is about to get there
-  const Bounds* bounds = manifold_.bounds();
-  const std::vector<double> lower = bounds == nullptr ? std::vector<double>{} : bounds->lower();
+  const std::vector<double> lower = lower_bounds();
   const double reach = std::max(near * std::abs(t0_ - settings_.t0), aim_.hmin());
   int found = -1;
   if (ended(unless_stopped(
@@ -432,6 +433,10 @@ Integration::Course Integration::find_undefined_below_zero() {
     report_.undefined_below_zero = {found, y0_[i], step_->slope()[i]};
   }
   return Course::goes_on;
+}
+
+std::vector<double> Integration::lower_bounds() const {
+  return manifold_.bounds() == nullptr ? std::vector<double>{} : manifold_.bounds()->lower();
 }
 
 /// Reports the component of y that changes most within the smallest step, in units of its tolerance.
@@ -489,7 +494,10 @@ Integration::Course Integration::find_discontinuities() {
       return Course::ended;
     if (discontinuities_.endless()) limits_.look_soon();
   }
-  return unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, counts_.steps + counts_.failed));
+  const std::int64_t attempts = counts_.steps + counts_.failed;
+  if (ended(unless_stopped(discontinuities_.accepted(t0_, y0_.data(), t1, y1, attempts)))) return Course::ended;
+  return unless_stopped(
+      below_zero_.accepted({.t0 = t0_, .t1 = t1, .y0 = y0_.data(), .y1 = y1, .stride = 1, .attempts = attempts}));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -701,6 +709,7 @@ Integration::Course Integration::take_back() {
 
 /// Starts again from where the solution has jumped to.
 Integration::Course Integration::go_on_from_jump() {
+  below_zero_.jump(y0_.data());
   begin_output();
   if (reached_.t != settings_.tf && ended(start_memory(reached_.t, y0_.data()))) return Course::ended;
   return emit(false);

@@ -15,6 +15,7 @@
 #include "composite_interface.hpp"
 #include "delay_interface.hpp"
 #include "delays/delays.hpp"
+#include "detect/below_zero.hpp"
 #include "detect/discontinuity.hpp"
 #include "detect/stiffness.hpp"
 #include "implicit_interface.hpp"
@@ -39,6 +40,8 @@ namespace invariode {
 struct LoopFunctions {
   Callback f;                             ///< jumps of f are looked for in it
   BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds; null: f itself
+  std::optional<DifferentialRate> rate;   ///< y' of f, with a mass matrix
+  bool signed_states = false;             ///< components may be negative: see `BelowZero`
   std::vector<EventFunction> events;
   std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;
@@ -103,6 +106,12 @@ class Integration {
   [[nodiscard]] const Manifold& manifold() const { return manifold_; }
   [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
   [[nodiscard]] const DiscontinuityDetector& discontinuities() const { return discontinuities_; }
+  /// A component that has fallen below 0 though f did not lead it there, and still is.
+  [[nodiscard]] Component below_zero() const { return below_zero_.deepest(reached_.y); }
+  /// Evaluations of f in search of its jumps, and by tests of components below 0.
+  [[nodiscard]] std::int64_t evaluations_of_checks() const {
+    return discontinuities_.evaluations() + below_zero_.evaluations();
+  }
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
 
  private:
@@ -169,6 +178,7 @@ class Integration {
   Course conclude();
   Course keep_step_before_jump();
   Course find_undefined_below_zero();
+  [[nodiscard]] std::vector<double> lower_bounds() const;  // empty: none
   void note_fastest();
   void note_pure_relative();
   void move_start(double t, const double* y);
@@ -211,6 +221,7 @@ class Integration {
   Limits limits_;
   StiffnessDetector stiffness_;
   DiscontinuityDetector discontinuities_;
+  BelowZero below_zero_;
   Events events_;
   StepInterpolant interpolant_;
   Emitter emitter_;

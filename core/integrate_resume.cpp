@@ -53,6 +53,7 @@ void Integration::state(Archive& archive) {
   manifold_.state(archive);
   stiffness_.state(archive);
   discontinuities_.state(archive);
+  below_zero_.state(archive);
   events_.state(archive);
   interpolant_.state(archive);
   if (!archive.whole()) anew_ = true;

@@ -213,6 +213,19 @@ def test_what_the_caller_changes_later_changes_no_solution() -> None:
         y0[:], args[0], times[:], tolerances[:] = START, 1.1, [0.5, 1.0], 1e-6
 
 
+def test_a_problem_keeps_its_arrays_as_they_were() -> None:
+    k, y0, times = np.array([2.0]), np.array([1.0]), np.array([0.5, 1])
+    jac, mass = np.array([[-2.0]]), np.array([[1.0]])
+    problem = iv.Problem(lambda t, y, k: -k * y, (0, 1), y0, args=(k,), jac=jac, mass=mass)
+    first = problem.solve("ode15s", t_eval=times)
+    begun = iv.solve_ivp(lambda t, y, k: -k * y, (0, 1), y0, "ode15s", args=(k,))
+    for changed in (k, jac, mass, y0, times):
+        changed *= -0.1
+    again = problem.solve("ode15s", t_eval=[0.5, 1])
+    np.testing.assert_array_equal(first.y, again.y)
+    assert abs(begun.extend(2).y[0, -1] - np.exp(-4)) < 1e-3
+
+
 ORIGINAL = {"t_eval": np.array([0.5, 1.0]), "atol": np.full(4, 1e-6)}
 
 

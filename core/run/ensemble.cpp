@@ -8,6 +8,7 @@
 #include <string_view>
 #include <utility>
 
+#include "detect/below_zero.hpp"
 #include "manifold/harm.hpp"
 #include "manifold/thresholds.hpp"
 #include "require.hpp"
@@ -165,8 +166,10 @@ void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   count_of(i, "steps") = static_cast<std::int64_t>(lane[Rows::steps]);
   count_of(i, "failed") = static_cast<std::int64_t>(lane[Rows::failed]);
   count_of(i, "nfev") = ended.evaluations;
-  count_of(i, "nfev_check") = ended.checks;
-  if (m > 0) keep_held(lane, solver.problem().n, solver.weights().rtol());
+  count_of(i, "nfev_check") = ended.checks + static_cast<std::int64_t>(lane[Rows::falls]);
+  const std::size_t states = solver.problem().n;
+  count_of(i, "fallen") = BelowZero::deepest(states, &lane[Rows::y], &lane[lane.rows.watch], lane.stride).index + 1;
+  if (m > 0) keep_held(lane, states, solver.weights().rtol());
 }
 
 /// Stores the values of the one invariant that was held in a lane, where each step was projected.

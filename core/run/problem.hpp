@@ -51,6 +51,7 @@ struct Problem {
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;
   std::optional<Bounds> bounds;
+  bool signed_states = false;            ///< components may be negative: none that falls below 0 is reported
   std::optional<Variations> variations;  ///< runs integrate sensitivities too
   /// Where the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;

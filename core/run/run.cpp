@@ -26,6 +26,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           linear.iterations,
           static_cast<std::int64_t>(dropped.size()),
           harm.component + 1,
+          below_zero.index + 1,
           stiffness.found ? 1 : 0};
 }
 
@@ -128,11 +129,17 @@ void Run::keep_within_bounds() {
   if (mass) {
     bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit(), std::move(*mass));
   } else {
-    const std::optional<Lapack>& lapack = problem.linear->lapack;
-    bounded_slope_.emplace(f_, *problem.bounds, forward, DifferentialRate(*mass_, lapack ? &*lapack : nullptr));
+    bounded_slope_.emplace(f_, *problem.bounds, forward, *rate());
   }
   bounded_f_ = bounded_slope_->callback();
   method_f_ = &bounded_f_;
+}
+
+/// y' of f, as far as it follows from M alone; nothing without M.
+std::optional<DifferentialRate> Run::rate() const {
+  if (!mass_) return {};
+  const std::optional<Lapack>& lapack = solver_.problem().linear->lapack;
+  return DifferentialRate(*mass_, lapack ? &*lapack : nullptr);
 }
 
 /// y' as a function, by which invariants are tested.
@@ -229,6 +236,8 @@ void Run::start_loop() {
   const Problem& all = solver_.problem();
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
+                          .rate = rate(),
+                          .signed_states = all.signed_states || all.complex,
                           .events = all.events,
                           .vectors = all.vectors,
                           .breakpoints = all.breakpoints,
@@ -289,7 +298,7 @@ std::int64_t Run::evaluations_of_prepare() const {
 
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = evaluations() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
-  result.nfev_check = integration_->discontinuities().evaluations() + result.linear.checks;
+  result.nfev_check = integration_->evaluations_of_checks() + result.linear.checks;
   if (!steps_) return;
   result.ng = -before_;
   result.nfev_check += slope_->evaluations();
@@ -327,6 +336,7 @@ void Run::describe(RunResult& result) const {
   result.state = loop.state();
   result.report = loop.report();
   result.counts = loop.counts();
+  result.below_zero = loop.below_zero();
   result.stiffness = loop.stiffness();
   result.discontinuities = loop.discontinuities().found();
   result.sticks_since = loop.discontinuities().sticks_since();

@@ -42,7 +42,7 @@ struct RunResult {
   LinearWork linear;
   std::int64_t nfev = 0;
   std::int64_t nfev_check =
-      0;  ///< evaluations of f by the tests of invariants and Jacobians, and in search of its jumps
+      0;  ///< evaluations of f by the tests of invariants, Jacobians and components below 0, and in search of its jumps
   std::int64_t ng = 0, ngjac = 0;
   std::int64_t ngdiff = 0;  ///< of ng, those for Jacobians
   bool projected_start = false;
@@ -51,6 +51,7 @@ struct RunResult {
   double dropped_at = 0;
   std::vector<double> unresolved;  ///< of each invariant: its roundoff, in tolerances
   Harm harm;
+  Component below_zero;  ///< which has fallen there though f did not lead it
   Stiffness stiffness;
   std::vector<double> discontinuities;       ///< of f, where they were seen
   std::optional<double> sticks_since;        ///< the solution stays where f jumps
@@ -61,12 +62,12 @@ struct RunResult {
   double next_h = 0;
 
   static constexpr const char* count_names[] = {
-      "steps",   "failed",  "nfev", "nfev_check", "njev",   "nlu",      "nsolve",   "projections",
-      "skipped", "clipped", "ng",   "ngjac",      "ngdiff", "switches", "products", "linear_iterations",
-      "dropped", "harmed",  "stiff"};
+      "steps",   "failed",  "nfev",   "nfev_check", "njev",   "nlu",      "nsolve",   "projections",
+      "skipped", "clipped", "ng",     "ngjac",      "ngdiff", "switches", "products", "linear_iterations",
+      "dropped", "harmed",  "fallen", "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
-  /// "stiff" is 1 where `stiffness` was found.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, "fallen"
+  /// that of `below_zero`, 0: none; "stiff" is 1 where `stiffness` was found.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };
@@ -138,6 +139,7 @@ class Run {
   void count_evaluations(RunResult& result) const;
   void describe_invariants(RunResult& result) const;
   LinearAlgebra linear_algebra();
+  [[nodiscard]] std::optional<DifferentialRate> rate() const;
 
   /// The functions of the run: the solver's, or what a piece between breakpoints sees of them, within bounds.
   [[nodiscard]] const Problem& problem() const { return wrapped_ ? *wrapped_ : solver_.problem(); }

@@ -140,6 +140,8 @@ class LaneIntegrator {
     for (std::size_t i = 0; i < job_.parameters; ++i) ready_[rows_.parameters + i].lanes()[l] = row[i];
     for (std::size_t i = 0; i < job_.all; ++i)
       ready_[rows_.thresholds + i].lanes()[l] = i < job_.n ? job_.threshold[i] : threshold(ready_trajectory_[l], i);
+    for (std::size_t i = 0; i < job_.n; ++i)
+      ready_[rows_.watch + i].lanes()[l] = y0[i] >= 0 ? job_.notable[i] : infinity;
   }
   /// Returns the threshold of sensitivities, as `augmented` has it for single runs.
   [[nodiscard]] double threshold(std::uint32_t trajectory, std::size_t i) const {
@@ -317,7 +319,7 @@ class LaneIntegrator {
     row(Rows::failed) += choose(accepted, P(0), P(1));
     row(Rows::retries) = choose(accepted, P(0), P(1));
     note_stability(accepted, step);
-    jumping_ = note_failures(bits(accepted), step);
+    jumping_ = note_failures(bits(accepted), step) | note_falls(accepted, step);
     row(Rows::t) = choose(accepted, step.reached_t, step.t0);
     for (std::size_t i = 0; i < job_.all; ++i) y_[i] = choose(accepted, step.reached_y[i], y_[i]);
     stepper_.commit(accepted);
@@ -359,6 +361,21 @@ class LaneIntegrator {
       if (series_[l].suspicious(step.t1.lanes()[l] - step.t0.lanes()[l])) passing |= one_lane(l);
     });
     return passing;
+  }
+  /// Components that fall below 0, as `BelowZero` of a single run sees them. Returns the lanes in which f cannot be
+  /// evaluated there.
+  unsigned note_falls(const M& accepted, const LaneStep<W>& step) {
+    M falls = no_lane<W>();
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      const P limit = P(0) - absolute(row(rows_.watch + i));
+      falls = falls | ((step.y1[i] < limit) & ~(y_[i] < limit));
+    }
+    unsigned undefined = 0;
+    for_each_lane(bits(falls & accepted) & occupied_, [&](int l) {
+      const auto attempts = static_cast<std::int64_t>(lane(l)[Rows::steps] + lane(l)[Rows::failed]);
+      if (!host_.judge({lane(l), step.t1.lanes()[l], step.y1->lanes() + l, attempts})) undefined |= one_lane(l);
+    });
+    return undefined;
   }
   bool jumps(int l, double t1, const P* y1) {
     const auto attempts = static_cast<std::int64_t>(lane(l)[Rows::steps] + lane(l)[Rows::failed]);

@@ -70,6 +70,7 @@ struct Job {
   double rtol;
   double max_steps;            ///< a trajectory that would need more is left
   const double* threshold;     ///< (n,)
+  const double* notable;       ///< (n,): the depth below 0 at which components that start above it are judged
   const double* scale;         ///< (all,), or null: all 1
   const Invariant* invariant;  ///< or null: none is held
   // Output on the way:
@@ -86,11 +87,11 @@ struct Job {
 
 /// The data of a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed, whether
 /// it is still at rest at its start, counts of steps, failures, looks at steps that stability limits, steps that were
-/// looked into; y with its sensitivities (all,); the history of the method, such as f there (all,); its parameters; its
-/// thresholds (all,); of each event its value and sign, how often it has occurred, and its slope; then the data of the
-/// invariant.
+/// looked into, evaluations of f by `BelowZero`; y with its sensitivities (all,); the history of the method, such as f
+/// there (all,); its parameters; its thresholds (all,); how `BelowZero` watches its components (n,); of each event its
+/// value and sign, how often it has occurred, and its slope; then the data of the invariant.
 struct Rows {
-  enum : std::size_t { t, h, retries, rests, steps, failed, limited, looked, y };
+  enum : std::size_t { t, h, retries, rests, steps, failed, limited, looked, falls, y };
   enum : std::size_t { last, sign, occurrences, slope, of_event };
   /// The value, the largest residuals of candidates and at outputs or the end, the largest correction in units of rtol;
   /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is tested for a change with t,
@@ -112,13 +113,14 @@ struct Rows {
     known,
     errors
   };
-  std::size_t memory, parameters, thresholds, events, invariant, size;
+  std::size_t memory, parameters, thresholds, watch, events, invariant, size;
 
   explicit Rows(const Job& job)
       : memory(y + job.all),
         parameters(memory + job.memory),
         thresholds(parameters + job.parameters),
-        events(thresholds + job.all),
+        watch(thresholds + job.all),
+        events(watch + job.n),
         invariant(events + of_event * job.count_of_events),
         size(invariant + (job.invariant != nullptr ? errors + 2 * job.n + job.varied.k : 0)) {}
 };
@@ -156,6 +158,14 @@ struct Suspicion {
   double t0, t1, latest;
   const double *y0, *y1;
   std::size_t stride;
+  std::int64_t attempts;
+};
+
+/// A step to (t1, y1) in which components fall below 0, y1 (n,) with the stride of the lane, after so many attempts.
+struct Fallen {
+  Lane lane;
+  double t1;
+  const double* y1;
   std::int64_t attempts;
 };
 
@@ -202,6 +212,8 @@ class Host {
   virtual void go_on(const Suspended& suspended) = 0;
   /// Returns whether f is discontinuous there; evaluations of f in search of it are added to `checks`.
   virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
+  /// Judges components that fall. Returns whether f can be evaluated there.
+  [[nodiscard]] virtual bool judge(const Fallen& step) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
   /// Memory aligned to 64 bytes, until the host ends.
   [[nodiscard]] virtual void* allocate(std::size_t bytes) = 0;

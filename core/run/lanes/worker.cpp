@@ -78,8 +78,18 @@ lanes::Sensitivities sensitivities_of(const Problem& problem, const Ensemble& en
           .counts = problem.variations->error_test};
 }
 
+/// Returns the depths below 0 at which components are judged: infinite, if components may be negative.
+std::vector<double> notable_depths(const Solver& solver) {
+  const Problem& problem = solver.problem();
+  std::vector<double> depth(problem.n, std::numeric_limits<double>::infinity());
+  for (std::size_t i = 0; i < problem.n && !problem.signed_states && !problem.complex; ++i)
+    depth[i] = BelowZero::depth(solver.weights().absolute_tolerance(i));
+  return depth;
+}
+
 lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm& form,
-                  const lanes::Invariant& invariant, const std::vector<double>& scale) {
+                  const lanes::Invariant& invariant, const std::vector<double>& scale,
+                  const std::vector<double>& notable) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
   const std::optional<SystemSeries>& series = solver.problem().series;
@@ -101,6 +111,7 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
           .rtol = weights.rtol(),
           .max_steps = limited ? static_cast<double>(settings.max_steps) : std::numeric_limits<double>::infinity(),
           .threshold = weights.threshold().data(),
+          .notable = notable.data(),
           .scale = scale.empty() ? nullptr : scale.data(),
           .invariant = holds ? &invariant : nullptr,
           .times = settings.times.data(),
@@ -164,7 +175,8 @@ LaneWorker::Order::Order(const Solver& solver, const Ensemble& ensemble, LaneFor
       kernel(*form.instructions->kernel(solver.method().name)),
       invariant(invariant_of(solver, form, direction)),
       scale(solver.augmented_weights().scale()),
-      job(job_of(solver, ensemble, form, invariant, scale)) {}
+      notable(notable_depths(solver)),
+      job(job_of(solver, ensemble, form, invariant, scale, notable)) {}
 
 LaneWorker::LaneWorker(Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
                        EnsembleResult& result)
@@ -177,6 +189,7 @@ LaneWorker::LaneWorker(Solver& solver, const Ensemble& ensemble, const LaneForm&
       order_(solver, ensemble, form, direction_),
       alone_(solver, ensemble, form_alone(functions_, form.events.size()), direction_),
       jump_search_(solver.problem().f, solver.weights()),
+      below_zero_(solver.problem().f, solver.weights(), order_.job.forward(), {}, true),
       end_(solver.problem().n) {}
 
 void LaneWorker::run() {
@@ -244,6 +257,22 @@ void* LaneWorker::allocate(std::size_t bytes) {
   }
   left_in_memory_ -= size;
   return std::exchange(next_memory_, next_memory_ + size);
+}
+
+bool LaneWorker::judge(const lanes::Fallen& step) {
+  using lanes::Rows;
+  const lanes::Lane& lane = step.lane;
+  set_parameters(lane.trajectory);
+  auto evaluations = static_cast<std::int64_t>(lane[Rows::falls]);
+  const Status status = below_zero_.judge({.t0 = lane[Rows::t],
+                                           .t1 = step.t1,
+                                           .y0 = &lane[Rows::y],
+                                           .y1 = step.y1,
+                                           .stride = lane.stride,
+                                           .attempts = step.attempts},
+                                          &lane[lane.rows.watch], evaluations);
+  lane[Rows::falls] = static_cast<double>(evaluations);
+  return status == Status::ok;
 }
 
 bool LaneWorker::jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) {

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "detect/below_zero.hpp"
 #include "detect/discontinuity.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/event_search.hpp"
@@ -39,6 +40,7 @@ class LaneWorker final : public lanes::Host {
   void leave(std::uint32_t trajectory, lanes::Why why) override;
   void go_on(const lanes::Suspended& suspended) override;
   bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
+  bool judge(const lanes::Fallen& step) override;
   void* allocate(std::size_t bytes) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
@@ -54,7 +56,7 @@ class LaneWorker final : public lanes::Host {
     const LaneForm form;
     const lanes::Kernel& kernel;
     const lanes::Invariant invariant;
-    const std::vector<double> scale;
+    const std::vector<double> scale, notable;
     const lanes::Job job;
   };
 
@@ -79,6 +81,7 @@ class LaneWorker final : public lanes::Host {
   std::size_t kept_ = 0, left_ = 0;
   EnsembleResult::Left left_why_{};
   JumpSearch jump_search_;
+  BelowZero below_zero_;
   std::vector<double> end_;  // of the way that it searches
 };
 

@@ -532,6 +532,7 @@ class _Adjoint:
             mu,
             jac=jacobian if implicit else None,
             mass=None if singular is None else mass if moves else mass(0.0),
+            nonnegative=False,
             name="the adjoint",
         )
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))

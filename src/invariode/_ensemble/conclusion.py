@@ -10,7 +10,7 @@ from .._base.failures import FailureWarning, SolveError
 from .._base.types import OnFailure, OnInterrupt
 from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
-from .._results.messages import accumulating_in, harmful_projection
+from .._results.messages import accumulating_in, below_zero, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
 from .outcomes import UNSOLVED, Outcomes, counts_by_name
 from .solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
@@ -19,7 +19,7 @@ from .task import Task
 
 #: Of the counts, those that make warnings.
 _WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
-assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
+assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "fallen", "stiff")
 
 
 def solution(
@@ -95,6 +95,7 @@ class Remarks:
     def __init__(self) -> None:
         self._dropped = self._stiff = self._discontinuous = self._accumulating = 0
         self._harmed: list[Array] = []
+        self._fallen: list[Array] = []
         self._size = self._failed = 0
         self._first: tuple[int, str] | None = None  # of those that failed: its number, and why
         self._error: tuple[int, BaseException] | None = None
@@ -117,10 +118,11 @@ class Remarks:
         self._accumulating += int(np.count_nonzero(~np.isnan(found.accumulation)))
         if not found.counts[:, _WARNINGS].any():
             return
-        dropped, harmed, stiff = found.counts[:, _WARNINGS].T
+        dropped, harmed, fallen, stiff = found.counts[:, _WARNINGS].T
         self._dropped += int(np.count_nonzero(dropped))
         self._stiff += int(np.count_nonzero(stiff))
         self._harmed.append(harmed[(found.status >= 0) & (harmed > 0)])
+        self._fallen.append(fallen[fallen > 0])
 
     def say(self, plan: Plan) -> None:
         """Issue the warnings about all trajectories that were added."""
@@ -128,6 +130,8 @@ class Remarks:
             warn(f"invariants were redundant in {self._dropped} trajectories, and were left out there")
         if self._harmed:
             _warn_harmed(plan, np.concatenate(self._harmed))
+        if self._fallen:
+            _warn_fallen(plan, np.concatenate(self._fallen))
         if self._stiff:
             text = f"in {self._stiff} trajectories stability, not accuracy, limits most steps"
             warn(f"{plan.method.name}: {text} (stats['stiff'] tells in which); try ode15s", StiffnessWarning)
@@ -159,6 +163,15 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
     components = np.unique((harmed - 1) // (2 if plan.functions.complex else 1))
     much = f"much more than estimated errors in {harmed.size} trajectories"
     warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
+
+
+def _warn_fallen(plan: Plan, fallen: Array) -> None:
+    """Warn of components below 0. `fallen`: 1 + such a component, of each trajectory that has one."""
+    if not fallen.size:
+        return
+    components = np.unique(fallen - 1).tolist()
+    listed = ", ".join(plan.called.components[i] for i in components)
+    warn(below_zero(listed, components, f"in {fallen.size} trajectories"), AccuracyWarning)
 
 
 def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:

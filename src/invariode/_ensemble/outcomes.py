@@ -16,10 +16,10 @@ from .solution import EnsembleEvents
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:
-    """Return the statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one
+    """Return the statistics of trajectories from rows of counts. The last four are warnings, of which "stiff" is one
     more."""
     by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
-    del by_name["dropped"], by_name["harmed"]
+    del by_name["dropped"], by_name["harmed"], by_name["fallen"]
     return by_name
 
 

@@ -134,6 +134,7 @@ class CoreFunctions(NamedTuple):
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
     bounds: Bounds | None  # of y
+    signed_states: bool = False  # none that falls below 0 is reported
     delays: _core.Delays | None = None
 
 
@@ -318,6 +319,7 @@ def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Sol
         value=functions.value,
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
+        signed_states=functions.signed_states,
         variations=quadratures if plan.varied is None else plan.varied.for_core,
         delays=functions.delays,
         **({} if plan.expansion is None else plan.expansion.for_core()),
@@ -671,6 +673,7 @@ def _functions(
         invariants=bound.specs,
         value=bound.value,
         bounds=problem.bounds,
+        signed_states=problem.signed_states,
         delays=_delays(problem, parameters, options["breakpoints"]),
     )
 

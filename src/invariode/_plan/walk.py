@@ -7,7 +7,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, default_labels, warn
 from .._problem.invariants import AccuracyWarning
-from .._results.messages import about_jumps_of_fun, harmful_projection, limited_by_stability
+from .._results.messages import about_jumps_of_fun, below_zero, harmful_projection, limited_by_stability
 from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning
 from .plan import Plan, solver
 
@@ -96,10 +96,15 @@ class Walk:
             warn(f"{self.plan.method.name}: {text}", DiscontinuityWarning)
 
     def _watch_accuracy(self) -> None:
+        names = default_labels(len(self.y))
+        if (fallen := self.core.below_zero) is not None:
+            self._warned = True
+            i, y, _ = fallen
+            warn(below_zero(names[i], [i], f"and is {y:.2g} at t = {self.core.t:.6g}"), AccuracyWarning)
         harmed = self.core.harmed
         if harmed < 0 or self.state not in ("running", "reached_end"):
             return
         self._warned = True
-        component = default_labels(len(self.y))[harmed // 2 if self.plan.functions.complex else harmed]
+        component = names[harmed // 2 if self.plan.functions.complex else harmed]
         distance = f"{self.core.harm:.2g} times its estimated errors"
         warn(harmful_projection(component, distance), AccuracyWarning)

@@ -523,7 +523,8 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "bool, int, str or sequence of int or str",
             "Components that must not become negative, such as concentrations: short for `bounds` of 0 below. True "
-            "means all.",
+            "means all. False: components may be negative, and no AccuracyWarning names one that falls below 0 "
+            "although f does not lead it there.",
             command=True,
         ),
     ]

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Never, Self, Unpack, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import (
@@ -75,7 +76,7 @@ _NOTHING_GIVEN: Mapping[str, Any] = dict.fromkeys(
 _NOTHING_ELSE: Mapping[str, Any] = {
     **dict.fromkeys(("invariants", "events", "inputs", "breakpoints"), ()),
     **dict.fromkeys(("bounds", "delays", "sensitivities", "y0_of_args", "_title", "_labels"), None),
-    **dict.fromkeys(("records_events", "second_order"), False),
+    **dict.fromkeys(("records_events", "second_order", "signed_states"), False),
     "matrices": NO_MATRICES,
     "_as_given": _NOTHING_GIVEN,
 }
@@ -157,6 +158,7 @@ class Problem:
     inputs: Sequence[Input]
     breakpoints: Sequence[Breakpoint]
     bounds: Bounds | None
+    signed_states: bool  # components may be negative, by `nonnegative=False`
     delays: Delays | None
     sensitivities: Sensitivities | None
     y0_of_args: Callable[..., Any] | None
@@ -210,6 +212,7 @@ class Problem:
             described["_labels"] = distinct_labels(labels, len(start))
         if nonnegative is not None or bounds is not None:
             described["bounds"] = to_bounds(nonnegative, bounds, start, self._labels)
+            described["signed_states"] = nonnegative is False
             given |= {"nonnegative": own_list(nonnegative), "bounds": own_list(bounds)}
         described["_as_given"] = {**_NOTHING_GIVEN, **given}
         if invariants is not None:
@@ -252,6 +255,8 @@ class Problem:
             span, start = interval(t_span), state(y0)
             called, extra = _as_called(fun, start), extra_arguments(args)
             start.setflags(write=False)
+        if any(type(one) is np.ndarray for one in extra):  # which the caller could change
+            extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
         self.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra)
 
     @property

@@ -523,6 +523,17 @@ def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bo
     )
 
 
+def below_zero(components: str, indices: Sequence[int], where: str) -> str:
+    """Return the text of an AccuracyWarning: these components are below 0 where f did not lead them. `where`: how far,
+    or in how many trajectories."""
+    listed = ", ".join(map(str, indices))
+    return (
+        f"{components} fell below 0 {where}, although fun does not lead there from 0: the exact solution stays "
+        f"nonnegative, and what comes after may be wrong. Pass nonnegative=[{listed}], a smaller atol, or "
+        "nonnegative=False if that is meant"
+    )
+
+
 def harmful_projection(components: str, distance: str) -> str:
     """Return the text of an AccuracyWarning: which components projections move, and how far."""
     return (

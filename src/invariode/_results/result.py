@@ -148,7 +148,8 @@ class Stats(Deferred, DataRecord):
     nfev : int
         Evaluations of f by the method.
     nfev_check : int
-        Evaluations of f by the tests of invariants and Jacobians, and in search of its jumps; not in `nfev`.
+        Evaluations of f by the tests of invariants, Jacobians and components below 0, and in search of its jumps;
+        not in `nfev`.
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int

@@ -286,7 +286,9 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     compiled = isinstance(problem.fun, CompiledFunction)
     laws = tuple(_law(one, compiled) for one in problem.invariants)
     events = tuple(_event(one, compiled) for one in problem.events)
-    return None if None in laws or None in events else (problem.records_events, bounds, laws, events)
+    if None in laws or None in events:
+        return None
+    return problem.records_events, problem.signed_states, bounds, laws, events
 
 
 def _code_of(fun: Any, compiled: bool) -> object | None:

@@ -38,6 +38,7 @@ from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
     accumulating,
+    below_zero,
     complex_steps_left,
     formed,
     harmful_projection,
@@ -409,6 +410,9 @@ def presented(finished: Finished) -> Solution:
         _warn_of_projection(run, finished.plan, sol)
     if not run.ordinary:
         _warn(finished)
+        if run.below_zero is not None:
+            i, y, _ = run.below_zero
+            warn(below_zero(sol._names.components[i], [i], f"and is {y:.2g} at the end"), AccuracyWarning)
     return sol
 
 
@@ -560,11 +564,11 @@ def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
 
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
-    if not plan.names:  # in the order of COUNTS, of which the last three are warnings
-        stats = Stats(*run.counts[:-3], None, plan.moved, run.clipped)
+    if not plan.names:  # in the order of COUNTS, of which the last four are warnings
+        stats = Stats(*run.counts[:-4], None, plan.moved, run.clipped)
     else:
         stats = Stats(
-            *run.counts[:-3],
+            *run.counts[:-4],
             derivatives=" and ".join(sorted(_derivatives(run, plan))) or None,
             projected_start=run.projected_start or plan.moved,
             clipped_amount=run.clipped,
