@@ -150,6 +150,7 @@ def logarithms(t, y):
     return 0.7 * (y[0] - np.log(y[0])) + 1.6 * (y[1] - np.log(y[1])) if min(y) > 0 else np.nan
 
 
+@pytest.mark.filterwarnings("ignore:.* fell below 0")  # runs without bounds do
 @families
 def test_difference_jacobian_close_to_where_g_ends(method):
     """A population far below its absolute tolerance: increments of that size would leave the domain of g."""

@@ -182,6 +182,7 @@ class TestCompiled:
         with pytest.raises(TypeError, match=r"numba compiles for complex numbers.*differences"):
             iv.ode15s(by_numba, (0, 1), [1.0], jac="complex-step")
 
+    @pytest.mark.filterwarnings("ignore:.* fell below 0")  # runs without bounds do
     def test_abs_means_differences_as_soon_as_it_counts_by_numba(self):
         pytest.importorskip("numba")
         fun = iv.compile(lambda t, y: (-100 * (abs(y[0]) if t > 1 else y[0]), -y[1]), by="numba")

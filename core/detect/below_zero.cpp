@@ -27,24 +27,19 @@ Status BelowZero::judge(const Step& step, double* watch, std::int64_t& evaluatio
     for (const auto& [t, y] : {std::pair(t0, y0), std::pair(t1, y1)}) {
       if (leads) break;
       ++evaluations;
-      if (lead_down(t, y, i, least, watch, stride, leads) == Status::stop) return Status::stop;
+      if (lead_down(t, y, stride, i, least, leads) == Status::stop) return Status::stop;
     }
     one = leads ? unwatched : -std::abs(one);
   }
   return Status::ok;
 }
 
-/// Does f lead component i from 0 downwards, beside y? Other watched components that are barely below 0 are noise, and
-/// are 0 there: a negative concentration would make others fall.
-Status BelowZero::lead_down(double t, const double* y, std::size_t i, double least, const double* watch,
-                            std::size_t stride, bool& leads) {
+/// Does f lead component i from 0 downwards, beside y?
+Status BelowZero::lead_down(double t, const double* y, std::size_t stride, std::size_t i, double least, bool& leads) {
   const std::size_t n = weights_.size();
   work_.resize(2 * n);
   double *point = work_.data(), *slope = point + n;
-  for (std::size_t j = 0; j < n; ++j) {
-    const double value = y[j * stride], depth = std::abs(watch[j * stride]);
-    point[j] = depth < unwatched && -depth <= value && value < 0 ? 0 : value;
-  }
+  for (std::size_t j = 0; j < n; ++j) point[j] = y[j * stride];
   point[i] = 0;
   if (f_(t, point, slope) == Status::stop) return Status::stop;
   leads = true;  // as far as can be told

@@ -66,8 +66,7 @@ class BelowZero {
  private:
   static constexpr double notable = 100;  // tolerances: less is the noise of components that decay to 0
 
-  Status lead_down(double t, const double* y, std::size_t i, double least, const double* watch, std::size_t stride,
-                   bool& leads);
+  Status lead_down(double t, const double* y, std::size_t stride, std::size_t i, double least, bool& leads);
 
   Callback f_;
   const Weights& weights_;

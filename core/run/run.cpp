@@ -237,7 +237,7 @@ void Run::start_loop() {
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
                           .rate = rate(),
-                          .signed_states = all.signed_states || all.complex,
+                          .signed_states = all.signed_states || all.complex || (mass_ && mass_->singular()),
                           .events = all.events,
                           .vectors = all.vectors,
                           .breakpoints = all.breakpoints,

@@ -12,7 +12,7 @@ from rich.text import Text
 from .._base.types import MethodName
 from .._problem.problem import Problem
 from .._studies.check import CheckReport, checked_at
-from .._studies.precision import Lowest, below_zero, unprojected
+from .._studies.precision import Lowest, below_zero, unprojected, without_word
 from .load import File, load
 from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop
 
@@ -67,7 +67,7 @@ def check(
             times = np.linspace(t0, tf, along + 1)
             lowest = Lowest(problem.y0)
             tight: dict[str, Any] = {"rtol": TIGHTER * rtol, "atol": TIGHTER * atol}
-            sol = unprojected(problem).solve(name, t_eval=times, callback=lowest, **tight)
+            sol = without_word(unprojected(problem)).solve(name, t_eval=times, callback=lowest, **tight)
             points = zip(sol.t[1:].tolist(), sol.y.T[1:], strict=True)
             reports = [checked_at(problem, t, y, rtol=rtol, atol=atol, nearby=False) for t, y in points]
             if reports:
@@ -85,7 +85,7 @@ def _print_below_zero(
 ) -> None:
     """Print which component becomes negative at the given tolerances, and not in the solution that was checked."""
     lowest = Lowest(problem.y0)
-    unprojected(problem).solve(method, rtol=rtol, atol=atol, callback=lowest, keep="end")
+    without_word(unprojected(problem)).solve(method, rtol=rtol, atol=atol, callback=lowest, keep="end")
     found = below_zero(problem.y0, lowest.values, accurate.values, atol)
     if found is None:
         return
