@@ -108,21 +108,17 @@ bool joined(std::size_t columns, double zeros) {
   return zeros == 0 || (columns <= 16 && zeros < 0.25) || (columns <= 48 && zeros < 0.1) || zeros < 0.05;
 }
 
-}  // namespace
+/// Columns that are eliminated together, and the rows below them.
+struct Group {
+  std::size_t first, last;
+  std::vector<int> below;
+  double zeros = 0;  // entries that are stored for nothing
+  [[nodiscard]] std::size_t columns() const { return last + 1 - first; }
+};
 
-FrontTree::FrontTree(const Pattern& A) : place(minimum_degree(A)) {
-  const std::size_t n = A.n();
-  const std::vector<int> after = postorder(elimination_tree(lower_part(A, place)));
-  for (int& one : place) one = after[at(one)];
-  const Pattern lower = lower_part(A, place);
-
-  // Columns of L, each from its own entries and the columns whose parent it is.
-  struct Group {
-    std::size_t first, last;
-    std::vector<int> below;
-    double zeros = 0;  // entries that are stored for nothing
-    [[nodiscard]] std::size_t columns() const { return last + 1 - first; }
-  };
+/// The columns of L with the same rows below, each from its own entries and the columns whose parent it is.
+std::vector<Group> groups_of(const Pattern& lower) {
+  const std::size_t n = lower.n();
   std::vector<Group> groups;         // fronts so far
   std::vector<std::size_t> waiting;  // of columns, their last groups, that wait for their parent: a stack
   std::vector<int> mark(n, -1);
@@ -150,8 +146,11 @@ FrontTree::FrontTree(const Pattern& A) : place(minimum_degree(A)) {
     }
     if (!below.empty()) waiting.push_back(groups.size() - 1);
   }
+  return groups;
+}
 
-  // Groups whose last child is worth to be joined to them.
+/// The groups, with last children joined to them where that is worth it.
+std::vector<Group> with_joined(std::vector<Group> groups) {
   std::vector<Group> kept;
   for (Group& one : groups) {
     while (!kept.empty()) {
@@ -168,6 +167,18 @@ FrontTree::FrontTree(const Pattern& A) : place(minimum_degree(A)) {
     }
     kept.push_back(std::move(one));
   }
+  return kept;
+}
+
+}  // namespace
+
+FrontTree::FrontTree(const Pattern& A) : place(minimum_degree(A)) {
+  const std::size_t n = A.n();
+  const std::vector<int> after = postorder(elimination_tree(lower_part(A, place)));
+  for (int& one : place) one = after[at(one)];
+  const Pattern lower = lower_part(A, place);
+
+  const std::vector<Group> kept = with_joined(groups_of(lower));
   first.push_back(0);
   starts.push_back(0);
   std::vector<int> front_of(n);

@@ -188,9 +188,9 @@ class Delays:
 class Problem:
     """Problem to be solved, except its initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0, delays: Delays | None = None) -> None:
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, signed_states: bool = False, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0, delays: Delays | None = None) -> None:
         """
-        landings: single times in increasing order, and the first times and periods of progressions. conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
+        signed_states: y may be negative, and none that falls below 0 is reported. landings: single times in increasing order, and the first times and periods of progressions. conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
         """
 
 class Tolerances:
@@ -493,7 +493,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -555,6 +555,9 @@ class Run:
 
     @property
     def remarkable(self) -> bool: ...
+
+    @property
+    def below_zero(self) -> tuple[int, float, float] | None: ...
 
     @property
     def ordinary(self) -> bool:
@@ -728,6 +731,12 @@ class Stepper:
     def harm(self) -> float: ...
 
     @property
+    def below_zero(self) -> tuple[int, float, float] | None:
+        """
+        Component that fell below 0 where f did not lead it: (index, y, 0), or None.
+        """
+
+    @property
     def stiff_since(self) -> float | None:
         """From which t on stability limits the steps; None: it does not."""
 
@@ -751,7 +760,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 11
+MEMORY_VERSION: int = 12
 
 STATES: list = ...
 

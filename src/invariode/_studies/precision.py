@@ -172,7 +172,9 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
             for name, options in pair:
                 limit = _REFERENCE_FACTOR * seconds
                 with _stiffness_untold():
-                    sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, limits=Limits(time=limit), **options)
+                    sol = without_word(plain).solve(
+                        name, rtol=rtol, atol=ratio * rtol, limits=Limits(time=limit), **options
+                    )
                 if sol.status not in (0, 1):
                     why = f"It takes longer than {limit:g} s (limit)." if sol.status == LIMIT_REACHED else sol.message
                     obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
@@ -187,13 +189,13 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
 
 
 def _stiff(problem: Problem, seconds: float) -> bool:
-    implicit = problem.solve("ode15s", limits=Limits(time=seconds))
+    implicit = without_word(problem).solve("ode15s", limits=Limits(time=seconds))
     if implicit.status not in (0, 1):
         return False
     steps = _STIFF * implicit.stats.steps + _FEW
     with _stiffness_untold():
         limits = Limits(steps=steps, time=seconds)
-        return problem.solve("ode45", limits=limits, keep="end").status not in (0, 1)
+        return without_word(problem).solve("ode45", limits=limits, keep="end").status not in (0, 1)
 
 
 def _agreed(first: Solution, second: Solution, by: str) -> Reference:
@@ -251,7 +253,7 @@ def _measured(
         times = [math.inf] * len(runs)
     for _ in range(repeats):
         for i, (way, _, _) in enumerate(runs):
-            times[i] = min(times[i], _timed(partial(way.solve, **options))[1])
+            times[i] = min(times[i], _timed(partial(without_word(way).solve, **options))[1])
     laws = runs[-1][1]._invariants.equalities()  # of the projected run, if it came to that
     measured = [
         _run(sol, time, truth, low, _off(laws, sol, truth))
