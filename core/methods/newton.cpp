@@ -507,29 +507,24 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   };
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
-  const double roundoff = Convergence::roundoff_units * eps * norm(p);
-  sensitivity_convergence_.begin(weights_.rtol(), roundoff);
+  sensitivity_convergence_.begin(weights_.rtol(), Convergence::roundoff_units * eps * norm(p));
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
-  for (bool forgets = false;;) {
+  for (;;) {
     const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
     if (evaluated != Result::converged) return evaluated;
     residual(place_.c, psi, d, n, all);
     if (const Result solved = solve_columns(sensitivity_convergence_.goal(), residual_.data());
         solved != Result::converged)
       return solved;
+    const double size = norm(residual_.data());
     for (std::size_t i = n; i < all; ++i) {
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
     if (coupled() == n) return Result::converged;
-    if (forgets) forget_sensitivity_roundoff(place_.c, y, residual_.data());
-    switch (sensitivity_convergence_.judge(norm(residual_.data()))) {
+    switch (sensitivity_convergence_.judge(size)) {
       case Convergence::Verdict::converged: return Result::converged;
-      case Convergence::Verdict::diverged:
-        if (forgets || matrix_free()) return Result::failed;
-        forgets = true;
-        sensitivity_convergence_.begin(weights_.rtol(), roundoff);
-        break;
+      case Convergence::Verdict::diverged: return Result::failed;
       case Convergence::Verdict::go_on: break;
     }
   }
