@@ -6,14 +6,9 @@
 #include <cstddef>
 #include <vector>
 
+#include "linear/pattern.hpp"
+
 namespace invariode {
-
-/// The places of the entries of a square matrix: compressed columns, row indices ascending.
-struct Pattern {
-  std::vector<int> starts, rows;
-
-  [[nodiscard]] std::size_t n() const { return starts.size() - 1; }
-};
 
 /// In which order, and in which groups, the columns of a matrix are eliminated. Columns of a front have nearly the same
 /// pattern below it; what their elimination changes in the rest of the matrix is added to the front of its parent.
