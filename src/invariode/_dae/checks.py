@@ -21,8 +21,8 @@ _CHANGE, _SEED, _TIMES = 1e-7, 5, 4
 _TOLERANCES = 100.0
 #: Arguments below this part of their largest value along the solution change as one of that size.
 _SMALL = 1e-5
-#: A function of t jumps where its change over this part of the time, and over a tenth of that, are the same, but for a
-#: part, and above roundoff.
+#: A function of t jumps if its change over a close interval, a tenth of this fraction of the time or less, is more than
+#: this part of its change over a wide one, the whole fraction, and more than this many times its roundoff.
 _NEAR, _STAYS, _ROUNDOFFS = 1e-7, 0.5, 64.0
 #: A block of J that is this much closer to singular than at the start has become singular.
 _SINGULAR = 1e-5
@@ -43,7 +43,7 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
         allowed = np.fmax(allowed, np.abs(unknowns.equations(sol.t, moved, p) - residuals))
     with np.errstate(invalid="ignore"):
         off = np.abs(residuals) > allowed + np.finfo(float).tiny
-    for k in np.flatnonzero(off.any(axis=0)).tolist():  # by cancellation roundoff can be larger than that
+    for k in np.flatnonzero(off.any(axis=0)).tolist():  # roundoff of terms that cancel can be larger than `allowed`
         state, at = sol.y[:, k], float(sol.t[k])
         errors = np.array(bounds(unknowns.arguments.nodes, at, state.tolist(), p.tolist()))
         for _ in range(_TIMES):
@@ -81,43 +81,52 @@ def _sizes(arguments: Array, unknowns: Unknowns, reduction: Reduction) -> Array:
 
 
 def jump(sol: Solution, reduction: Reduction, p: Array) -> str:
-    """Return which constraint jumps with t where a run ended; or ''."""
+    """Return the message for a run that ended where a constraint jumps with t; '' if none does."""
     if sol._origin is None or not len(sol.t):
         return ""
     end, state = float(sol.t_end), np.asarray(sol._origin.y)
-    for level in reduction.levels:
-        values = Values(level.in_states, p)
-        near = _NEAR * max(abs(end), abs(end - float(sol.t[0])))
-        wide, close = (np.abs(values(end + part, state) - values(end - part, state)) for part in (near, near / 10))
-        error = np.array(bounds(level.in_states, end, state.tolist(), p.tolist()))
-        found = np.flatnonzero((close > _STAYS * wide) & (close > _ROUNDOFFS * np.where(np.isfinite(error), error, 0)))
-        if len(found):
-            name = level.names[found[0]]
-            return (
-                f"The run could not be continued at t = {end:.10g}: the constraint {name} = 0 jumps there by "
-                f"{close[found[0]]:.3g}, which takes an impulse, and the equations do not say how it is shared. Make "
-                "the prescribed function smooth enough, or end the run there and start another one from the values "
-                "after the jump."
-            )
-    return ""
+    near = _NEAR * max(abs(end), abs(end - float(sol.t[0])))
+    wide, close = ((end - part, end + part) for part in (near, near / 10))
+    if (found := _jumping(reduction, end, state, p, wide, close)) is None:
+        return ""
+    name, size = found
+    return (
+        f"The run could not be continued at t = {end:.10g}: the constraint {name} = 0 jumps there by {size:.3g}, which "
+        "takes an impulse, and the equations do not say how it is shared. Make the prescribed function smooth enough, "
+        "or end the run there and start another one from the values after the jump."
+    )
 
 
 def require_no_jump(reduction: Reduction, span: tuple[float, float], state: Array, p: Array) -> None:
     """Raise an InvariantError if a constraint jumps right behind the start."""
     t0, later = span[0], float(np.nextafter(*span))
+    found = _jumping(reduction, t0, state, p, (t0, t0 + _NEAR * (span[1] - t0)), (t0, later))
+    if found is not None:
+        name, size = found
+        raise InvariantError(
+            f"the constraint {name} = 0 jumps by {size:.3g} right behind the start, t = {t0:.10g}: write its condition "
+            "so that the value at t0 is the one behind it, such as t >= 0 in place of t > 0, or start elsewhere"
+        )
+
+
+def _jumping(
+    reduction: Reduction,
+    t: float,
+    state: Array,
+    p: Array,
+    wide: tuple[float, float],
+    close: tuple[float, float],
+) -> tuple[str, float] | None:
+    """Return the first constraint that jumps at t, and by how much, from its changes over two intervals."""
     for level in reduction.levels:
         values = Values(level.in_states, p)
-        errors = np.array(bounds(level.in_states, t0, state.tolist(), p.tolist()))
-        close, wide = (np.abs(values(t, state) - values(t0, state)) for t in (later, t0 + _NEAR * (span[1] - t0)))
-        found = np.flatnonzero(
-            (close > _STAYS * wide) & (close > _ROUNDOFFS * np.where(np.isfinite(errors), errors, 0))
-        )
+        over_wide, over_close = (np.abs(values(b, state) - values(a, state)) for a, b in (wide, close))
+        errors = np.array(bounds(level.in_states, t, state.tolist(), p.tolist()))
+        noise = _ROUNDOFFS * np.where(np.isfinite(errors), errors, 0)
+        found = np.flatnonzero((over_close > _STAYS * over_wide) & (over_close > noise))
         if len(found):
-            raise InvariantError(
-                f"the constraint {level.names[found[0]]} = 0 jumps by {close[found[0]]:.3g} right behind the start, "
-                f"t = {t0:.10g}: write its condition so that the value at t0 is the one behind it, such as t >= 0 in "
-                "place of t > 0, or start elsewhere"
-            )
+            return level.names[found[0]], float(over_close[found[0]])
+    return None
 
 
 def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:

@@ -21,7 +21,6 @@ from .contents import content
 TRUTHS, INTEGERS, ARRAYS, ALL = range(4)
 #: Numbers whose values change in a run, or are not known, are no constants.
 _VARYING = 4
-_RANKS = {"b": TRUTHS, "i": INTEGERS, "u": INTEGERS}
 
 
 class Numbers:

@@ -127,10 +127,6 @@ class Sensitivities:
             raise ValueError(f"scale of Sensitivities must be positive, got {shown(self.scale)}")
         return size
 
-    def scales_all(self, names: Sequence[ParameterName]) -> bool:
-        """Return whether `scale` specifies the sizes of all parameters."""
-        return len(self.scale) == len(names) if isinstance(self.scale, Mapping) else self.scale is not None
-
     def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:
         """S at the start, of shape (n, k)."""
         S = np.zeros((n, len(names)))

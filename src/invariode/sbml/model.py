@@ -95,8 +95,14 @@ class ModelEvent:
 
 
 class _Start:
-    """The initial state of a problem as a function of its parameters, a record: behind events at the start, and as
-    algebraic rules demand. `formula` is the same of (t, y, p), unless it is more than a formula."""
+    """The initial state of a problem as a function of its parameters, a record: after events at the start, and
+    consistent with algebraic rules.
+
+    Attributes
+    ----------
+    formula : Formula or None
+        The initial state as a formula of (t, y, p); None if events at the start or algebraic rules change it.
+    """
 
     def __init__(self, model: Model, t0: float, p: Array, machine: Machine | None) -> None:
         self._model, self._t0, self._p, self._machine = model, t0, p, machine
@@ -108,7 +114,8 @@ class _Start:
         y = self._model._consistent(self._t0, self._model._equations.initial_state(self._solved(p)), p)
         if self._machine is None:
             return y
-        return Machine(self._machine.code, self._machine.equations).start(self._t0, y, p)  # that of runs may be in one
+        machine = Machine(self._machine.code, self._machine.equations)  # that of the problem may be in a run
+        return machine.start(self._t0, y, p)
 
     def _solved(self, p: Array) -> Array:
         """Return p with the numbers that algebraic rules determine at the start."""
@@ -134,9 +141,7 @@ class _Start:
         """True if the initial state depends on the parameters."""
         e = self._model._equations
         nodes = [e.state_at_start(name) for name in e.states]
-        if e.matched or e.has_fast or not (self._machine is None or self._machine.begins_quietly):
-            return True
-        return min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
+        return self.formula is None or min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
 
 
 class Model:

@@ -107,7 +107,7 @@ class Multibody(Mechanical):
         if not found.converged:
             raise InvariantError(
                 f"no state near y0 satisfies the constraints at t = {t}: {held[0].name} and others are "
-                f"{found.residual} at the best one found. SpecifiedStart from a y0 nearer to a solution"
+                f"{found.residual} at the best one found. Start from a y0 nearer to a solution"
             )
         if (moved := np.abs(found.y - start)).max() > 0:
             warn(f"the start was moved onto the constraints: components of y0 by up to {moved.max():.3g}")

@@ -29,7 +29,7 @@ from .traced import (
     wrapped,
 )
 
-#: Code of these is not copied: it is called as it is.
+#: Functions of these packages are not copied.
 _OTHERS = ("numpy", "scipy", "numba", "matplotlib", "pandas", "sympy", "builtins", "math", "cmath")
 #: Larger arrays from outside stay arrays of floats.
 _MOST_CONSTANTS = 10_000
@@ -48,12 +48,12 @@ def _refuses(why: str) -> Callable[..., Any]:
 
 
 def _read_only(kind: type, *methods: str) -> type:
-    """A list, dictionary or set that refuses to be written to."""
+    """Return a type of lists, dictionaries or sets whose methods that write raise a TraceError."""
     refuse = _refuses(f"it writes to a {kind.__name__} that it does not make")
     return type(kind.__name__, (kind,), dict.fromkeys(methods, refuse))
 
 
-#: Of lists, dictionaries and sets: those that stand for them in copies of functions.
+#: Types that stand for lists, dictionaries and sets in copies of functions.
 _READ_ONLY: dict[type, type] = {
     list: _read_only(
         list,
@@ -431,11 +431,5 @@ def _python(run: Any) -> dict[str, Any]:
             raise TypeError("only length-1 arrays can be converted to Python scalars")
         return wrapped(number(value.cells.ravel()[0]), run.decide)
 
-    def forbidden(name: str) -> Callable[..., Any]:
-        def call(*args: Any, **kwargs: Any) -> Any:
-            raise TraceError(f"{name}()")
-
-        return call
-
     kept = {"max": extreme("maximum"), "min": extreme("minimum"), "float": standing_for(float, as_float)}
-    return kept | {name: forbidden(name) for name in _FORBIDDEN}
+    return kept | {name: _refuses(f"{name}()") for name in _FORBIDDEN}
