@@ -16,7 +16,7 @@ PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 
 def of_extra(project: dict[str, Any], extra: str) -> Iterator[str]:
-    """Iterate over the requirements of an extra, with those of the package's other extras that it names."""
+    """Yield the requirements of an extra, with the requirements of the other extras that it includes."""
     for one in project["optional-dependencies"][extra]:
         own = re.fullmatch(rf"{project['name']}\[([\w,]+)\]", one)
         if own:

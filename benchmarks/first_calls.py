@@ -45,7 +45,7 @@ def decay(t: float, y: Any, rate: float) -> list[float]:
 
 
 def timed(call: str) -> None:
-    """Print the time of a call, which a process of its own is started for."""
+    """Print the time of a call; this process was started for it."""
     import invariode as iv
 
     start = process_time()

@@ -289,7 +289,7 @@ void define_functions(nb::module_& module) {
            nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
            nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
            nb::arg("columns") = std::vector<int>{},
-           "starts, columns: where the entries are that a sparse jac returns, row by row.");
+           "starts, columns: the places of the entries that a sparse jac returns, row by row.");
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(nb::init<double, nb::object>(), nb::arg("t"), nb::arg("action").none());
   nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")

@@ -10,7 +10,7 @@ namespace invariode {
 
 class InitialChecks {
  public:
-  /// `created` if the run may start; else the state in which it ends, with what is to be reported of it.
+  /// `created` if the run may start; otherwise the state in which it ends, with the finding or component to report.
   struct [[nodiscard]] Result {
     State state = State::created;
     Finding finding = {};
@@ -23,8 +23,8 @@ class InitialChecks {
 
   /// Moves y0 onto the bounds and the manifold, if it is off by less than the tolerance, and tests the Jacobians there.
   Result inspect(double* y0);
-  /// Moves y onto the bounds that it is outside of by less than the tolerance. Returns the component that is outside by
-  /// more, and y stays; −1: none is.
+  /// Moves y onto bounds that it exceeds by less than the tolerance, and returns −1. If a component exceeds its bound
+  /// by more, returns that component and leaves y unchanged.
   [[nodiscard]] int move_within_bounds(double* y);
   /// Tests the rates of the invariants, with y' and the first step of signed size h.
   Result inspect_rates(const double* y0, const double* slope, double h);

@@ -389,7 +389,7 @@ Integration::Course Integration::start_step_anew(const double* y) {
   return begin_step();
 }
 
-/// `ended`: a user function has stopped the run, and that is why it ends.
+/// Finds the reason why attempts fail however small h is. `ended`: a user function has stopped the run meanwhile.
 Integration::Course Integration::explain_failure(Cause cause) {
   report_.t = t0_;
   report_.h = aim_.h();
@@ -419,7 +419,7 @@ Integration::Course Integration::explain_failure(Cause cause) {
   return unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target()));
 }
 
-/// Reports a component below whose 0 f is not finite.
+/// Reports a component for whose negative values f is not finite.
 Integration::Course Integration::find_undefined_below_zero() {
   constexpr double near = 0.1;  // of the time since the start: the solution is about to get there
   const std::vector<double> lower = lower_bounds();
@@ -565,7 +565,7 @@ Integration::Course Integration::conclude() {
   return aim_.lands() && t == settings_.tf ? end(State::reached_end) : Course::goes_on;
 }
 
-/// Ends the run where it is asked to stop, or a limit is reached.
+/// Ends the run if a stop was requested or a limit is reached.
 void Integration::look_at_limits() {
   if (limits_.requested()) {
     report_.t = reached_.t;
@@ -701,7 +701,7 @@ Integration::Course Integration::pass_mark() {
   return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
-/// There is no way on from what the actions return: the run ends before them.
+/// The run cannot continue from the state that the actions return: it ends before them.
 Integration::Course Integration::take_back() {
   std::copy(left_.begin(), left_.end(), y0_.begin());
   return Course::ended;

@@ -115,12 +115,12 @@ class Integration {
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
 
  private:
-  /// Whether the run goes on. Where it has ended, `state_` says how.
+  /// The run goes on or has ended; if it has ended, `state_` holds the reason.
   enum class [[nodiscard]] Course { goes_on, ended };
-  /// Of an attempt; `ended`: the run has.
+  /// The outcome of an attempt; `ended`: the run has ended.
   enum class [[nodiscard]] Verdict { accepted, rejected, ended };
-  /// Of what may be wrong where attempts fail however small h is: the step has started again without it, or it was not
-  /// there.
+  /// The outcome of a remedy for attempts that fail however small h is. `none`: the remedy does not apply; `cured`: the
+  /// step has started again with it; `ended`: the run has ended.
   enum class [[nodiscard]] Cure { none, cured, ended };
   /// The attempts of a step so far.
   struct Attempted {

@@ -160,7 +160,7 @@ State Jumps::take_next(double t, double* Y) {
   return judge(t, Y, first.depth + 1);
 }
 
-/// Y behind an action, which is given y of `before_`, and what a vector is told besides.
+/// Y after an action. `given`: y before it, followed by the directions of the functions for the action of a vector.
 State Jumps::take(Callback& action, const double* given, Callback& jump, double t, double* Y) {
   if (action(t, given, Y) == Status::stop) return State::interrupted;
   acted_ = true;

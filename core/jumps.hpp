@@ -54,13 +54,13 @@ class Jumps {
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
 
-  /// What is to be reported where the run ends by a jump.
+  /// Details for the report of a run that ends by a jump.
   struct Remarks {
-    std::size_t event = 0;            ///< that is not finite, or whose action was taken last
-    std::optional<double> t;          ///< where it is not finite
+    std::size_t event = 0;            ///< the event that is not finite, or whose action was taken last
+    std::optional<double> t;          ///< the time at which it is not finite
     std::vector<std::size_t> circle;  ///< events whose actions set each other off
     Finding finding = {};
-    int component = -1;  ///< outside the bounds
+    int component = -1;  ///< the one outside its bounds
   };
   [[nodiscard]] const Remarks& remarks() const { return remarks_; }
 

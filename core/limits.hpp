@@ -40,7 +40,7 @@ class Limits {
   [[nodiscard]] bool requested() const { return request_ != nullptr && request_->load(std::memory_order_relaxed); }
   /// The limit that is reached after so many steps, if there is one.
   [[nodiscard]] std::optional<Limit> look(std::int64_t steps, const Emitter& emitter);
-  /// Returns whether a limit of the steps or of the time was given: the run goes on until then.
+  /// Returns whether a limit of the steps or of the time was set, up to which the run goes on in any case.
   [[nodiscard]] bool given() const { return timed() || max_steps_ < Settings::unlimited; }
   [[nodiscard]] bool out_of_time() const { return timed() && seconds() >= time_limit_; }
 

@@ -109,7 +109,7 @@ def _within_functions():
 
 
 def test_expressions_in_which_derivatives_occur_together_become_unknowns():
-    """Where no combination is allowed: the unknowns of F have the known solutions, by explicit and implicit methods."""
+    """If no combination is allowed, the unknowns of F have the known solutions, by explicit and implicit methods."""
     for name, (F, y0, yp0, args, order, exact, freedom) in _within_functions().items():
         dae = iv.Dae(F, 0, y0, yp0, args=args, order=order)
         assert dae.freedom == freedom, name
@@ -278,7 +278,7 @@ def test_what_solve_dae_does_not_take_is_named():
 
 
 def test_of_unknowns_with_one_name_the_value_of_the_differential_one_counts():
-    """y[1] = y[0] renames; 0 is a guess of the algebraic one; what is fixed counts in any case."""
+    """y[1] = y[0] renames, and 0 is a guess of the algebraic y[1]; the value of a fixed unknown counts in any case."""
 
     def equations(t, y, yp):
         return [yp[0] + y[1], y[1] - y[0]]
@@ -415,8 +415,8 @@ def test_all_constraints_are_satisfied_to_roundoff_by_every_method_at_every_tole
 
 
 def test_constraints_that_switch_with_t():
-    """Where t alone determines the unknowns they follow, from tables too, also from one that begins with the run; a
-    constraint that jumps otherwise ends the run there, and is named."""
+    """Unknowns that t alone determines follow, from tables too, also from one that begins with the run. Any other
+    constraint that jumps ends the run there, and the message names it."""
 
     def follow(t, y, yp):
         x, v, force = y
@@ -468,7 +468,7 @@ def test_tables_of_inputs_are_traced():
 
 
 def test_roundoff_of_cancellation_is_no_violation():
-    """A voltage that is a difference of nearly equal ones, in units of seconds far from the time constant."""
+    """The check accepts a voltage that is a difference of nearly equal ones, at times far beyond the time constant."""
     slow = iv.solve_dae(
         lambda t, y, yp: [
             (np.sin(t / 1e12) - y[0]) / 1e3 - 1e-6 * (yp[0] - yp[1]),
@@ -630,7 +630,7 @@ def test_the_problem_of_a_dae_is_one_like_any_other(tmp_path):
 
 
 def test_bounds_are_those_of_unknowns_that_are_not_formulas():
-    """Renamed unknowns with a sign have them too; a formula is an error that names it, at `solve_dae` and `problem`."""
+    """Unknowns renamed with a sign have bounds too; a bound of a formula is an error that names the unknown."""
 
     def decay(t, y, yp):
         x, minus, twice = y

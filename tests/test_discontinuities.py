@@ -269,8 +269,8 @@ class Staircase:
         return y
 
 
-#: Pairs whose estimate is small by chance where their slopes are like those of a smooth f too, with an error of more
-#: than 100 tolerances, in so many of 60 runs (docs/known-limits.md). Where they trust estimates, ode78 is in most.
+#: The most of 60 runs in which the error of a pair is more than 100 tolerances, since its estimate is small by chance
+#: where its slopes are like those of a smooth f (docs/known-limits.md).
 BY_CHANCE = {"ode45": 6, "dop853": 1, "ode78": 4}
 
 

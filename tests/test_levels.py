@@ -201,7 +201,7 @@ def test_what_does_not_fit_the_problem_is_refused():
 
 @pytest.mark.parametrize("method", ["radau", "ode15s"])
 def test_levels_are_imposed_beside_algebraic_equations(method):
-    """The tension as an algebraic variable: it follows the levels, which move what they may, all to roundoff."""
+    """The tension is an algebraic variable: it follows the corrections of the levels, and all hold to roundoff."""
 
     def with_tension(t, y):
         f = swing(t, [*y[:4]])
@@ -220,7 +220,7 @@ def test_levels_are_imposed_beside_algebraic_equations(method):
 
 
 def test_components_at_bounds_stay_there_in_a_metric():
-    """The others take their share: the sum of squares of the total is imposed, and nothing leaves its bound."""
+    """The other components take their share: the square of the total is imposed, and nothing leaves its bound."""
 
     def total(t, y):
         return (y[0] + y[1] + y[2]) ** 2

@@ -116,8 +116,8 @@ def test_gradients_of_published_problems(problems, name):
 @beside
 @pytest.mark.parametrize("error_test", [True, False])
 def test_sensitivities_below_roundoff_do_not_fail_attempts_of_radau(problems, error_test):
-    """Of an atol that S cannot reach, since terms of its slope cancel: hardly more attempts fail than without S. (The
-    initial value is fixed.)"""
+    """With an atol that S cannot reach, since terms of its slope cancel, hardly any attempt fails. The initial value is
+    fixed."""
     loaded = petab.load(yaml_in(problems, "Bachmann_MSB2011"))
     names = [name for name in loaded.names if name in loaded.model.parameters]
     values = {name: 10.0**x for name, x in zip(loaded.names, loaded.nominal, strict=True) if name in names}

@@ -159,7 +159,7 @@ def test_roots_that_remember_nothing_are_events(method):
 
 
 def test_gradients_of_problems_with_events(tmp_path):
-    """Of PEtab: doses at a time and at a level that are estimated, and a start that an event changes."""
+    """Gradients of PEtab problems follow doses at an estimated time and level, and a start that an event changes."""
     text = model(
         species("A", 1) + species("B", 0),
         parameter("k1", 0.8) + parameter("k2", 0.6),

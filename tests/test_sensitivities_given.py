@@ -117,8 +117,8 @@ def test_differences_are_used_with_a_warning():
 
 
 def test_every_form_of_a_jacobian_that_runs_take_serves_their_sensitivities():
-    """A function, machine code, a constant, a sparse matrix, and its bands: the same S and gradient, without warnings,
-    of a function that can neither be traced nor take complex numbers."""
+    """A function, machine code, a constant, a sparse matrix and bands all give S and the gradient, without warnings, of
+    an f that can neither be traced nor take complex numbers."""
 
     def turn(t, y, w):
         try:

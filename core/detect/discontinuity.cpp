@@ -22,7 +22,7 @@ constexpr int pause = 8;              // looks after one that has found nothing
 constexpr double most_of_jump = 5;    // tolerances of error that a step over a jump may have
 constexpr double overshoot = 0.25;    // of a step, by which its stages may lead beyond its end
 constexpr int fewest_halvings = 6;    // of a part, that tell a jump from a smooth change
-constexpr double odd = 0.25;          // of the largest change over a part: by less parts differ where f is smooth
+constexpr double odd = 0.25;          // of the largest change over a part: parts of a smooth f differ by less
 constexpr double at_rest = 1e-3;      // of a jump: with a smaller f a solution stays where it is
 constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller change tells nothing
 
@@ -61,9 +61,9 @@ bool JumpSearch::begin(double t0, const double* y0, double t1, const double* y1)
   return evaluate(a_) && evaluate(b_);
 }
 
-/// Narrows the line to one of its parts, over which f changes by something else than over the two nearest ones; if
-/// there is none, to that over which it changes most. (The part with the largest change may be one where f is smooth:
-/// over a part with two jumps f may change by little.) False: as `begin`.
+/// Narrows the line to the part over which f changes most differently from the two nearest parts; if none differs
+/// enough, to the part over which f changes most. (The part with the largest change may be one where f is smooth: over
+/// a part with two jumps f may change by little.) False: as `begin`.
 bool JumpSearch::enter_odd_part() {
   line_.resize(parts + 1);
   line_.front() = a_;

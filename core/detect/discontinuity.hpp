@@ -24,16 +24,16 @@ class JumpSearch {
 
   /// `resolved`: |h| of a step that would resolve f if it were smooth.
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
-  /// Searches only in the part of the line in which f changes otherwise than in its neighbours, and so far that a step
-  /// over the jump, or of the length of what is left, would have an error of at most `most`: |h| times the change of f,
-  /// in the weights.
+  /// Searches only in the part of the line over which f changes most differently from its neighbours, until a step over
+  /// the jump, or over what is left, would have an error of at most `most`: |h| times the change of f, in the weights.
   Result bracket(double t0, const double* y0, double t1, const double* y1, double most);
   /// By how much f changes, in the weights, over what the latest search has left, and where that begins.
   [[nodiscard]] double jump() const { return change(a_, b_); }
   [[nodiscard]] double before() const { return a_.t; }
   /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
   Result decided_by_y(double t0);
-  /// After that: does f lead from each side, within a step of size h, to the other one, or nowhere?
+  /// After a jump was found: returns `found` if from each side f leads, within a step of size h, to the other side or
+  /// nowhere.
   Result attracts(double h);
   /// The time of the discontinuity: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }

@@ -75,7 +75,7 @@ Jacobian::Jacobian(const Source& source, Matrix matrix, const Weights& weights)
   if (computed() || kind_ == Kind::derived) group_columns();
 }
 
-/// A copy that is never evaluated, as that of a solver from which runs are made, has no room for it.
+/// Makes the vectors of evaluations. A copy that is never evaluated, as in a solver from which runs are made, has none.
 void Jacobian::make_room() {
   const std::size_t n = matrix_.n();
   if (point_.size() == n || !groups_) return;

@@ -80,7 +80,7 @@ class Jacobian {
   [[nodiscard]] double scale(std::size_t j, const double* y) const { return defined_scale(weights_.at(j, y[j]), y); }
   /// The number of groups of columns for finite differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_ ? groups_->size() : 0; }
-  /// It will be evaluated no more: memory that only this needs is given back.
+  /// Ends the evaluations, and gives back the memory that only these need.
   void end();
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }

@@ -59,8 +59,8 @@ void assemble_columns(const Matrix* mass, Scalar c, const Matrix& jacobian, std:
         [&](std::size_t i, std::size_t j, double m) { set(j * height + i, m - c * jacobian.values[i * n + j]); });
 }
 
-/// y = A x of rows of n numbers, some of them side by side: each sum is taken in order, so that one of them alone would
-/// wait for each addition.
+/// y = A x for rows of n numbers, several at a time: the terms of each sum are added in order, so that a single sum
+/// would wait for each addition.
 void multiply_rows(const double* a, std::size_t n, const double* x, double* y) {
   constexpr std::size_t side = 8;
   std::size_t i = 0;
@@ -199,7 +199,7 @@ class BandedByRows final : public Factors<Scalar> {
 
  private:
   Structure structure_;
-  std::optional<NarrowBand<Scalar>> A_;  // of a method that may never need it: made when it is
+  std::optional<NarrowBand<Scalar>> A_;  // made when it is needed, which may be never
 };
 
 template <class Scalar>

@@ -14,8 +14,8 @@ const double sqrt_eps = std::sqrt(eps);      // optimal relative increment of a 
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
 constexpr double smaller_increment = 10;
-constexpr double part_of_step = 1.0 / 8;  // of a one-sided difference: a smaller one to compare with,
-constexpr double growth = 1.01;           // and by how much a derivative that exists may be larger there
+constexpr double part_of_step = 1.0 / 8;  // with which a one-sided difference is repeated,
+constexpr double growth = 1.01;           // and the factor by which it may grow where a derivative exists
 constexpr double one_sided_noise = 4;     // of one-sided differences in t of the second order, in units of central ones
 
 }  // namespace
@@ -143,7 +143,7 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
     if (block.derivative == Derivative::given) {
       status = block.jacobian(t, y, rows);
       if (status == Status::ok && !block.pattern && !all_finite(rows, block.m * n_)) {
-        // Where a formula is singular and g is not, such as 0 · ∞, differences take the place of what is not finite.
+        // Entries that are not finite though g is, such as 0 · ∞ of a formula, are replaced by differences.
         std::vector<double> differences(block.m * n_);
         status = difference_block(block, t, y, 1, differences.data());
         for (std::size_t e = 0; e < differences.size(); ++e)
@@ -242,8 +242,8 @@ Status Invariants::difference_column(InvariantBlock& block, double t, const doub
   return one_sided_column(block, t, y, j, factor * cbrt_eps * sizes_[j], column);
 }
 
-/// Entries of a column that are not finite, from one side, by the parabola through three values: at the edge of where g
-/// is defined. One that grows as the increment shrinks, as √y_j at 0 has it, stays.
+/// Replaces the entries of a column that are not finite, at the edge of the domain of g, by one-sided differences from
+/// the parabola through three values. An entry that grows as the increment shrinks, such as that of √y_j at 0, stays.
 Status Invariants::one_sided_column(InvariantBlock& block, double t, const double* y, std::size_t j, double delta,
                                     double* column) {
   std::vector<double> here(block.m), wide(block.m), narrow(block.m);

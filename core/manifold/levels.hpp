@@ -27,7 +27,7 @@ class Levels {
   /// Returns whether the invariants have levels at all, or are so many and their gradients so sparse that one level
   /// with sparse factors takes less time; without them the correction is that of the paper, of all together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
-  /// Returns whether one of them has a level, a metric, or components that its correction may move.
+  /// Returns whether any invariant specifies a level, a metric, or the components that its correction may move.
   [[nodiscard]] static bool told(const std::vector<InvariantBlock>& blocks);
 
   /// Takes the metrics at (t, y).

@@ -123,9 +123,9 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Newton's next correction δ' by the gradients of the last one, δ, where that leaves no more than roundoff: these have
-/// changed by the part 2 |δ'| / |δ| of themselves, since r(y − δ) is half of what they add up to in δ, and that part of
-/// δ' is left. Judged by distances, and where there are several invariants by the corrections too.
+/// Makes Newton's next correction δ' with the gradients of the last correction δ, if that leaves no more than roundoff:
+/// along δ the gradients have changed by the fraction 2 |δ'| / |δ|, since r(y − δ) is half of their change times δ, and
+/// this fraction of δ' is left. Distances decide, and with several invariants the corrections too.
 bool Projector::correct_again(double* y) {
   const auto negligible = [&](double size, double before) {
     for (std::size_t i = 0; i < r_.size(); ++i) {

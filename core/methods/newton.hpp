@@ -136,9 +136,9 @@ class AgingJacobian {
   /// Leaves out of residuals of the state what may be roundoff of c f, judged by the terms of J y.
   void forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals);
 
-  /// Leaves out of an update, or an error, of the sensitivities what may be roundoff of S and of c J S, whose terms may
-  /// cancel: a parameter that hardly acts on a component has a tolerance there that no arithmetic reaches. Returns
-  /// whether there are such terms to compare with.
+  /// Sets to 0, in an update or an error of the sensitivities, the entries that may be roundoff of S and of c J S,
+  /// whose terms may cancel: a parameter that hardly acts on a component has a tolerance there that no arithmetic
+  /// reaches. Returns whether there are such terms to compare with.
   bool forget_sensitivity_roundoff(double c, const double* Y, double* v);
 
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }

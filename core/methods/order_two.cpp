@@ -58,8 +58,8 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
   return result;
 }
 
-/// Where y' leads a component away from 0 but its prediction is beyond it, y' is the prediction: f may have a pole at
-/// 0, as c / y has, and Newton's iteration would converge to a solution on the other side.
+/// A component that y' leads away from 0, but whose prediction has the other sign, is predicted by y' alone: f may have
+/// a pole at 0, such as c / y, and Newton's iteration would converge to a solution on the other side.
 void OrderTwo::keep_sides() {
   for (std::size_t i = 0; i < solver_.extent().n; ++i)
     if (signed_h_ * slope_[i] * y_[i] > 0 && (base_[i] + psi_[i]) * y_[i] < 0) psi_[i] = d_ * signed_h_ * slope_[i];

@@ -53,7 +53,7 @@ class PairStep : public Step {
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
   static constexpr double exponent = T.exponent();
 
-  /// `others`: so many vectors (n,) more, the first of which is `other_`.
+  /// `others`: the number of further vectors (n,), the first of which is `other_`.
   PairStep(Callback& f, const Weights& weights, Fsal fsal, std::size_t others = 0)
       : Step(f, weights), fsal_(fsal), values_((stages + 3 + others) * weights.size()) {
     double* next = values_.data();
@@ -65,7 +65,7 @@ class PairStep : public Step {
     other_ = next;
   }
 
-  /// `start` of the contract: the first |h| is that whose rise of y would have the size (0.8 rtol^exponent) in the
+  /// `start` of the contract. The first |h| is the one in which y would change by 0.8 rtol^exponent in the norm of the
   /// weights.
   Outcome begin(double t, const double* y, const Span& span) {
     t_ = t;
@@ -81,7 +81,7 @@ class PairStep : public Step {
     return Outcome::ok;
   }
 
-  /// The attempt to t1 begins.
+  /// Begins an attempt to t1.
   void propose(double h, double t1) {
     t1_ = t1;
     h_ = std::abs(h);
@@ -108,8 +108,8 @@ class PairStep : public Step {
     rest_.accept();
   }
 
-  /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later
-  /// one, and what the last stage got wrong in the error.
+  /// Evaluates stage k, unless its argument is not finite. A value of f that is not finite is thus found in the
+  /// argument of a later stage, and one of the last stage in the error.
   Outcome evaluate(double t, const double* y, std::size_t k) {
     if (!finite(y)) return Outcome::not_finite;
     evaluated_ = k + 1;
@@ -148,7 +148,7 @@ class PairStep : public Step {
     return Status::ok;
   }
 
-  /// The memory between steps: of the stages only the first of the next step, `first`, which is read again.
+  /// Writes or reads the memory between steps. The only stage in it is the first one of the next step, `first`.
   void archive_step(Archive& archive, double* first) {
     Step::state(archive);
     archive.values(archive.reading() ? k_[0] : first, n());
@@ -170,10 +170,10 @@ class PairStep : public Step {
   double purified_ = 0;  // t₁ − t
   RestingStart rest_;
   bool failed_ = false;    // an attempt of this step failed
-  bool accepted_ = false;  // and the next has not begun
+  bool accepted_ = false;  // a step was accepted, and the next one has not begun
 
  private:
-  /// Returns whether y is finite, as `all_finite`, of which the program has one copy, made for many.
+  /// Returns whether y is finite: `all_finite`, which is compiled for long vectors, or a short loop for small systems.
   [[nodiscard]] bool finite(const double* y) const {
     if constexpr (!Small) return all_finite(y, n());
     double sum = 0;

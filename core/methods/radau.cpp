@@ -239,7 +239,8 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
-/// Adds the updates, which the residuals have become, to Z. Their size. `forgets`: without roundoff.
+/// Adds the updates, which have replaced the residuals, to Z, and returns their size. `forgets`: without those entries
+/// for sensitivities that are roundoff.
 double Radau::update_stages(bool forgets) {
   for (std::size_t stage = 0; stage < stages(); ++stage)
     for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.end; ++i) increments_[i] += residuals_[i];

@@ -14,8 +14,8 @@ namespace {
 constexpr double d = 1 / (2 + std::numbers::sqrt2);
 constexpr double e32 = 6 + std::numbers::sqrt2;
 
-// |h| times what f in the middle of the step does not have in common with its linearization, in units of rtol and of
-// the error estimate: of a smooth f that is about 3 times the estimate.
+// |h| times the difference of f in the middle of the step from its linearization, in units of rtol and of the error
+// estimate: for a smooth f it is about 3 times the estimate.
 constexpr double harmless_difference = 20, told_difference = 100;
 
 }  // namespace
@@ -90,9 +90,9 @@ Outcome Rosenbrock::stages() {
   return solve(k3_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
-/// Where f jumps the same from the start to the middle and from there to the end, and J tells nothing of it, the
-/// estimate vanishes. W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. Roundoff of J and
-/// what is stiff in f are left out by W, as in the estimate.
+/// If f jumps by the same amount in both halves of the step, which J does not contain, the estimate vanishes.
+/// W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. W⁻¹ removes roundoff of J and stiff
+/// components, as in the estimate.
 bool Rosenbrock::looks_like_jump() {
   const std::size_t states = solver_.extent().n;
   const auto size = [&] {

@@ -136,7 +136,7 @@ struct Kernel {
   }
 
   /// Returns whether slopes with that `bend`, over a step of that |h| with that error estimate, look like those of an f
-  /// that jumps. `nearly`: 1, or less to include all that do by other roundoff.
+  /// that jumps. `nearly`: 1, or less to include all that do so with other roundoff.
   static auto looks_like_jump(const std::array<Real, 2>& bend, const Real& length, const Real& error, double rtol,
                               double nearly = 1) {
     const auto [difference, range] = bend;

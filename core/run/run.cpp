@@ -181,8 +181,9 @@ void Run::bind_invariants() {
 /// A point that is moved onto bounds has to be projected onto the algebraic equations again.
 bool Run::moves_off_algebraic_equations() const { return solver_.problem().bounds && mass_ && mass_->singular(); }
 
-/// With a singular mass matrix the invariants are imposed together with the algebraic equations; if they have levels,
-/// these are the last one, which moves all components: moved alone, those that M leaves free can hardly determine them.
+/// With a singular mass matrix the invariants are imposed together with the algebraic equations. If the invariants have
+/// levels, the algebraic equations are the last level, which moves all components: the components that M leaves free
+/// may hardly determine these equations by themselves.
 Invariants Run::with_algebraic_equations() {
   const Problem& problem = this->problem();
   const Callback slopes = problem.variations ? problem.variations->slope : Callback();

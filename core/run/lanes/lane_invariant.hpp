@@ -255,7 +255,7 @@ class LaneInvariant {
     last_norm_ = choose(where, norm_, last_norm_);
   }
 
-  /// One correction of `y1_` where it is open: the last one, where the gradient at hand serves.
+  /// Corrects `y1_` once in the open lanes, for the last time in lanes in which the former gradient serves.
   M correct(int iteration, const LaneStep<W>& step, M& open, P& jacobians, M& doubtful) {
     const P residual = g(step.t1, y1_, step.p) - held_, length = norm_;
     const M fresh = iteration == 0 ? open : open & ~serves(residual);
@@ -279,7 +279,8 @@ class LaneInvariant {
     return odd;
   }
 
-  /// `Projector::correct_again`: returns where the gradient of the last correction serves for the next one too.
+  /// Returns the lanes in which the gradient of the last correction serves for the next one too, by the rule of
+  /// `Projector::correct_again`.
   [[nodiscard]] M serves(const P& residual) const {
     const P distance = absolute(residual) / norm_;
     return P(2) * distance * distance * norm_ <= P(eps) * size_of_terms(held_, gradient(), point_) * distance_;

@@ -16,7 +16,7 @@ _keeping = short_lock()
 class Latest(dict[_Key, _Value]):
     """A dict in which a new entry displaces the oldest, if there are more than `most`. Threads may share it."""
 
-    #: The default is more than a script has kinds of calls.
+    #: Default: more than the kinds of calls in a script.
     most = 64
 
     def __init__(self, most: int = most) -> None:

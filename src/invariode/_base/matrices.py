@@ -109,7 +109,7 @@ def _within(indices: Array, size: int) -> bool:
 
 
 def compressed(entries: Array) -> tuple[Array, Array, Array]:
-    """A dense matrix as compressed columns, without its zeros."""
+    """Return a dense matrix as compressed columns, without its zeros."""
     starts = np.concatenate([[0], np.cumsum((entries != 0).sum(axis=0))]).astype(np.int32)
     columns, rows = np.nonzero(entries.T)
     return starts, rows.astype(np.int32), entries[rows, columns].astype(float)

@@ -1,4 +1,4 @@
-"""The package for users: its name, its version, and packages of extras, imported when they are first used."""
+"""The package's name and version, and packages of extras, which are imported when they are first used."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def public(one: T) -> T:
 
 @cache
 def version() -> str:
-    """The version that is installed."""
+    """Return the installed version."""
     from importlib import metadata  # here, since importing it takes as long as importing the core
 
     return metadata.version(NAME)
 
 
 def extra(module: str, what: str, of: str, called: str = "") -> Any:
-    """Return the module, or raise an error that begins with `what` and says which extra installs its package, which is
-    `called` otherwise if the name is given."""
+    """Return the module, or raise an error that begins with `what` and says which extra, `of`, installs its package.
+    `called`: the package's name, if it differs from the module's."""
     package = module.partition(".")[0]
     try:
         return import_module(module)

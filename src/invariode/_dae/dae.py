@@ -233,8 +233,8 @@ class Dae:
         self._made: dict[Reduction, _Functions] = {}
 
     def _guess(self, y: Array, yp: Array | None, fixed: Collection[int] = ()) -> tuple[Array, int]:
-        """Return values and derivatives of the unknowns that are left, and how many levels of them were given; of the
-        unknowns in `fixed` the values must stay."""
+        """Return values and derivatives of the unknowns that are left, and how many levels of them were given. The
+        values of the unknowns in `fixed` must not change."""
         m = len(self._kept)
         known = max([1 + (yp is not None)] + [1 + one.order for one in self._of])
         guess = np.zeros((known, m))
@@ -242,8 +242,8 @@ class Dae:
             for u, (b, order, sign) in enumerate(self._of):
                 if order + 1 < known:
                     guess[order + 1, b] = sign * yp[u]
-        # A value says more than the derivative of what it renames, and of unknowns with one name the value of one that
-        # must stay, else of one that F differentiates.
+        # A given value replaces the derivative that it renames. If several unknowns rename one, the value of a fixed
+        # one counts, otherwise that of one whose derivative is in F: later values overwrite earlier ones.
         for u in sorted(range(len(self._of)), key=lambda u: (u in fixed, u in self._differentiated)):
             b, order, sign = self._of[u]
             guess[order, b] = sign * y[u]

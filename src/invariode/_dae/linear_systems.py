@@ -17,7 +17,7 @@ _SAFE = 0.1
 _LARGE = 120
 #: Smallest over largest singular value of an equilibrated matrix below which it is singular.
 SINGULAR = 1e-11
-#: Entries of an echelon form below the first number are 0, of a null vector below the second part of the largest.
+#: Entries of an echelon form are 0 below the first number, entries of a null vector below the second times the largest.
 _ROUNDOFF, _NEGLIGIBLE = 1e-9, 1e-7
 #: Iterations of the scaling of rows and columns, which converges by a factor of 4 each.
 _SCALINGS = 4
@@ -154,8 +154,8 @@ def nullity(sizes: Array) -> int:
 
 
 def null_vectors(matrices: Mapping[int, Array]) -> Iterable[tuple[Array, list[int]]]:
-    """Return vectors v with A v = 0 at the first of the matrices, and where they are not 0 at one of them: the rows of
-    the reduced echelon form of the null space, those with the fewest entries first."""
+    """Yield vectors v with A v = 0 for the first of the matrices, each with the places at which it is not 0 for at
+    least one of them: the rows of the reduced echelon form of the null space, those with the fewest entries first."""
     lost = min(nullity(np.linalg.svd(A, compute_uv=False)) for A in matrices.values())
     spaces = [np.linalg.svd(A)[2][len(A) - lost :] for A in matrices.values()]
     pivots: list[int] = []
@@ -168,8 +168,8 @@ def null_vectors(matrices: Mapping[int, Array]) -> Iterable[tuple[Array, list[in
 
 
 def _echelon_form(space: Array, pivots: list[int]) -> Array:
-    """Return the reduced echelon form of a space, given by rows, with these pivots; if there are none yet, the largest
-    entries become pivots."""
+    """Return the reduced echelon form of a space, given by rows, with these pivot columns. Missing pivots are chosen by
+    the largest entries, and appended to `pivots`."""
     N = space.copy()
     for r in range(len(N)):
         if r == len(pivots):

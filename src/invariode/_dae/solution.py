@@ -280,7 +280,7 @@ class _Origin(Origin):
         return np.asarray(reduced.gradient(np.einsum("im,ism->sm", costs, of_state), direct, wrt, t=times))
 
     def parameters(self) -> Array | None:
-        """See `Origin.parameters`: those of the reduced problem are the same."""
+        """See `Origin.parameters`: the reduced problem has the same ones."""
         return self.reduced._origin.parameters()
 
 

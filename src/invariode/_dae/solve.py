@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["decic", "ode15i", "solve_dae"]
 
 
-#: What describes other problems, and what to do instead.
+#: Options that describe other kinds of problems, with the advice of their error messages.
 _INSTEAD = {
     "delays": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
     "history": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
@@ -175,7 +175,7 @@ def solve_dae(
 
 
 def _require_known(options: Options) -> None:
-    """Raise a TypeError for what a DAE does not take, with what to do instead."""
+    """Raise a TypeError for an option that `solve_dae` does not take; its message says what to do instead."""
     for name in options:
         if name in _INSTEAD:
             raise TypeError(f"solve_dae takes no {name}: {_INSTEAD[name]}")

@@ -355,7 +355,7 @@ class Structure:
         return f"{one} {'+' if factor.value < 0 else '-'} {size}{other}"
 
     def completed(self, t: float, x: Array, parameters: Array | None = None) -> Array:
-        """Return the values x_j^(l), (levels, n), with those of the unknowns that substitutions introduced."""
+        """Return the values x_j^(l), (levels, n), with the values of the unknowns that substitutions introduced."""
         levels, first = len(x), self.n - len(self.definitions)
         found = np.zeros((levels, self.n))
         found[:, :first] = x[:, :first]
@@ -369,7 +369,8 @@ class Structure:
         return found
 
     def known(self, levels: Array) -> Array:
-        """Return how many levels of each unknown are known, where those of the first unknowns are."""
+        """Return how many levels of each unknown are known; `levels`: their numbers for the unknowns before
+        substitutions."""
         found = np.concatenate([levels, np.zeros(len(self.definitions), dtype=int)])
         for j, definition in enumerate(self.definitions, len(levels)):
             found[j] = min(found[place % self.n] - place // self.n for place in leaves([definition]))
@@ -393,8 +394,8 @@ class Structure:
     def _multipliers(
         self, block: Block, k: int, others: Sequence[int], matrices: Mapping[int, Array], of_rows: bool
     ) -> list[Node]:
-        """Return u_i with J[k] + Σ u_i J[i] = 0 for rows of a block, or the same for columns, from as many equations as
-        there are factors, chosen by pivoting."""
+        """Return u_i with J[k] + Σ u_i J[i] = 0 for rows of a block, or for columns, from one equation for each factor,
+        chosen by pivoting."""
         if not others:
             return []
         from scipy.linalg import qr

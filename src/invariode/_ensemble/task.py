@@ -18,9 +18,9 @@ from .._problem.options import Options
 from .._problem.problem import Problem
 from .._run.prepared import Prepared, kind_of, prepared_or_plan
 
-#: Types of arguments that need no look at each row.
+#: Rows with arguments of these types are of one kind, whatever the values.
 _NUMBERS = frozenset({float, int})
-#: Types of arguments in whose arithmetic no other code runs.
+#: Types of arguments whose arithmetic runs no code of users.
 _PLAIN = (int, float, complex, str, np.number, np.bool_, type(None))
 
 
@@ -56,15 +56,15 @@ class Task:
         return make_plan(self._problem(i), self.method, self.options)
 
     def run(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
-        """Return the run of one trajectory, a plan that all of its kind have in common, and a function that returns its
-        own."""
+        """Return the run of one trajectory, the plan that all trajectories of its kind share, and a function that
+        returns the trajectory's own plan."""
         args, alike = self.args_of(i), self._alike
         if alike is not None and (args is alike.problem.args or alike.types == tuple(map(type, args))):
             y0 = np.ascontiguousarray(self.y0[i])
             run = alike.prepared.run(alike.problem, y0, args, alike.course, limit=alike.limit, remember=False)
             if run is not None:
                 return run, alike.plan, partial(self._own_plan, i, run)
-        with quietly():  # the first plan has said it
+        with quietly():  # the first plan has given the warnings
             return self._run_alone(i)
 
     def _run_alone(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
@@ -83,7 +83,7 @@ class Task:
         return solver(plan).integrate(plan.start), plan, lambda: plan
 
     def _remember(self, prepared: Prepared, problem: Problem, course: Course) -> None:
-        """Keep what the rows have in common: their kind depends on y0 and arguments by the types of these alone."""
+        """Store the plan that the rows share: only the types of y0 and of the arguments decide the kind of a row."""
         if self.options.get("breakpoints") is None:
             limit = cast("_core.StepLimit | None", self.options.get("callback"))
             plan, types = prepared.plan._replace(course=course), tuple(map(type, problem.args))
@@ -98,7 +98,7 @@ class Task:
         """Return whether the functions of the rows do nothing but calculate with numbers: they cannot end a process."""
         problem, callback = self.problem, self.options.get("callback")
         if self.options.get("breakpoints") is not None or kind_of(problem, self.method, self.options) is None:
-            return False  # where there may be functions that are not among these
+            return False  # such problems may call other functions than those below
         laws, events = problem.invariants, problem.events
         called = [problem.fun, *(one.fun for one in laws), *(one.jac for one in laws if callable(one.jac))]
         called += [f for event in events for f in (event.fun, event.action) if f is not None]

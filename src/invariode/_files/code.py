@@ -24,7 +24,7 @@ from .._functions.graph.python import Formula
 _CHANGES_ITEMS = ("STORE_SUBSCR", "DELETE_SUBSCR", "STORE_SLICE")
 #: and methods of lists, dicts and arrays that do.
 _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove", "setdefault", "sort", "update"}
-#: What else instructions load, bind and delete besides variables of the function.
+#: Instructions that load, bind or delete something else than local variables of the function, by their endings.
 _KINDS = {"GLOBAL": "name", "DEREF": "name", "ATTR": "attribute", "METHOD": "attribute"}
 
 #: Elements of a list of numbers that is taken as a whole.
@@ -111,8 +111,8 @@ def _kind(one: dis.Instruction) -> str | None:
 
 
 def _changes(instructions: list[dis.Instruction], free: set[str]) -> Iterator[tuple[str, str]]:
-    """Yield the kinds and names of what instructions bind anew, or change the items of: the latter begin in the source
-    where its name does."""
+    """Yield kind and name of each variable or attribute that instructions bind, or whose items they change. An
+    instruction that changes items begins at the place in the source at which the name begins."""
     places = {
         _place(one)
         for one in instructions

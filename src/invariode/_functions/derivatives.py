@@ -1,7 +1,7 @@
 """Derivatives of user functions F(t, y, *args) in directions of t, y and parameters.
 
-They are exact from the graph of F, if it is compiled from one or can be traced; or those given; or complex steps, if
-these give what differences give. Differences are the last resort.
+They are exact if F is compiled from a graph or can be traced. Otherwise they are the user's, or complex steps if these
+agree with finite differences. Finite differences are the last resort.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from .graph.switches import Switch, conditions, evaluated, has_steps, surface, s
 from .increments import INCREMENT, NOT_COMPLEX, TINY, sizes, somewhere, takes_complex
 from .layout import NO_ARGUMENTS, TRUTHS, layout_of, numbers_at_places, place_of, with_numbers
 
-#: Of an increment of a one-sided difference: a smaller one to compare with, and by how much a derivative that exists
-#: may be larger there.
+#: One-sided differences are repeated with this part of the increment; where a derivative exists, they grow at most by
+#: this factor.
 _PART, _GROWTH = 1 / 8, 1.01
 
 
@@ -81,7 +81,7 @@ class Given(NamedTuple):
 
     @classmethod
     def of(cls, jac: Any, dfdp: Any = None, bands: tuple[int, int] | None = None) -> Given:
-        """Return what is given; a word for a Jacobian, or products with it, tell no entries."""
+        """Return the given derivatives, without a Jacobian given as a word or as products, which have no entries."""
         return cls(None if isinstance(jac, str) or hasattr(jac, "matvec") else jac, dfdp, bands)
 
     def jacobian(self, called: str, shape: tuple[int, int], args: tuple[Any, ...], t: float, y: Array) -> Any:
@@ -138,21 +138,21 @@ def derivative_of(
 ) -> Derivative:
     """Return the derivative of F(t, y, *args) with respect to y, t and parameters.
 
-    It is the first of these that there is: `dfdp` as given; from the graph of F, exactly; `jac` as given; by complex
-    steps, if these give what differences give; by differences. Where one is not finite although F is, such as 0 · ∞,
-    one-sided differences take its place.
+    The first available source is used: the given `dfdp`; the graph of F, which is exact; the given `jac`; complex
+    steps, if they agree with finite differences; finite differences. A derivative that is not finite although F is,
+    such as 0 · ∞, is replaced by one-sided differences.
 
     Parameters
     ----------
     function : callable
-        F: Python, or native; with inputs as `fed` gives it them.
+        F, a Python or native function; `fed` has bound its inputs.
     shape : tuple of int
         (m, n), the numbers of values and of components of y. m is None: F is called to see it, which a native function
         does not say.
     given : Given, optional
         Derivatives that are known.
     at : Point
-        A point at which F is defined: it is called there, to see whether it takes complex numbers.
+        A point at which F is defined: F is called there, to find whether it takes complex numbers.
     args : tuple
         Its further arguments, with the values of the parameters.
     names : sequence of ParameterName
@@ -164,7 +164,7 @@ def derivative_of(
     event : bool, default False
         Machine code has the signature of events.
     traces : bool or "unnoticed", default True
-        F may be called with symbols, to find its graph; "unnoticed": if nobody can notice that.
+        F may be called with symbols, to find its graph; "unnoticed": only if the call has no effect outside F.
 
     Raises
     ------
@@ -201,7 +201,7 @@ class Derivative:
 
     @cached_property
     def _steps(self) -> _Steps | None:
-        """Complex steps or differences; None: all that they could give is known."""
+        """Complex steps or differences; None: they are not needed."""
         given = self._given
         if self.graph is not None or not (given.jac is None or (given.dfdp is None and self.k) or self._moves_t):
             return None
@@ -233,7 +233,7 @@ class Derivative:
         try:
             return _Steps(self._evaluate, at, self._moves_t).how == "complex step"
         except NOT_COMPLEX:
-            return True  # F is not defined there at all, which is not for this to say
+            return True  # F is not defined there, whatever the numbers
 
     def for_core(self, t: float, Y: ArrayLike) -> Any:
         """`tangent` as the core calls it: machine code, unless that gives NaN at the start (t, Y), which Python mends
@@ -341,7 +341,7 @@ class Derivative:
 
     @property
     def is_condition(self) -> bool:
-        """True if F has no graph and returns True or False, of which derivatives say nothing."""
+        """True if F has no graph and returns True or False, which has no derivative."""
         return self.graph is None and self._evaluate(*self._at).dtype == bool
 
     @property
@@ -570,7 +570,7 @@ def numbers_at(t: float, fun: Any, p: Array) -> Array:
 
 
 def is_finite(values: Array) -> bool:
-    """Return whether all numbers are finite; their sum of squares tells it sooner, unless it overflows."""
+    """Return whether all numbers are finite. The sum of squares is a faster test, unless it overflows."""
     flat = values.ravel()
     return math.isfinite(flat.dot(flat)) or bool(np.isfinite(values).all())
 
@@ -581,7 +581,7 @@ def has_llvm() -> bool:
 
 
 class _Evaluation:
-    """F(t, y) with its arguments, or with other values of the parameters."""
+    """Function (t, y) -> F with its arguments, or with other values of the parameters."""
 
     def __init__(
         self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace], m: int | None, called: str, event: bool
@@ -745,7 +745,7 @@ class _Steps:
             with np.errstate(all="ignore"):
                 try:
                     return np.imag(self._values(x + 1j * TINY * direction)) / TINY
-                except NOT_COMPLEX:  # here, where a branch compares numbers, or the like
+                except NOT_COMPLEX:  # at this point, such as in a branch that compares numbers
                     pass
         size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
         h = INCREMENT / np.max(np.abs(direction) / size)

@@ -21,7 +21,7 @@ from .layout import ArgumentLayout
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 TINY = 1e-40
-#: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
+#: The size of a component for increments is at least this part of the largest one.
 _SMALLEST_PART = 0.1
 #: Sizes and tolerances below this give no scale for increments: `smallest_scale` in core/weights.hpp.
 SMALLEST_SCALE = 1e-250
@@ -38,7 +38,7 @@ _POINTS = [(part, 1.0) for part in _BESIDE]
 _POINTS += [(side * _BESIDE[0] * fraction, fraction) for fraction in _NEARER for side in (1, -1)]
 #: Steps that were requested are rejected only if they are wrong beyond doubt: by this many times the expected error.
 _TOLERANT = 10
-#: Its multiples modulo 1 are spread evenly and never repeat.
+#: Golden ratio minus 1: its multiples modulo 1 are spread evenly and never repeat.
 GOLDEN = 0.6180339887498949
 
 _INSTEAD = 'or use jac="differences"'

@@ -36,9 +36,9 @@ class Newton(NamedTuple):
     Attributes
     ----------
     x : ndarray, (n,)
-        Where the iteration ended.
+        The last point of the iteration.
     ended : Ended
-        Why.
+        The reason why the iteration ended.
     residual : ndarray, (m,)
         The residuals there.
     rows : ndarray of int
@@ -125,7 +125,7 @@ def by_factors(A: Any, r: Array, metric: Any = None, *, accuracy: float) -> Arra
     metric : sparse array, (n, n), optional
         G. Default: the identity.
     accuracy : float
-        What A x − r may be, in parts of its terms.
+        The largest permitted A x − r, relative to its terms.
 
     Returns
     -------

@@ -152,8 +152,8 @@ class Roots:
     names : list of str, optional
         What messages and tables call the functions. Default: the name of `fun` with their numbers.
     stateless : bool, default False
-        Whether the values of `fun` and `on_roots` depend on their arguments alone. If so, sensitivities have their
-        derivatives, formed as for `Event`.
+        True: the values of `fun` and `on_roots` depend on their arguments alone. Sensitivities then follow them, with
+        derivatives formed as for `Event`.
 
     Notes
     -----
@@ -209,9 +209,9 @@ class Roots:
         return self.stateless
 
     def derivatives(self, of: Callable[..., Any], start: Array) -> Any:
-        """Return the derivatives of functions that remember: an object with those of `fun` and of the action
-        (`_sensitivity.actions.OfRoots`), from `of`, which makes them of a function, and S at the start, (k, n). None:
-        they remember nothing."""
+        """Return the derivatives of `fun` and of the action, as a `_sensitivity.actions.OfRoots`, if these functions
+        remember something; None if they do not. `of` makes the derivatives of a function; `start` is S at the start,
+        (k, n)."""
         return None
 
     def events(self) -> list[Event]:
@@ -255,7 +255,7 @@ class _OnRoots:
 
 
 def roots_among(events: Sequence[Event]) -> list[Roots]:
-    """Return each `Roots` of which functions are among these events."""
+    """Return the `Roots` whose functions are among these events, each once."""
     return [*{id(one.roots): one.roots for one in events if isinstance(one, RootOf)}.values()]
 
 

@@ -37,8 +37,8 @@ def of_t_and_y(start: Callable[..., Any]) -> Any:
 def follow_start(
     wanted: Sensitivities, start: Callable[..., Any] | None, names: Sequence[ParameterName], n: int
 ) -> Sensitivities:
-    """Return the sensitivities with the derivatives of y0 as a function of the arguments; without those of another
-    one. Derivatives that the user gives stay."""
+    """Return the sensitivities with the derivatives of y0 if it is a function of the arguments, and without the
+    derivatives of a former such function. Derivatives that the user gives are kept."""
     if wanted.dy0dp is not None and not isinstance(wanted.dy0dp, SlopesOfStart):
         return wanted
     own = [one for one in names if one.kind == "args"]

@@ -51,7 +51,7 @@ class Deferred:
     """An object whose attributes are made together by a function ``_make()``, when one of them is first read."""
 
     def _settle(self) -> bool:
-        """Make the deferred attributes, but for those set meanwhile; return whether there were any to make."""
+        """Make the deferred attributes, except for those set meanwhile; return whether there were any to make."""
         make = self.__dict__.get("_make")
         if make is None:
             return False
@@ -69,7 +69,7 @@ class Deferred:
 
 
 class Origin(Protocol):
-    """Origin of a solution, which can continue it and differentiate it; by default that of a run without functions.
+    """Origin of a solution, which can continue it and differentiate it; by default a run without its functions.
 
     Attributes
     ----------

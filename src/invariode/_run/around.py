@@ -1,4 +1,4 @@
-"""Company of a run: Ctrl-C as a request, and the comparison of a compiled f with the Python function."""
+"""Helpers around a run: Ctrl-C as a request to stop, and the comparison of a compiled f with the Python function."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def _difference(problem: Problem, traced: TracedFunction, t: Array, y: Array) ->
 
 @contextmanager
 def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
-    """Within the block the first Ctrl-C makes the request; the second is as before. None if no Ctrl-C arrives: outside
-    the main thread, or if the process ignores it."""
+    """Let the first Ctrl-C within the block request a stop; the second one has its usual effect. The request is None
+    where no Ctrl-C arrives: outside the main thread, or if the process ignores it."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
         yield None

@@ -292,8 +292,8 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
 
 
 def _code_of(fun: Any, compiled: bool) -> object | None:
-    """Return what a plan takes from a function: True of a Python one, nothing; beside a compiled f, which keeps the
-    plan, the code of a compiled one. None: the function has no plan in common with others."""
+    """Return what distinguishes plans by a function: True, nothing, for a Python function; the code of a compiled one
+    beside a compiled f, which stores the plan. None: problems with this function share no plan."""
     if is_plain_function(fun):
         return True
     if not compiled or not isinstance(fun, CompiledFunction):

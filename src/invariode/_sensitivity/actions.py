@@ -139,7 +139,7 @@ class OfRoots(NamedTuple):
     Attributes
     ----------
     fun, action : Along
-        Those of all functions, m of them, and of the action.
+        The derivatives of all m functions, and of the action.
     is_known : bool
         False: the functions are conditions that cannot be traced.
     """
@@ -196,7 +196,7 @@ class _ActionOfRoots:
         return self._of_latest(y).columns(t, y, dt, dy, dp)
 
     def value(self, t: float, y: Array) -> Array:
-        """Return the state behind the action, (n,)."""
+        """Return the state after the action, (n,)."""
         return self._of_latest(y).value(t, y)
 
 
@@ -232,7 +232,7 @@ class EventTime:
         rate: Rate,
         weights: Weights,
     ) -> list[EventTime]:
-        """Return those of all events; `roots`: the derivatives of each `Roots`, by its id."""
+        """Return the times of all events; `roots`: the derivatives of each `Roots`, by its id."""
         found = []
         for event in events:
             if isinstance(event, RootOf):

@@ -132,7 +132,7 @@ class Variations:
         return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))
 
     def augmented(self, y: Array, args: tuple[Any, ...] | None = None, dy0dp: Any = None) -> Array:
-        """Return Y, (y, S), at a start; for a run of its own, with its arguments, and another ∂y0/∂p if it is given."""
+        """Return Y = (y, S) at the start y, with ∂y0/∂p for these arguments, or the given one; default: the plan's."""
         wanted, start = self.sizes.wanted, self.start
         if dy0dp is not None:
             wanted = replace(wanted, dy0dp=start_of_pairs(dy0dp) if self.is_complex else dy0dp)

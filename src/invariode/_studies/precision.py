@@ -444,7 +444,7 @@ NOTABLE = 100
 
 
 class BelowZero(NamedTuple):
-    """The component that falls farthest, in units of atol, and where to."""
+    """The component that falls farthest below 0, in units of atol, and its smallest value."""
 
     component: int
     value: float
@@ -460,7 +460,7 @@ def without_word(problem: Problem) -> Problem:
 
 
 class Lowest:
-    """A callback that notes the least values of a real solution at its steps."""
+    """A callback that records the minima of a real solution at its steps."""
 
     def __init__(self, y0: Array) -> None:
         self.values = y0.copy()

@@ -269,8 +269,8 @@ class Equations:
         return replaced([value], earlier)[0] if earlier else value
 
     def _varies_before(self, one: Expression, seen: set[str]) -> bool:
-        """Return whether an expression is not at all times before the start what it is at the start: it depends on
-        rates of change, which are 0 there, or on initial assignments with time."""
+        """Return whether an expression may have another value before the start than at the start: it depends on rates
+        of change, which are 0 before the start, or on initial assignments that contain time."""
         names = one.names() - seen
         seen |= names
         if any(part.op == "rate_of" for part in one.parts()):
@@ -282,7 +282,7 @@ class Equations:
         )
 
     def _before(self, name: str) -> Node:
-        """Return the value of a symbol before the start, at graph.t: by its initial assignment or rule, or constant."""
+        """Return the value of a symbol at graph.t, before the start, by its initial assignment or rule, or constant."""
         contents = self.contents
         formula = (
             contents.rules.get(name) if name in self._given else contents.initial.get(name, contents.rules.get(name))

@@ -106,7 +106,7 @@ class EventCode:
         self.differences = differences
         self.nodes += differences
         if max(used(self.nodes, "y"), default=-1) >= (len(equations.states) or 1):
-            raise UnsupportedError("delay", "an event uses what an assignment rule takes from the past by delay()")
+            raise UnsupportedError("delay", "an event uses an assignment rule that contains delay()")
         self.roots = ArrayFunction(differences)
         self.slopes = ArrayFunction([self._along(one) for one in differences])
         self.has_delays = any(one.delay is not None for one in self.events)
@@ -197,7 +197,7 @@ class Waiting:
     event : int
         Its number.
     values : list of float or None
-        The values to assign, if these are those of the time of the trigger.
+        The values to assign, if they are evaluated at the time of the trigger.
     trigger : (float, ndarray)
         Time and state of the trigger.
     slopes : (ndarray, ndarray) or None
@@ -238,7 +238,7 @@ class Machine:
         self.p = np.zeros(0)
         self.queue: list[Waiting] = []
         self.behind: list[tuple[float, Array]] = []
-        #: What the latest action has done, in its order, and the event that was due first before it.
+        #: The steps of the latest action, in their order, and the event that was due first before it.
         self.taken: list[_Taken] = []
         self.first_due: Waiting | None = None
         self._derivatives: tuple[Array, MachineDerivatives] | None = None
@@ -258,12 +258,12 @@ class Machine:
 
     @property
     def begins_quietly(self) -> bool:
-        """True if no event is triggered at the start, where none of the comparisons is at its root: then none is for
-        almost all other parameters."""
+        """True if no event is triggered at the start, and no comparison is at its root there. Nearby parameters then
+        trigger none either."""
         return not self._starts_at_root and all(one.rule.initial for one in self.code.events)
 
     def _begun(self, t: float, y: Array, p: Array, executes: bool) -> Array:
-        """Begin a run. `executes`: False: y is behind those events at the start that are executed there."""
+        """Begin a run. executes=False: y is the state after the events that are executed at the start."""
         self._t0, self.p, self._random = t, p, random.Random(self._seed)
         #: States behind events, by time, for output at these times.
         self.behind = []
@@ -283,12 +283,12 @@ class Machine:
             return self._settled(t, y, {})
 
     def _snapshot(self) -> tuple[Any, ...]:
-        """Return a copy of what is remembered."""
+        """Return a copy of the state of the machine."""
         queue = [Waiting(one.time, one.event, one.values, one.trigger) for one in self.queue]
         return self._signs.copy(), self._truths.copy(), self._zeros.copy(), self._holds.copy(), queue
 
     def _again(self, y: Array, p: Array) -> None:
-        """Begin a further run, from y behind the events at the start."""
+        """Begin a further run, from the state y after the events at the start."""
         if np.array_equal(y, self._start[0]) and np.array_equal(p, self._start[1][: len(p)]):
             self._begun(self._t0, y, p, executes=False)
             self._signs, self._truths, self._zeros, self._holds, self.queue = self._beginning
@@ -304,12 +304,12 @@ class Machine:
 
     @property
     def is_differentiable(self) -> bool:
-        """True if sensitivities follow the events: fast reactions lead a state elsewhere behind each of them."""
+        """False with fast reactions, which change the state after each event: sensitivities do not follow them."""
         return not self.equations.has_fast
 
     def derivatives(self, of: Derive, start: Array) -> MachineDerivatives:
-        """Return the derivatives of the actions of a run whose S begins as `start`, (k, n); those that `of` has made
-        before, for the same run."""
+        """Return the derivatives of the actions of a run whose S begins as `start`, (k, n): one object for all the
+        `Roots` of a run."""
         known = self._derivatives
         if known is None or known[0] is not start:
             known = self._derivatives = start, MachineDerivatives(self, of, start)
@@ -332,7 +332,7 @@ class Machine:
         elif args and not (self._is_running and np.array_equal(args[0], self.p[: len(args[0])])):
             raise ValueError(
                 "a run of a model with events can be extended only before another one begins, and not from a file: "
-                "what waits for its execution is not kept with the solution. Solve the longer interval"
+                "events that wait for their execution are not stored with it. Solve the longer interval"
             )
         return [t - self._due if self.queue else -1.0]
 
@@ -489,10 +489,10 @@ class _Due(Roots):
 
 
 class MachineDerivatives:
-    """The derivatives of the action that a machine has taken last: those of all triggers and executions in it.
+    """The derivatives of the latest action of a machine, with all its triggers and executions.
 
-    The time of an execution is that of its trigger, and its delay, which may depend on the state and on parameters; so
-    may the values of the trigger's time. Their derivatives wait with the event.
+    An execution takes place at the time of its trigger plus a delay, which may depend on the state and on parameters;
+    values at the time of the trigger may too. Their derivatives wait with the event.
     """
 
     def __init__(self, machine: Machine, of: Derive, start: Array) -> None:
@@ -532,7 +532,7 @@ class MachineDerivatives:
         return time, none if waiting.values is None else self._part(i, "values").columns(t, y, dt, dy, dp)
 
     def slopes(self, waiting: Waiting) -> tuple[Array, Array]:
-        """Return the derivatives of an event that waits; one that was triggered at the start has those of the start."""
+        """Return the derivatives of an event that waits. If it was triggered at the start, they follow from S there."""
         if waiting.slopes is None:
             t, y = waiting.trigger
             waiting.slopes = self._triggered(waiting, t, y, np.zeros(self.k), self._start, np.eye(self.k))
@@ -554,7 +554,7 @@ class MachineDerivatives:
         return self._consistent(t, one.after, dt, moved, dp)
 
     def _consistent(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
-        """Return the derivatives, (k, n), with those of the variables that algebraic rules determine."""
+        """Return the derivatives `dy`, (k, n), with the entries that follow from algebraic rules."""
         equations = self._machine.equations
         if not equations.matched:
             return dy
@@ -580,7 +580,7 @@ class MachineDerivatives:
 
 
 class _DueAlong:
-    """The derivatives of t - due, whose `due` is that of the execution at t if there is one."""
+    """The derivatives of t - due, where `due` is the time of the execution at t, or else of the next one."""
 
     def __init__(self, all: MachineDerivatives) -> None:
         self._all, self.k = all, all.k

@@ -4,7 +4,7 @@ Events see the state alone. A value x(t - d) in one is therefore a state w of it
 
     w' = x'(t - d),   w = x(-d) at the start,
 
-which has no jumps between its own events: so x must not be what an event assigns.
+which does not follow jumps of x: so x must not be a variable that an event assigns.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .reading import Contents, EventRule
 
 
 def with_past_as_states(contents: Contents) -> None:
-    """Put symbols in the place of delay() in events.
+    """Replace each delay() in events by a new state.
 
     Raises
     ------
     UnsupportedError
-        An event assigns what another one delays.
+        An event assigns a variable whose past an event uses.
     """
     found: dict[Expression, str] = {}
 
@@ -51,7 +51,7 @@ def _replaced(rule: EventRule, symbol: Callable[[Expression], Expression]) -> Ev
 
 
 def _state(contents: Contents, one: Expression, name: str) -> str:
-    """Return the symbol of a delayed value, which is a new one."""
+    """Return the symbol of a new state, the delayed value."""
     value, delay = one.arguments
     assigned = {target for rule in contents.events for target in rule.assignments}
     if jumping := _symbols(contents, value, set()) & assigned:
@@ -66,7 +66,7 @@ def _state(contents: Contents, one: Expression, name: str) -> str:
 
 
 def _symbols(contents: Contents, one: Expression, seen: set[str]) -> set[str]:
-    """Return the symbols that a value depends on, with rules followed."""
+    """Return the symbols that a value depends on, directly or by rules."""
     for name in one.names() - seen:
         seen.add(name)
         if name in contents.rules:

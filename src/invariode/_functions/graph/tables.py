@@ -46,8 +46,12 @@ def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
 
 
 class PolynomialTable:
-    """A table of ours, which `pieces` describes: times, and the coefficients in t since each, the highest power first,
-    of shape (powers, pieces, size); a last piece without an end is unbounded, and beyond others values stay."""
+    """A piecewise polynomial of invariode's own, such as `Input`, which `pieces` describes.
+
+    `pieces` returns times, and the coefficients of the powers of t minus each time, the highest power first, of shape
+    (powers, pieces, size). With one piece for each time the last piece has no end; otherwise values beyond the ends are
+    the values at the ends.
+    """
 
     values: Any
 
@@ -57,7 +61,7 @@ class PolynomialTable:
 
 
 def is_table(value: Any) -> bool:
-    """Return whether a value is one of our tables or of SciPy's interpolators, or makes the latter."""
+    """Return whether a value is a `PolynomialTable` or an interpolator of SciPy's, or makes one of the latter."""
     if isinstance(value, PolynomialTable):
         return True
     kind = value if isinstance(value, type) or hasattr(value, "__wrapped__") else type(value)

@@ -145,7 +145,7 @@ class Experiment:
         self._where = _Where(given, where, "where")
         self.problem = problem = self._where.problem
         self.start = y0 if callable(y0) or is_native(y0) else None
-        #: `start` is that of the problem, of which initial values may be parameters besides.
+        #: True: `start` is the problem's y0, a function of the arguments; initial values may be parameters too.
         self.starts_as_problem = self.start is None and given.y0_of_args is not None
         if self.start is None and given.y0_of_args is not None:
             self.start = of_t_and_y(given.y0_of_args)

@@ -75,7 +75,7 @@ class _Runs:
 
     def __call__(self, start: _Start, dy0dp: Array | None) -> Solution | Failed:
         """Return a run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f
-        as it was given says why, also by an exception. `dy0dp`: that of the run's sensitivities."""
+        as it was given says why, also by an exception. `dy0dp`: ∂y0/∂p for the run's sensitivities."""
         *compiled, given = self._problems
         for problem in compiled:
             with suppress(TypeError):  # the compiled f cannot be used
