@@ -50,8 +50,8 @@ using namespace invariode::test;
 namespace {
 
 /// The search for jumps of f makes these vectors once, when attempts first fail one after the other: two points of the
-/// series, weights and three points with f there, a point ahead and f.
-constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2 + 2;
+/// series, weights and three points with f there, a point ahead and f, and the nine ends of eight parts with f there.
+constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2 + 2 + 1 + 9 * 2;
 /// radau makes its polynomial once, when a step is first looked at inside, and the two systems of each other order,
 /// with matrix, factors and pivots of each, when it first takes one.
 constexpr std::int64_t room_of_radau = 1 + 4 * 3;
