@@ -209,7 +209,7 @@ class Roots:
         return self.stateless
 
     def derivatives(self, of: Callable[..., Any], start: Array) -> Any:
-        """Return the derivatives of `fun` and of the action, as a `_sensitivity.actions.OfRoots`, if these functions
+        """Return the derivatives of `fun` and of the action, as sensitivities use them, if these functions
         remember something; None if they do not. `of` makes the derivatives of a function; `start` is S at the start,
         (k, n)."""
         return None
