@@ -58,7 +58,8 @@ Component BelowZero::deepest(std::size_t n, const double* y, const double* watch
   double most = 1;
   for (std::size_t i = 0; i < n; ++i) {
     const double depth = y[i * stride] / watch[i * stride];  // both are below 0
-    if (!(watch[i * stride] < 0 && depth > most)) continue;
+    const bool deeper = watch[i * stride] < 0 && depth > most;
+    if (!deeper) continue;
     most = depth;
     found = {static_cast<int>(i), y[i * stride], 0};
   }

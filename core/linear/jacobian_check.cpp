@@ -15,7 +15,7 @@ constexpr double closer = 1.0 / 16;  // part of v for a second look, at which th
 constexpr double nearly_linear = 0.25;
 constexpr double noise_of_f = 10;            // ε |f_i| and ε |J_ij y_j|: what an evaluation of f may be off,
 constexpr double noise_of_entry = 4;         // and what that does to each entry by differences
-constexpr std::size_t returned_n = 1 << 16;  // vectors that an allocator returns to the system
+constexpr std::size_t returned_n = 1U << 16U;  // vectors that an allocator returns to the system
 
 }  // namespace
 

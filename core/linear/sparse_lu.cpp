@@ -365,13 +365,13 @@ void SparseLu<Scalar>::update_rest(std::size_t from, std::size_t to) {
     const std::size_t bottom = std::min(top + high, m);
     std::size_t j = to;
     for (; j + wide <= column_of_.size(); j += wide) {
-      Scalar *c0 = column(j), *c1 = column(j + 1), *c2 = column(j + 2), *c3 = column(j + 3);
+      Scalar* __restrict c0 = column(j), * __restrict c1 = column(j + 1);
+      Scalar* __restrict c2 = column(j + 2), * __restrict c3 = column(j + 3);
       std::size_t p = from;
       for (; p + 2 <= to; p += 2) {
-        const Scalar *l0 = column(p), *l1 = column(p + 1);
+        const Scalar* __restrict l0 = column(p), * __restrict l1 = column(p + 1);
         const Scalar u00 = c0[p], u01 = c1[p], u02 = c2[p], u03 = c3[p];
         const Scalar u10 = c0[p + 1], u11 = c1[p + 1], u12 = c2[p + 1], u13 = c3[p + 1];
-#pragma GCC ivdep
         for (std::size_t i = top; i < bottom; ++i) {
           c0[i] = minus_product(minus_product(c0[i], l0[i], u00), l1[i], u10);
           c1[i] = minus_product(minus_product(c1[i], l0[i], u01), l1[i], u11);
@@ -380,9 +380,8 @@ void SparseLu<Scalar>::update_rest(std::size_t from, std::size_t to) {
         }
       }
       for (; p < to; ++p) {
-        const Scalar* l0 = column(p);
+        const Scalar* __restrict l0 = column(p);
         const Scalar u00 = c0[p], u01 = c1[p], u02 = c2[p], u03 = c3[p];
-#pragma GCC ivdep
         for (std::size_t i = top; i < bottom; ++i) {
           c0[i] = minus_product(c0[i], l0[i], u00);
           c1[i] = minus_product(c1[i], l0[i], u01);

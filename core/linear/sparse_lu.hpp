@@ -56,8 +56,8 @@ class SparseLu {
   void exchange_columns(std::size_t a, std::size_t b);
   void keep(std::size_t pivots, bool root);
 
-  Scalar* column(std::size_t j) { return front_.data() + j * row_of_.size(); }
-  const Scalar* column(std::size_t j) const { return front_.data() + j * row_of_.size(); }
+  [[nodiscard]] Scalar* column(std::size_t j) { return front_.data() + j * row_of_.size(); }
+  [[nodiscard]] const Scalar* column(std::size_t j) const { return front_.data() + j * row_of_.size(); }
 
   FrontTree tree_;
   std::vector<int> entry_starts_;  // of the entries of A that belong to a front

@@ -192,8 +192,8 @@ class AgingJacobian {
   [[nodiscard]] JacobianAudit* audit() { return audit_ ? &*audit_ : nullptr; }
   /// Null: J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
-  /// See `Step::end_attempts`.
-  void end_attempts() {
+  /// See `ImplicitInterface::end_attempts`.
+  virtual void end_attempts() {
     if (free_) free_->end_attempts();
     jacobian_.end();
   }
@@ -295,8 +295,8 @@ class Newton : public AgingJacobian {
 
   Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules = suite);
 
-  /// See `Step::end_attempts`.
-  void end_attempts() {
+  /// See `ImplicitInterface::end_attempts`.
+  void end_attempts() override {
     AgingJacobian::end_attempts();
     lu_.reset();
     for (std::vector<double>* one : {&f_value_, &residual_, &sum_, &before_, &earlier_}) *one = std::vector<double>();

@@ -81,7 +81,7 @@ class NystromStep final : public runge_kutta::PairStep<T> {
     const bool other_slope = last_has_weight && renewed_;
     if (other_slope) std::swap(k_[last], other_);
     const Status status = Base::extend(
-        start_, y_.data(), data, [this](auto look) { further_stages(look); },
+        start_, y_.data(), data, [this](auto look) { this->further_stages(look); },
         [this](double* out) { coefficients(out); });
     if (other_slope) std::swap(k_[last], other_);
     return status;

@@ -141,8 +141,10 @@ struct Kernel {
                               double nearly = 1) {
     const auto [difference, range] = bend;
     const Real size = length * difference;
-    return (Real(nearly * harmless_bend * rtol) < size) & (Real(nearly * bend_of_jump) * range < difference) &
-           (Real(nearly * told_bend) * error < size);
+    const auto harmful = Real(nearly * harmless_bend * rtol) < size;
+    const auto sharp = Real(nearly * bend_of_jump) * range < difference;
+    const auto hidden = Real(nearly * told_bend) * error < size;
+    return harmful & sharp & hidden;  // NOLINT(bugprone-signed-bitwise): truth values, or masks of them
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
