@@ -13,8 +13,8 @@ constexpr double tolerated = 0.01;   // of a row: what Newton's iteration then l
 constexpr double misleading = 0.8;   // of a row: Newton's iteration would converge at this rate, too slowly to be seen
 constexpr double closer = 1.0 / 16;  // part of v for a second look, at which the curvature of f is that much smaller
 constexpr double nearly_linear = 0.25;
-constexpr double noise_of_f = 10;            // ε |f_i| and ε |J_ij y_j|: what an evaluation of f may be off,
-constexpr double noise_of_entry = 4;         // and what that does to each entry by differences
+constexpr double noise_of_f = 10;              // ε |f_i| and ε |J_ij y_j|: what an evaluation of f may be off,
+constexpr double noise_of_entry = 4;           // and what that does to each entry by differences
 constexpr std::size_t returned_n = 1U << 16U;  // vectors that an allocator returns to the system
 
 }  // namespace
