@@ -117,7 +117,7 @@ class Invariant:
 
     def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False, starts: Sequence[int] = [], columns: Sequence[int] = []) -> None:
         """
-        starts, columns: where the entries are that a sparse jac returns, row by row.
+        starts, columns: the places of the entries that a sparse jac returns, row by row.
         """
 
 class Breakpoint:
