@@ -436,7 +436,7 @@ def test_constraints_that_switch_with_t():
             slopes = np.diff(path)[[0, 10]] / 0.1
             values = np.interp([0.05, 1.05], times, path)
             np.testing.assert_allclose(sol.y, [values, values + slopes], atol=1e-12)
-    with pytest.raises(iv.InvariantError, match=r"F\[2\] = 0 jumps by 2 right behind the start, .* such as t >= 0"):
+    with pytest.raises(iv.InvariantError, match=r"F\[2\] = 0 jumps by 2 right after the start, .* such as t >= 0"):
         iv.solve_dae(
             lambda t, y, yp: [yp[0] - y[1], yp[2] + y[2] - y[1], y[0] - np.where(t > 0, 1.0, -1.0)], (0, 1), [1, 0, 1]
         )

@@ -98,14 +98,14 @@ def jump(sol: Solution, reduction: Reduction, p: Array) -> str:
 
 
 def require_no_jump(reduction: Reduction, span: tuple[float, float], state: Array, p: Array) -> None:
-    """Raise an InvariantError if a constraint jumps right behind the start."""
+    """Raise an InvariantError if a constraint jumps right after the start."""
     t0, later = span[0], float(np.nextafter(*span))
     found = _jumping(reduction, t0, state, p, (t0, t0 + _NEAR * (span[1] - t0)), (t0, later))
     if found is not None:
         name, size = found
         raise InvariantError(
-            f"the constraint {name} = 0 jumps by {size:.3g} right behind the start, t = {t0:.10g}: write its condition "
-            "so that the value at t0 is the one behind it, such as t >= 0 in place of t > 0, or start elsewhere"
+            f"the constraint {name} = 0 jumps by {size:.3g} right after the start, t = {t0:.10g}: write its condition "
+            "so that the value at t0 is the one after it, such as t >= 0 in place of t > 0, or start elsewhere"
         )
 
 

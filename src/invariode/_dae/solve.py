@@ -89,7 +89,7 @@ def solve_dae(
     nonnegative : bool, int, str or sequence of int or str, optional
         Unknowns that must not become negative: indices or names; True means all.
     bounds : (lower, upper), optional
-        Bounds of the unknowns, numbers or arrays of shape (n,), infinite where there is none. Only unknowns that have
+        Bounds of the unknowns, numbers or arrays of shape (n,); an infinite entry is no bound. Only unknowns that have
         initial values, or are algebraic variables of a method with a singular mass matrix, can have bounds; those that
         the equations give as formulas are an error.
     jac : callable, optional

@@ -103,7 +103,8 @@ class Starts:
         Raises
         ------
         InvariantError
-            There are none near the guess, or too many values are fixed, or the highest derivatives are not determined.
+            No consistent values exist near the guess, too many values are fixed, or the highest derivatives are not
+            determined.
         """
         if self._first is not None:
             guess = Point(guess.t, self._first.nearest(guess, known, fixed))

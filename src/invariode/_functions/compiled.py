@@ -63,7 +63,7 @@ class Watch(Protocol):
     Attributes
     ----------
     objection : str or None
-        Objection to the solution, in words; None: there is none.
+        Objection to the solution, in words; None if the solution is accepted.
     """
 
     objection: str | None
@@ -81,7 +81,7 @@ class CoreFunction:
     derivatives: Mapping[str, str] = MappingProxyType({})
     #: The user's functions that it calls.
     functions: Sequence[Any] = ()
-    #: The number of leading components of y that are positions, whose velocities follow; 0 if there are none.
+    #: The number of leading components of y that are positions, whose velocities follow; 0 if y has no positions.
     positions = 0
 
     def watch(

@@ -146,9 +146,9 @@ class Experiment:
         self.problem = problem = self._where.problem
         self.start = y0 if callable(y0) or is_native(y0) else None
         #: True: `start` is the problem's y0, a function of the arguments; initial values may be parameters too.
-        self.starts_as_problem = self.start is None and given.y0_of_args is not None
+        self.starts_as_problem = False
         if self.start is None and given.y0_of_args is not None:
-            self.start = of_t_and_y(given.y0_of_args)
+            self.start, self.starts_as_problem = of_t_and_y(given.y0_of_args), True
         if y0 is not None and (self.start is None or self.starts_as_problem):
             choice("y0", y0, ("steady",))
             if before is not None:

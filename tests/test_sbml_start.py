@@ -1,0 +1,79 @@
+"""Initial values of SBML models are functions of their parameters."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from test_sbml import event, formula, model, parameter, reaction, species
+
+sbml = pytest.importorskip("invariode.sbml")
+
+INITIAL = "".join(
+    f'<initialAssignment symbol="{name}">{formula(one)}</initialAssignment>'
+    for name, one in (("S", "2 * a + b"), ("a", "k + b"), ("b", "k * k"))
+)
+CHAIN = model(
+    species("S", 1, substance="false") + species("P", 0.5, substance="false"),
+    "".join(parameter(name, value) for name, value in (("k", 0.5), ("a", 0), ("b", 0), ("lambda", 0.3))),
+    reactions=reaction("r", {"S": 1}, {"P": 1}, "lambda * S"),
+    events=event("e", "P > k", {"S": "S + a"}, delay="k"),
+    initial=INITIAL,
+    size="2",
+)
+
+
+def test_initial_assignments_follow_the_parameters():
+    """S = 2 a + b with a = k + b and b = k², in a volume c: y0 and its derivatives, through an event too."""
+    loaded = sbml.load(CHAIN)
+    problem = pickle.loads(pickle.dumps(loaded)).problem((0, 3))
+    names, run = ["k", "lambda", "c"], {"method": "radau", "rtol": 1e-10, "atol": 1e-12}
+    assert problem.y0[0] == 2 * (2 * 0.5 + 3 * 0.25)
+    np.testing.assert_allclose(problem.replace(parameters={"k": 0.8}).y0, loaded.problem((0, 3), k=0.8).y0)
+    found = problem.replace(sensitivities=names).solve(**run).sensitivities[:, :, -1]
+    for j, name in enumerate(names):
+        h = 1e-4 * problem.parameters[name]
+        ends = [
+            loaded.problem((0, 3), **{name: problem.parameters[name] + s * h}).solve(**run).y_end
+            for s in (1, -1, 2, -2)
+        ]
+        expected = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * h)
+        np.testing.assert_allclose(found[:, j], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_fits_of_models_follow_initial_assignments_and_events():
+    loaded = sbml.load(CHAIN)
+    t = np.linspace(0.3, 3, 10)
+    run = {"method": "radau", "rtol": 1e-9, "atol": 1e-12}
+    data = loaded.problem((0, 3), k=0.62, **{"lambda": 0.41}).solve(t_eval=t, **run).y
+    fit = iv.fit(loaded.problem((0, 3)), t, data, {"k": (0.1, 2), "lambda": (0.1, 1)}, sigma=0.01, **run)
+    np.testing.assert_allclose([fit.parameters["k"], fit.parameters["lambda"]], [0.62, 0.41], rtol=1e-4)
+
+
+def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_path):
+    """A dose with a lag: `extend` finds what waits, unless another run has begun, or the run comes from a file; a dose
+    at the start depends on its parameter; problems can be pickled after runs with sensitivities."""
+    text = model(
+        species("D", 0),
+        parameter("dose", 5) + parameter("lag", 0.7),
+        reactions=reaction("e", {"D": 1}, {}, "D"),
+        events=event("first", "time >= 0", {"D": "dose"}, initial="false")
+        + event("second", "time >= 0.5", {"D": "D + dose"}, delay="lag", at_trigger="false"),
+    )
+    problem = sbml.load(text).problem((0, 1))
+    run = {"method": "dop853", "rtol": 1e-10, "atol": 1e-12}
+    varied = problem.replace(sensitivities=["dose", "lag"])
+    sol = pickle.loads(pickle.dumps([varied.solve(**run), varied][1])).solve(**run).extend(4)
+    np.testing.assert_allclose(sol.y_end[0], 5 * (np.exp(-4) + np.exp(-2.8)), rtol=1e-8)
+    expected = [np.exp(-4) + np.exp(-2.8), 5 * np.exp(-2.8)]
+    np.testing.assert_allclose(sol.sensitivities[0, :, -1], expected, rtol=1e-6)
+    assert problem.replace(parameters={"dose": 2.0}).y0[0] == 2
+    first = problem.solve(**run)
+    first.save(tmp_path / "run.npz")
+    problem.replace(parameters={"dose": 2.0}).solve(**run)
+    for one in (first, iv.load(tmp_path / "run.npz", sbml.load(text).problem((0, 1)))):
+        with pytest.raises(ValueError, match="can be extended only before another one begins"):
+            one.extend(4)
