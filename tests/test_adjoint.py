@@ -13,7 +13,8 @@ import invariode as iv
 from cases import FAMILIES, IMPLICIT, METHODS, SERIES, dealt, explicit_and_implicit, families
 from invariode import _core
 from invariode._adjoint.jumps import at_bounds
-from invariode._plan.plan import make_plan, solver
+from invariode._plan.plan import solver
+from invariode._plan.planning import make_plan
 from invariode._run.run import solve
 from test_sensitivities_complex import condensate, in_reals, inside, precession, turned, untraced_precession
 

@@ -12,8 +12,8 @@ import pytest
 
 from cases import FAMILIES, METHODS, dealt, families
 from invariode import Event, _core, compile, solve_ivp
-from invariode._plan.plan import make_plan
 from invariode._plan.plan import solver as planned_solver
+from invariode._plan.planning import make_plan
 from invariode._problem.problem import Problem
 
 n, m = 2, 1

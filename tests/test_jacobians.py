@@ -13,7 +13,7 @@ import invariode as iv
 from cases import IMPLICIT
 from invariode import _core
 from invariode._functions.graph.derived import derived
-from invariode._plan.plan import make_plan
+from invariode._plan.planning import make_plan
 from stiff import PROBLEMS
 
 ROBERTSON, BRUSSELATOR = PROBLEMS["Robertson"], PROBLEMS["Brusselator"]

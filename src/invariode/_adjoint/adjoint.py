@@ -36,7 +36,8 @@ from .._functions.compiled import is_native
 from .._functions.derivatives import Derivative, Point, derivative_of
 from .._functions.layout import layout_of
 from .._plan.call_errors import takes
-from .._plan.plan import Plan, longest_step, make_plan, ordered_breakpoints, solver
+from .._plan.plan import Plan, solver
+from .._plan.planning import longest_step, make_plan, ordered_breakpoints
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import roots_among
 from .._problem.invariants import AccuracyWarning

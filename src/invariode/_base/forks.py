@@ -21,17 +21,12 @@ def short_lock() -> Any:
     return lock
 
 
-def _held() -> list[Any]:
-    """Return the locks of a fork, in the order in which threads take them."""
-    numba = sys.modules.get("numba.core.compiler_lock")
-    return [compiling, *([] if numba is None else [numba.global_compiler_lock]), *_short]
-
-
 _taken: list[Any] = []
 
 
 def _before() -> None:
-    locks = _held()
+    numba = sys.modules.get("numba.core.compiler_lock")
+    locks = [compiling, *([] if numba is None else [numba.global_compiler_lock]), *_short]
     for lock in locks:
         lock.acquire()
     _taken.extend(locks)  # while all are held: no other thread forks

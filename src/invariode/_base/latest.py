@@ -31,7 +31,8 @@ class Latest(dict[_Key, _Value]):
 
     def find(self, key: _Key, make: Callable[[], _Value]) -> _Value:
         """Return the value of a key; `make`, which may call functions of the user, makes a missing one."""
-        found = self.get(key)
-        if found is None:
+        try:
+            return self[key]
+        except KeyError:
             found = self[key] = make()
-        return found
+            return found

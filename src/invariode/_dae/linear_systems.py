@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -131,21 +130,17 @@ def condition(A: Array) -> float:
     if not np.isfinite(scaled).all():
         return 0.0
     if len(A) > _LARGE:
-        return _by_growth(scaled)
+        from scipy.sparse import csc_array
+        from scipy.sparse.linalg import splu
+
+        try:
+            probe = splu(csc_array(scaled)).solve(np.where(np.arange(len(scaled)) % 3 == 0, -1.0, 1.0))
+        except RuntimeError:  # singular
+            return 0.0
+        largest = float(np.abs(probe).max())
+        return 1 / largest if np.isfinite(largest) and largest > 0 else 0.0
     sizes = np.linalg.svd(scaled, compute_uv=False)
     return float(sizes[-1] / sizes[0]) if sizes[0] > 0 else 0.0
-
-
-def _by_growth(A: Any) -> float:
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    try:
-        probe = splu(csc_array(A)).solve(np.where(np.arange(len(A)) % 3 == 0, -1.0, 1.0))
-    except RuntimeError:  # singular
-        return 0.0
-    largest = float(np.abs(probe).max())
-    return 1 / largest if np.isfinite(largest) and largest > 0 else 0.0
 
 
 def nullity(sizes: Array) -> int:

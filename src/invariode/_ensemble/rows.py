@@ -13,16 +13,16 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, state, warn
+from .._base.interrupts import stopped_by_interrupt
 from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
-from .._functions.layout import TRUTHS, ArgumentLayout, layout_of
+from .._functions.layout import TRUTHS, layout_of
 from .._plan.call_errors import error_at_start
 from .._plan.plan import Plan, solver
 from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .._run.around import stopped_by_interrupt
 from .outcomes import UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
@@ -209,24 +209,14 @@ def _parameters(task: Task, plan: Plan) -> Array:
         rows = np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except (ValueError, TypeError):  # arguments of different shapes, or that are no numbers
         rows = np.stack([native_parameters(row, [task.problem.fun]).numbers for row in task.args])
-    _require_constants(task, p, rows)
-    return rows
-
-
-def _require_constants(task: Task, p: ArgumentLayout, rows: Array) -> None:
-    """Check that all trajectories have the same values of arguments that are constants of compiled functions.
-
-    Raises
-    ------
-    ValueError
-        They differ.
-    """
+    # All trajectories must have the same values of arguments that are constants of compiled functions.
     others = [] if isinstance(task.args, np.ndarray) else map(layout_of, task.args)
     objection = p.objection(rows, constants(task.problem.called_functions, p))
     if objection is None and any(one.fixed(TRUTHS) != p.fixed(TRUTHS) for one in others):
         objection = "arguments that are no numbers, or their shapes, differ from row to row"
     if objection is not None:
         raise ValueError(f"args of a compiled ensemble: {objection}. Compile one function for each, or pass floats")
+    return rows
 
 
 def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError | IndexError]:

@@ -13,7 +13,8 @@ from .. import _core
 from .._base.arguments import Array, quietly
 from .._base.types import MethodName, OnFailure
 from .._functions.graph.plain import only_calculates
-from .._plan.plan import Course, Plan, make_plan, solver
+from .._plan.plan import Course, Plan, solver
+from .._plan.planning import make_plan
 from .._problem.options import Options
 from .._problem.problem import Problem
 from .._run.prepared import Prepared, kind_of, prepared_or_plan

@@ -75,7 +75,13 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
     """
     context = _context()
     if context.get_start_method() != "fork":
-        _require_picklable(solve)
+        try:
+            pickle.dumps(solve)
+        except Exception as error:
+            raise TypeError(
+                f"the functions of this ensemble cannot be sent to other processes ({error}): define them in a module, "
+                "compile them (invariode.compile), or solve with workers=1"
+            ) from error
     workers = min(workers, MOST_WORKERS)
     length = max(1, min(LARGEST_CHUNK, size // (CHUNKS_PER_WORKER * workers)))
     left = deque(range(i, min(i + length, size)) for i in range(0, size, length))
@@ -121,16 +127,6 @@ def _what_is_left(chunk: range, fatal: set[int], hopeless: Sequence[int]) -> lis
     return [part for part in (range(chunk.start, row), range(row + 1, chunk.stop), again) if part]
 
 
-def _require_picklable(solve: Callable[[int], Any]) -> None:
-    try:
-        pickle.dumps(solve)
-    except Exception as error:
-        raise TypeError(
-            f"the functions of this ensemble cannot be sent to other processes ({error}): define them in a module, "
-            "compile them (invariode.compile), or solve with workers=1"
-        ) from error
-
-
 # ----------------------------------------------------------------------------------------------------------------------
 # In the parent
 
@@ -166,11 +162,17 @@ class _Workers(Generic[T]):
                     if not self.lost:
                         self._give(executor)
                 for file in files:
-                    yield _taken_from(file)
+                    outcomes = pickle.loads(file.read_bytes())
+                    file.unlink()
+                    yield outcomes
             with _ctrl_c_later():
                 executor.shutdown()
         except BaseException:
-            self._kill()
+            with _ctrl_c_later():
+                for process in list(self._processes.values()):
+                    process.kill()
+                if self._executor:
+                    self._executor.shutdown(cancel_futures=True)
             raise
 
     def _solved(self) -> list[Path]:
@@ -184,13 +186,6 @@ class _Workers(Generic[T]):
             except BrokenProcessPool:
                 self.lost.append(chunk)
         return files
-
-    def _kill(self) -> None:
-        with _ctrl_c_later():
-            for process in list(self._processes.values()):
-                process.kill()
-            if self._executor:
-                self._executor.shutdown(cancel_futures=True)
 
     def _start(self) -> ProcessPoolExecutor:
         """Start the processes, with their first chunks."""
@@ -217,12 +212,6 @@ class _Workers(Generic[T]):
             for i in chunk:
                 self._work.at[i] = 0
         return rows
-
-
-def _taken_from(file: Path) -> Any:
-    outcomes = pickle.loads(file.read_bytes())
-    file.unlink()
-    return outcomes
 
 
 @contextmanager

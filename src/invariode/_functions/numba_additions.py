@@ -78,11 +78,6 @@ def _power_code(base: Any, exponent: Any) -> Any:
     return _float_power if isinstance(base, _types.Complex) and isinstance(exponent, _types.Float) else _power
 
 
-def _is_power(value: Any) -> bool:
-    two = isinstance(value, _ir.Expr) and value.op in ("binop", "inplace_binop")
-    return two and value.fn in (operator.pow, operator.ipow)
-
-
 @_machinery.register_pass(mutates_CFG=False, analysis_only=False)
 class _Powers(_machinery.FunctionPass):  # type: ignore[misc]  # numba has no types
     """Compiler pass that replaces every ** by a call of `_power`."""
@@ -98,7 +93,8 @@ class _Powers(_machinery.FunctionPass):  # type: ignore[misc]  # numba has no ty
             body: list[Any] = []
             for statement in block.body:
                 value: Any = getattr(statement, "value", None)
-                if _is_power(value):
+                two = isinstance(value, _ir.Expr) and value.op in ("binop", "inplace_binop")
+                if two and value.fn in (operator.pow, operator.ipow):
                     loc = statement.loc
                     power = block.scope.redefine("$power", loc)
                     body.append(_ir.Assign(_ir.Global("_power", _power, loc), power, loc))

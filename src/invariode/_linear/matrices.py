@@ -224,7 +224,13 @@ def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start
     pattern is that of the graph, whatever was given."""
     n, pattern = len(start.y), None
     if bands is not None:
-        _require_bands(bands, exact)
+        lower, upper = exact.bands
+        if lower > bands[0] or upper > bands[1]:
+            warn(
+                f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have "
+                f"lower = {lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as "
+                "lband and uband"
+            )
         made = exact.banded(*bands)
         return _Jacobian(_Storage("banded", n, False, *bands), "derived", (start.derivative(made, made.size), pattern))
     if _is_sparse(given, exact.entries, n):
@@ -243,16 +249,6 @@ def _is_sparse(given: Matrices, entries: int, n: int) -> bool:
     if way is None:
         return is_large(given, n) and is_sparse_enough(entries, n)
     return not isinstance(way, str) or way == "detect"
-
-
-def _require_bands(bands: tuple[int, int], exact: Derived) -> None:
-    lower, upper = exact.bands
-    if lower > bands[0] or upper > bands[1]:
-        warn(
-            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have "
-            f"lower = {lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as "
-            "lband and uband"
-        )
 
 
 def _rate(given: Matrices, start: Start) -> Any:

@@ -126,10 +126,7 @@ def _solved(U: Array, B: Array) -> Array:
     X = B.copy()
     for k in range(len(U) - 1, -1, -1):
         X[k] /= U[k, k]
-        _back(X[:k], U[:k, k], X[k])
+        column = U[:k, k]
+        touched = np.flatnonzero(column)
+        X[:k][touched] -= np.multiply.outer(column[touched], X[k])
     return X
-
-
-def _back(X: Array, column: Array, solved: Array) -> None:
-    touched = np.flatnonzero(column)
-    X[touched] -= np.multiply.outer(column[touched], solved)

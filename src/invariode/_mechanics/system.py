@@ -469,7 +469,8 @@ class MechanicalSystem(HasPoints):
             laws.append(Invariants(energy, names="energy", level=2 if in_levels else 0))
         for one in self.invariants:
             if in_levels and one.level == 0:
-                one = _at_level(one, 2)
+                one = copy.copy(one)
+                one.level = 2
             laws.append(one)
         return laws
 
@@ -478,9 +479,3 @@ def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> 
     """Return a set of invariants of the motion, prescribed to be 0, with its Jacobian."""
     fun, jacobian = MotionFunction(motion, part), MotionFunction(motion, f"{part}_jacobian")
     return Invariants(fun, jacobian, value=0, names=names, **order)
-
-
-def _at_level(one: Invariants, level: int) -> Invariants:
-    moved = copy.copy(one)
-    moved.level = level
-    return moved

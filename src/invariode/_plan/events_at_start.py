@@ -18,7 +18,12 @@ def found_at_start(problem: Problem, plan: Plan) -> list[int]:
     shows it."""
     zero = [e for e, event in enumerate(problem.events) if event.at_start and _value(problem, plan, e) == 0]
     if any(plan.functions.events[e].direction for e in zero):
-        after = _after_one_step(plan)
+        # t and y at the end of the first step tell in which direction an event leaves zero.
+        settings = plan.settings._replace(dense=False, save_all=False, record=False, refine=1)
+        functions = plan.functions._replace(events=[], callback=lambda t, y: True)
+        course = plan.course._replace(times=None)
+        run = solver(plan._replace(course=course, settings=settings, functions=functions)).integrate(plan.start)
+        after = run.t_end, run.end[: len(plan.y0)]
         zero = [e for e in zero if _value(problem, plan, e, *after) * plan.functions.events[e].direction >= 0]
     return zero
 
@@ -30,15 +35,6 @@ def _value(problem: Problem, plan: Plan, e: int, t: float | None = None, y: Arra
     if is_native(fun):
         return event_value(plan.functions.events[e].fun, t, y.view(float), plan.functions.parameters.numbers)
     return float(np.asarray(condition_value(fun(t, y, *problem.args))).item())
-
-
-def _after_one_step(plan: Plan) -> tuple[float, Array]:
-    """t and y at the end of the first step."""
-    settings = plan.settings._replace(dense=False, save_all=False, record=False, refine=1)
-    functions = plan.functions._replace(events=[], callback=lambda t, y: True)
-    course = plan.course._replace(times=None)
-    run = solver(plan._replace(course=course, settings=settings, functions=functions)).integrate(plan.start)
-    return run.t_end, run.end[: len(plan.y0)]
 
 
 def ended_at_start(plan: Plan, found: list[int]) -> bool:

@@ -218,7 +218,10 @@ class Problem:
         if invariants is not None:
             described["invariants"] = to_invariants(invariants)
         if events is not None:
-            described |= {"events": _checked_events(events), "records_events": True}
+            listed = to_events(events)
+            for event in listed:
+                terminal_count(event), direction_sign(event)
+            described |= {"events": listed, "records_events": True}
         if inputs is not None:
             described["inputs"] = to_inputs(inputs, self.t_span)
         if breakpoints is not None:
@@ -651,10 +654,3 @@ def _named(name: object) -> str:
     if not isinstance(name, str):
         raise TypeError(f"name of the problem must be a str, got {shown(name)}")
     return encodable(name)
-
-
-def _checked_events(events: EventsLike) -> list[Any]:
-    listed = to_events(events)
-    for event in listed:
-        terminal_count(event), direction_sign(event)
-    return listed

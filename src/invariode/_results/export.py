@@ -207,12 +207,8 @@ def _labels(solution: Result) -> list[str]:
 
 def _event_names(solution: Result) -> list[str]:
     """Return one distinct name per event, fit for a variable."""
-    names = [_identifier(name) for name in solution._names.events]
+    names = ["".join(c if c.isalnum() else "_" for c in name) for name in solution._names.events]
     return names if len(set(names)) == len(names) else [f"{name}_{i}" for i, name in enumerate(names)]
-
-
-def _identifier(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name)
 
 
 def _attributes(solution: Result) -> dict[str, Any]:

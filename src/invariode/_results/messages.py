@@ -68,18 +68,13 @@ def remarked(message: str, run: Run, events: Sequence[str]) -> str:
     """Return the message with remarks on stiffness, discontinuities and accumulating events added."""
     if run.stiff:
         message += f" {_sentence(limited_by_stability(run.stiff_since))}"
-    for text in about_jumps(run, events):
-        message += f" {_sentence(text)}"
-    return message
-
-
-def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
-    """Return the warnings about discontinuities of f, and about events whose actions accumulate."""
     texts = [about_jumps_of_fun(run)]
     if run.accumulation is not None:
         event, t, interval, count = run.accumulation
         texts.append(accumulating(events[event], t, interval, count))
-    return [text for text in texts if text]
+    for text in [text for text in texts if text]:
+        message += f" {_sentence(text)}"
+    return message
 
 
 def about_jumps_of_fun(run: Run | Stepper) -> str:

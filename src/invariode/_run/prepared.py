@@ -29,7 +29,8 @@ from .._functions.graph.function import TracedFunction
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, InvariantSpec, values_at_start
-from .._plan.plan import Choice, Course, Plan, choose, course_of, names_of, planned, solver
+from .._plan.plan import Choice, Course, Plan, solver
+from .._plan.planning import choose, course_of, names_of, planned
 from .._plan.second_order import fits_any_args
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants

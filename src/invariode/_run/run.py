@@ -16,6 +16,7 @@ from .._adjoint.adjoint import Forward, gradient
 from .._adjoint.sections import Sectioned, SectionedSolution
 from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
+from .._base.interrupts import stopped_by_interrupt
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
 from .._files.checkpoint import RunFiles
@@ -27,7 +28,8 @@ from .._laws.bound import BoundInvariants, Jump, as_columns
 from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .._plan.plan import Course, Plan, make_plan, ordered_breakpoints, say_established, solver
+from .._plan.plan import Course, Plan, say_established, solver
+from .._plan.planning import make_plan, ordered_breakpoints
 from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
 from .._problem.invariants import AccuracyWarning
@@ -59,7 +61,7 @@ from .._results.result import (
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
-from .around import compare, stopped_by_interrupt
+from .comparison import compare
 from .prepared import Prepared, prepared_or_plan
 
 if TYPE_CHECKING:

@@ -203,16 +203,16 @@ class _ActionOfRoots:
 class _Row:
     """Derivatives of one of several functions."""
 
-    def __init__(self, all: Along, number: int) -> None:
-        self._all, self._number, self.k = all, number, all.k
+    def __init__(self, functions: Along, number: int) -> None:
+        self._functions, self._number, self.k = functions, number, functions.k
 
     def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
         """Return the derivatives along directions, (c, 1)."""
-        return self._all.columns(t, y, dt, dy, dp)[:, self._number, None]
+        return self._functions.columns(t, y, dt, dy, dp)[:, self._number, None]
 
     def value(self, t: float, y: Array) -> Array:
         """Return the value, (1,)."""
-        return self._all.value(t, y)[self._number, None]
+        return self._functions.value(t, y)[self._number, None]
 
 
 class EventTime:

@@ -5,7 +5,7 @@ With S = ∂y/∂p, M S' = (∂f/∂y) S + ∂f/∂p − (∂M/∂p) y'; for eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .._results.sensitivities import AtEvents
-from .actions import ActionAtPoint, ActionOfEvent, EventTime, OfRoots, Rate, Together, of_roots, restoration
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, of_roots, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic, start_of_pairs
@@ -381,19 +381,6 @@ class _Derivatives:
         roots = {id(one): of_roots(one, self.of, start) for one in roots_among(problem.events)}
         times = EventTime.of_each(problem.events, self.of, roots, rate, weights)
         restored = restoration(problem, self._names, weights.threshold)
-        return times, *self._of_actions(problem, points, times, roots, rate, restored)
-
-    def _of_actions(
-        self,
-        problem: Problem,
-        points: Sequence[Breakpoint],
-        times: Sequence[EventTime],
-        roots: Mapping[int, OfRoots],
-        rate: Rate,
-        restored: Derivative | None,
-    ) -> tuple[list[ActionOfEvent | None], list[ActionAtPoint | None]]:
-        """Return the jumps of S at the actions of events and at breakpoints. `roots`: the derivatives of each `Roots`,
-        by its id."""
         together, n = Together(), self._n
         logs: dict[int, list[tuple[float, Array]]] = {key: [] for key in roots}
         jumps: list[ActionOfEvent | None] = []
@@ -412,7 +399,7 @@ class _Derivatives:
             key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
             for key, one in actions.items()
         }
-        return jumps, [made.get(id(point.action)) for point in points]
+        return times, jumps, [made.get(id(point.action)) for point in points]
 
     def tell(self) -> None:
         """A warning if some are differences."""
@@ -590,14 +577,9 @@ def given_derivatives(problem: Problem, names: Sequence[ParameterName]) -> tuple
     matrices, jac = problem.matrices, fed(problem.matrices.jac, problem.inputs)
     if is_native(jac) and matrices.jac_sparsity is not None:  # it writes the entries of the pattern alone
         jac = None
-    return _with_inputs(problem), Given.of(jac, _dfdp(dfdp, problem, names), matrices.bands)
-
-
-def _with_inputs(problem: Problem) -> Any:
-    """Return f with its inputs."""
-    fun, inputs = problem.fun, problem.inputs
-    fun = fun.first_order if isinstance(fun, SecondOrder) else fun
-    return with_tables(fun, inputs) if inputs else fun
+    fun = problem.fun.first_order if isinstance(problem.fun, SecondOrder) else problem.fun
+    fun = with_tables(fun, problem.inputs) if problem.inputs else fun
+    return fun, Given.of(jac, _dfdp(dfdp, problem, names), matrices.bands)
 
 
 def _dfdp(given: Any, problem: Problem, names: Sequence[ParameterName]) -> Any:

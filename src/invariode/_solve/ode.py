@@ -18,7 +18,8 @@ from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native
 from .._plan.call_errors import explain
-from .._plan.plan import Plan, make_plan, solver
+from .._plan.plan import Plan, solver
+from .._plan.planning import make_plan
 from .._plan.walk import Walk
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method

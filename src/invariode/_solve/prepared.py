@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, extra_arguments, interval, require_no_unit
 from .._base.types import MethodName, Span
-from .._plan.plan import choose, course_of, planned
+from .._plan.planning import choose, course_of, planned
 from .._problem.options import Options, ProblemArguments, keeping_arrays
 from .._problem.problem import Problem
 from .._results.messages import MESSAGES

@@ -11,7 +11,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from .._base.arguments import ATOL, RTOL, Array, flag
 from .._base.types import LargestStep, MethodName, Numbers
-from .._plan.plan import make_plan
+from .._plan.planning import make_plan
 from .._plan.walk import Walk
 from .._problem.docstrings import documented
 from .._problem.options import (

@@ -184,23 +184,19 @@ class TracedFunction(OnGraph):
         if real in self._graphs:
             return shape
         with compiling:
-            return self._traced_as(shape, real)
-
-    def _traced_as(self, shape: Shape, real: Shape) -> Shape:
-        """Trace the function, and return the shape with its arguments as they are handed over."""
-        arguments = real.parameters
-        key = real._replace(parameters=arguments.fixed(TRUTHS))
-        if key not in self._ways:
-            self._ways[key] = self._find_way(real, arguments)
-        way = self._ways[key]
-        found = shape._replace(parameters=arguments.whole() if way is None else arguments.fixed(way))
-        real = found._replace(is_complex=False, real_time=False)
-        if real not in self._graphs:  # the constants have other values than the first time
-            try:
-                self._graphs[real] = self._traced(real)
-            except TraceError as error:
-                raise self._untraceable(error) from None
-        return found
+            arguments = real.parameters
+            key = real._replace(parameters=arguments.fixed(TRUTHS))
+            if key not in self._ways:
+                self._ways[key] = self._find_way(real, arguments)
+            way = self._ways[key]
+            found = shape._replace(parameters=arguments.whole() if way is None else arguments.fixed(way))
+            real = found._replace(is_complex=False, real_time=False)
+            if real not in self._graphs:  # the constants have other values than the first time
+                try:
+                    self._graphs[real] = self._traced(real)
+                except TraceError as error:
+                    raise self._untraceable(error) from None
+            return found
 
     def _find_way(self, shape: Shape, arguments: ArgumentLayout) -> int | None:
         """The first way of handing over the arguments that can be traced."""

@@ -270,13 +270,8 @@ def needs(node: Node, rules: Mapping[Node, Rule]) -> list[Node]:
     made = rules.get(node)
     if made is None:
         return list(node.arguments)
-    summed = [one for each in made.sums if not each.last for one in _newest(each)]
+    summed = [one for each in made.sums if not each.last for one in [each.left, *([] if each.first else [each.right])]]
     return [*node.arguments, *(one for one in (*made.now, *summed) if one is not node)]
-
-
-def _newest(total: Sum) -> list[Node]:
-    """Return the nodes whose coefficients of order k a sum needs."""
-    return [total.left, *([] if total.first else [total.right])]
 
 
 def is_linear(node: Node, degrees: Mapping[Node, float]) -> bool:

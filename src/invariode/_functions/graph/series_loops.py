@@ -380,7 +380,10 @@ class Looped(SeriesWriter):
                 continue
             self._pack("now", k, [waiting.pop(row) for pair in rows for row in dict.fromkeys(pair) if row in waiting])
             if group.nodes[0].op == "t":
-                self._next_time(group, k)
+                is_first = self._of(self._build.icmp_signed("==", k, INDEX(1)))
+                value = is_first.choose(self._of(self._unit), self._constant(0.0))
+                self._keep(value, "now", group.start, 1)
+                self._remember(group, value, k, Chunk(0, 1, 1))
             elif group.rules:
                 self._next_sums(group, rows, k)
             else:
@@ -394,12 +397,6 @@ class Looped(SeriesWriter):
         for i in range(chunk.valid):
             at = self._build.add(before, self._index(self._plus(chunk.start, i)), flags=("nsw",))
             self._keep(self._read("y", at, 1), "now", self._plus(chunk.start, i), 1)
-
-    def _next_time(self, group: Members, k: Any) -> None:
-        is_first = self._of(self._build.icmp_signed("==", k, INDEX(1)))
-        value = is_first.choose(self._of(self._unit), self._constant(0.0))
-        self._keep(value, "now", group.start, 1)
-        self._remember(group, value, k, Chunk(0, 1, 1))
 
     def _next_linear(self, group: Members, k: Any, chunk: Chunk) -> None:
         model = group.nodes[0]

@@ -197,7 +197,11 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if any(map(is_complex, args)):
             return self._complex().__array_function__(function, types, args, kwargs)
         if _all_constant(args) and _all_constant([*kwargs.values()]):
-            return self._of_constants(function, args, kwargs)
+            plain = {key: _constant(one) for key, one in kwargs.items()}
+            found = function(*map(_constant, args), **plain)
+            if isinstance(found, (float, np.ndarray)) and np.asarray(found).dtype.kind == "f":
+                return self._with(cells_of(found, self._graph))
+            return found
         if name in OWN:
             return wrapped(OWN[name](self._graph, *args, **kwargs), self.decide)
         if name not in BY_OPERATORS:
@@ -214,14 +218,6 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
             return type(found)(map(self._as_nodes, found))
         mixed = isinstance(found, np.ndarray) and found.dtype == object
         return wrapped(cells_of(found, self._graph) if mixed else found, self.decide)
-
-    def _of_constants(self, function: Any, args: Any, kwargs: Any) -> Any:
-        """A function of numbers only, by NumPy itself."""
-        plain = {key: _constant(one) for key, one in kwargs.items()}
-        found = function(*map(_constant, args), **plain)
-        if isinstance(found, (float, np.ndarray)) and np.asarray(found).dtype.kind == "f":
-            return self._with(cells_of(found, self._graph))
-        return found
 
     def _complex(self) -> Any:
         return self.paired(self, self * 0.0)

@@ -1,16 +1,11 @@
-"""Helpers around a run: Ctrl-C as a request to stop, and the comparison of a compiled f with the Python function."""
+"""The comparison of a compiled f with the Python function that it was made of, along a solution."""
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from .. import _core
 from .._base.arguments import Array, warn
 from .._functions.compiled import NativeWithInputs, native_parameters
 from .._functions.graph.function import TracedFunction
@@ -19,7 +14,7 @@ from .._results.solution import Solution
 
 
 def compare(problem: Problem, sol: Solution, check: bool | Literal["strict"]) -> None:
-    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run and near
+    """Compare f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run and near
     its end.
 
     Raises
@@ -58,24 +53,3 @@ def _difference(problem: Problem, traced: TracedFunction, t: Array, y: Array) ->
         if found is not None:
             return f"at t = {at:.6g} {found}"
     return None
-
-
-@contextmanager
-def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
-    """Let the first Ctrl-C within the block request a stop; the second one has its usual effect. The request is None
-    where no Ctrl-C arrives: outside the main thread, or if the process ignores it."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
-        yield None
-        return
-    request = _core.StopRequest()
-
-    def make(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, before)
-        request.make()
-
-    signal.signal(signal.SIGINT, make)
-    try:
-        yield request
-    finally:
-        signal.signal(signal.SIGINT, before)
