@@ -94,7 +94,6 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
     course = course_of(choice, problem.t_span, reals(problem.y0), options["t_eval"])
     if options["calibrate"] and "calibrate" in chosen.options:
-        # Errors then have the size of the tolerances ('NDF'). atol / rtol stays as it is.
         factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / (settings.max_order or chosen.order))
         weights = weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
