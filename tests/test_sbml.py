@@ -375,12 +375,6 @@ def test_values_before_the_start_and_delays_in_events():
             "fast reaction",
         ),
         (model("", parameter("x", 1), f"<algebraicRule>{formula('x - 1')}</algebraicRule>"), "algebraic rule"),
-        (
-            model("", parameter("x", 1, "false") + parameter("z", 1, "false"),
-                  f'<assignmentRule variable="x">{formula("z")}</assignmentRule>'
-                  f'<assignmentRule variable="z">{formula("x")}</assignmentRule>'),
-            "cycle",
-        ),
     ],
 )  # fmt: skip
 def test_what_has_no_equations_is_refused_by_name(text, feature):
@@ -397,6 +391,40 @@ def test_what_is_no_model_says_so(tmp_path):
         sbml.load(tmp_path / "broken.xml")
     (tmp_path / "m.xml").write_text(ENZYME)
     assert sbml.load(Path(tmp_path / "m.xml")).name == "m"
+
+
+def assigned(name, value):
+    return f'<assignmentRule variable="{name}">{formula(value)}</assignmentRule>'
+
+
+def test_files_that_break_the_rules_of_sbml_are_errors_that_name_what_is_wrong():
+    """No id, symbol, rule or attribute is dropped or replaced in silence; what changes no result is in the report."""
+    free = parameter("x", 1, "false") + parameter("z", 1, "false")
+    twice = '<functionDefinition id="h">' + formula("lambda(q, h(q))") + "</functionDefinition>"
+    broken = [
+        (ENZYME.replace('id="P"', 'id="S"', 1), "<species> id 'S' conflicts"),
+        (model("", parameter("x", 1) + parameter("x", 2)), "<parameter> id 'x' conflicts"),
+        (model("", free, assigned("x", "1") + assigned("x", "2")), "'x' conflicts"),
+        (model("", free, assigned("x", "z") + assigned("z", "x")), "cycle"),
+        (model("", free, assigned("x", "missing")), "uses 'missing'"),
+        (model("", free, assigned("missing", "1")), "'missing' does not refer"),
+        (model("", parameter("x", 1), assigned("x", "1")), "'x' should have a constant value of 'false'"),
+        (clocked(event("a", "missing > 1", {"n": "7"})), "uses 'missing'"),
+        (clocked(event("a", "time > 1", {"missing": "7"})), "'missing' does not refer"),
+        (model(species("A", 1, "missing")), "compartment 'missing'"),
+        (ENZYME.replace("initialAmount", "initalAmount", 1), "'initalAmount' is not part"),
+        (ENZYME.replace("<listOfCompartments>", f"<listOfFunctionDefinitions>{twice}</listOfFunctionDefinitions>"
+                        "<listOfCompartments>"), "'h' refers to itself"),
+        (ENZYME.replace('level="3"', 'level="4"'), "Unknown Level"),
+        (ENZYME[:-40], "no model"),
+    ]  # fmt: skip
+    for text, why in broken:
+        with pytest.raises(ValueError, match=why):
+            sbml.load(text)
+    unknown = sbml.load(model("", parameter("x", 1).replace("/>", ' units="furlong"/>')))
+    assert "furlong" in unknown.report()
+    with pytest.raises(ValueError, match="x: no number in the file"):
+        sbml.load(model("", parameter("x", 1).replace('value="1"', ""))).problem((0, 1))
 
 
 def test_all_functions_of_mathml():

@@ -26,13 +26,14 @@ def version() -> str:
 
 
 def extra(module: str, what: str, of: str, called: str = "") -> Any:
-    """Return the module, or raise an error that begins with `what` and says which extra, `of`, installs its package.
-    `called`: the package's name, if it differs from the module's."""
+    """Return the module, or raise an error that begins with `what` and says which extra, `of`, installs its package; ""
+    if none does. `called`: the package's name, if it differs from the module's."""
     package = module.partition(".")[0]
     try:
         return import_module(module)
     except ModuleNotFoundError as missing:
         if (missing.name or "").partition(".")[0] != package:
             raise
-        message = f'{what} {called or package}: pip install "invariode[{of}]"'
+        name = called or package
+        message = f"{what} {name}: pip install " + (f'"invariode[{of}]"' if of else name)
         raise ModuleNotFoundError(message, name=package) from None

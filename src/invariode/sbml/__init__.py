@@ -32,7 +32,7 @@ def load(source: str | os.PathLike[str], *, fast: Literal["refuse", "limit"] = "
         The model has delays, flux balance or fast reactions, or needs a package that changes its meaning; the message
         names it.
     ValueError
-        It is no model in SBML.
+        It is no valid model in SBML: the message says in which lines, and what is wrong there.
     FileNotFoundError
         There is no such file.
     """

@@ -71,7 +71,6 @@ class Equations:
         self.symbols = [*contents.compartments, *contents.values, *contents.species, *contents.reactions]
         self.symbols += [name for name in (*contents.rules, *contents.rates) if name not in {*self.symbols}]
         self.symbols = [*dict.fromkeys(self.symbols)]
-        self._require_known()
         if any(one.fast for one in contents.reactions.values()) and not fast:
             raise UnsupportedError(
                 "fast reaction",
@@ -106,14 +105,6 @@ class Equations:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the contents alone, from which nodes are made again: they are equal by identity."""
         return Equations, (self.contents, self._fast, self._given)
-
-    def _require_known(self) -> None:
-        known = {*self.symbols}
-        formulas = [*self.contents.rules.values(), *self.contents.rates.values(), *self.contents.algebraic]
-        formulas += [*self.contents.initial.values(), *(one.law for one in self.contents.reactions.values() if one.law)]
-        for one in formulas:
-            if unknown := one.names() - known:
-                raise ValueError(f"the model uses {min(unknown)!r}, which it does not define")
 
     # Which symbols are what
 

@@ -351,6 +351,9 @@ class Model:
         e, fun = self._equations, self.fun
         explicit = explicit and e.differentiated is not None
         named = dict(zip(self._names, p.tolist(), strict=False))
+        numbers = [*named.items(), *(zip(self.states, y0.tolist(), strict=False) if isinstance(y0, np.ndarray) else ())]
+        if missing := [name for name, value in numbers if np.isnan(value)]:
+            raise ValueError(f"{', '.join(missing)}: no number in the file, and none was given, as {missing[0]}=1.0 is")
         options: dict[str, Any] = {"name": self.name, **more}
         if self.states:
             options["labels"] = self.states
@@ -508,7 +511,9 @@ class Model:
             options["dense_output"] = True
         sol = problem.solve(method, t_eval=times, on_failure="return", **options)
         if sol.status < 0:
-            raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}")
+            missing = [name for name, one in self._contents.reactions.items() if one.law is None]
+            about = f" Reactions without a rate: {', '.join(missing)}." if missing else ""
+            raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}{about}")
         Y = np.vstack([sol.y, *(sol.sol(times - one) for one in delays)])
         for t, behind in machine.behind if self.events else []:
             Y[: len(y), np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]

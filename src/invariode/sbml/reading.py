@@ -7,11 +7,21 @@ import os
 from dataclasses import dataclass, field
 from typing import Any
 
+from .._base.arguments import shown
 from .expressions import Expression, read
 from .library import UnsupportedError, libsbml
 
 #: Packages that change nothing of a simulation.
 _HARMLESS = {"comp", "layout", "render", "groups", "annot", "l3v2extendedmath", "fbc", "req"}
+
+#: Errors of libSBML whose meaning is clear: a missing XML declaration, ids of metadata, terms and units, rateOf() of
+#: what a rule assigns, a species that its reaction does not list; and, by their first three digits of five, those of
+#: annotations, terms, notes and definitions of units.
+_CLEAR = {1001, 1002, 1003, 10224, 10225, 10307, 10308, 10309, 10311, 10313, 21121}
+_CLEAR_GROUPS = {104, 107, 108, 204}
+
+#: Errors that a message lists.
+_LISTED = 3
 
 
 @dataclass
@@ -113,7 +123,7 @@ def contents(source: str) -> Contents:
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no model.
+        It is no valid model.
     UnsupportedError
         It uses what has no equations here.
     """
@@ -122,6 +132,7 @@ def contents(source: str) -> Contents:
     model = document.getModel()
     found = Contents(model.getId() or model.getName() or "model", model.getLevel())
     _require_packages(document, found)
+    _require_valid(L, document, found)
     if model.getPlugin("comp") is not None:
         _convert(L, document, "flatten comp", performValidation=False, basePath=folder)
         found.done.append("submodels of the package comp were flattened")
@@ -153,21 +164,62 @@ def _document(L: Any, source: str) -> tuple[Any, str]:
         document, folder = L.readSBMLFromString(source), ""
     else:
         if not os.path.exists(source):
-            raise FileNotFoundError(f"there is no file {source!r}")
+            raise FileNotFoundError(f"there is no file {shown(source)}, and the text of a model begins with <")
         if source.endswith(".ant"):
             return L.readSBMLFromString(_from_antimony(source)), os.path.dirname(source)
         document, folder = L.readSBMLFromFile(source), os.path.dirname(source)
     if document.getModel() is None:
-        log = document.getErrorLog()
-        why = log.getError(0).getMessage().strip() if log.getNumErrors() else "it has no model"
+        why = _in_words(document.getError(0)) if document.getNumErrors() else "it has no model"
         raise ValueError(f"this is no model in SBML: {why}")
     return document, folder
+
+
+def _require_valid(L: Any, document: Any, found: Contents) -> None:
+    """Raise an error where the model breaks SBML's rules: ids that are taken, symbols that are not defined, several
+    rules for one variable, and so on. Errors whose meaning is clear go into `found.ignored`."""
+    checked = (
+        L.LIBSBML_CAT_GENERAL_CONSISTENCY,
+        L.LIBSBML_CAT_IDENTIFIER_CONSISTENCY,
+        L.LIBSBML_CAT_MATHML_CONSISTENCY,
+    )
+    for category in range(L.LIBSBML_CAT_SBML, L.LIBSBML_CAT_MODELING_PRACTICE + 1):
+        document.setConsistencyChecks(category, category in checked)
+    wrong, clear = _errors(L, document)
+    if not wrong:  # otherwise it has not been read as it is meant
+        document.checkConsistency()
+        wrong, clear = _errors(L, document)
+    if wrong:
+        more = f"; and {len(wrong) - _LISTED} more" if len(wrong) > _LISTED else ""
+        raise ValueError(f"this is no valid SBML: {'; '.join(wrong[:_LISTED])}{more}")
+    found.ignored += dict.fromkeys(clear)
+
+
+def _errors(L: Any, document: Any) -> tuple[list[str], list[str]]:
+    """Return the errors that have been found in the document so far, and those whose meaning is clear."""
+    wrong: list[str] = []
+    clear: list[str] = []
+    for i in range(document.getNumErrors()):
+        one = document.getError(i)
+        if one.getSeverity() >= L.LIBSBML_SEV_ERROR:
+            number = one.getErrorId()
+            (clear if number in _CLEAR or number // 100 in _CLEAR_GROUPS else wrong).append(_in_words(one))
+    return wrong, clear
+
+
+def _in_words(error: Any) -> str:
+    """Return what is wrong, and in which line: the sentences behind the rule that is broken, or that rule."""
+    rule, reference, about = error.getMessage().strip().partition("\nReference:")
+    about = " ".join(about.split("\n", 1)[-1].split()) if "\n" in about else ""
+    short = error.getShortMessage()
+    return (
+        f"line {error.getLine()}: {short}{': ' + (about or ' '.join(rule.split())) if about or not reference else ''}"
+    )
 
 
 def _from_antimony(path: str) -> str:
     from .._base.package import extra
 
-    antimony = extra("antimony", "models in Antimony need", "sbml")
+    antimony = extra("antimony", "models in Antimony need", "")
     antimony.clearPreviousLoads()
     if antimony.loadAntimonyFile(path) < 0:
         raise ValueError(f"{path}: {antimony.getLastError().strip()}")
