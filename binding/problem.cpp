@@ -92,10 +92,11 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
 
 EventFunction make_event(const EventSpec& spec, Functions& functions) {
   EventFunction event;
-  if (!spec.fun.is_none()) event.function = functions.event(spec.fun, "event " + spec.name);
+  const std::string title = spec.name == "event" ? spec.name : "event " + spec.name;
+  if (!spec.fun.is_none()) event.function = functions.event(spec.fun, title);
   event.terminal = spec.terminal;
   event.direction = spec.direction;
-  if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of event " + spec.name);
+  if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of " + title);
   event.rehold = spec.rehold;
   event.samples = spec.samples;
   if (spec.series) event.series = functions.series(*spec.series);

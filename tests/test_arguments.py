@@ -69,6 +69,21 @@ CALLS = {
     "y0 dates": (dict(y0=np.array(["2020-01-01"], "M8[D]")), TypeError, "y0 must hold numbers"),
     "y0 with None": (dict(y0=[None, 1.0]), TypeError, "y0 must hold numbers"),
     "y0 set": (dict(y0={1.0}), ValueError, r"`y0` must be 1-dimensional, got shape \(\): {1.0}"),
+    "y0 number": (dict(y0=1.0), ValueError, r"got shape \(\): 1.0; a list or an array of numbers, for one component"),
+    "y0 column": (dict(y0=[[1], [2]]), ValueError, r"got shape \(2, 1\): .*; numpy.ravel makes it so"),
+    "t_eval number": (
+        dict(t_eval=100),
+        ValueError,
+        r"the times themselves, as in numpy.linspace\(t0, tf, 101\), got 100",
+    ),
+    "args text": (dict(args="2"), TypeError, r"give a tuple of the extra arguments, for one args=\('2',\)"),
+    "events text": (
+        dict(events="zero"),
+        TypeError,
+        r"events must be a function event\(t, y\) or a list .*, got 'zero'",
+    ),
+    "event lambda": (dict(events=lambda t, y: y), ValueError, r"^event returned shape \(2,\)"),
+    "fixed steps": (dict(method="rk4"), ValueError, "'rk4'; there are no methods of fixed step. `method` must"),
     "y0 huge": (dict(y0=[10**400]), ValueError, "y0 must be within the range of a double"),
     "t_span huge": (dict(t_span=(0, 10**9999)), ValueError, r"t_span\[1\] must be within .* got an integer of 332"),
     "t_span array": (dict(t_span=(0, np.ones(1))), TypeError, r"t_span\[1\] must be a real number"),
@@ -400,6 +415,18 @@ class TestBlame:
         with pytest.raises(TypeError, match="has no len") as raised:
             iv.solve_ivp(failing, (0, 1), [1.0], args=(1,), events=lambda t, y: 1.0)
         assert self.notes(raised) == ""
+
+    def test_a_call_without_args_is_explained(self):
+        """A function of other parameters than t and y is named, whichever of the problem's it is."""
+        wrong = {
+            "fun": dict(fun=lambda t, y, k: y),
+            "event": dict(events=lambda y: y[0]),
+            "invariant g": dict(invariants=lambda y: y),
+        }
+        for name, given in wrong.items():
+            with pytest.raises(TypeError, match="positional argument") as raised:
+                iv.solve_ivp(**{"fun": decay, "t_span": (0, 1), "y0": [1.0, 2.0], **given})
+            assert self.notes(raised) == f"{name}: called with t and y alone; args=(a, b) passes further arguments"
 
     def test_a_function_without_args_is_named(self):
         def level(t, y):

@@ -124,6 +124,8 @@ def gradient(
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
+        if not problem.args:
+            raise ValueError('gradient: the problem has no args; wrt="y0" are its initial values')
         problem = problem.replace(sensitivities=Sensitivities())
     if not run.solution.success and t is None:
         raise ValueError(

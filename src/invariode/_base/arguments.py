@@ -356,7 +356,8 @@ def state(y0: ArrayLike, name: str = "y0") -> Array:
     """The initial state as a new array of shape (n,)."""
     y = as_array(name, y0)
     if y.ndim != 1:
-        raise ValueError(f"`{name}` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
+        form = "a list or an array of numbers, for one component [1.0]" if y.ndim == 0 else "numpy.ravel makes it so"
+        raise ValueError(f"`{name}` must be 1-dimensional, got shape {y.shape}: {shown(y0)}; {form}")
     y = y.copy() if y.dtype is _FLOAT else numbers(name, y)
     if not all_finite(y):
         i = int(np.flatnonzero(~np.isfinite(y))[0])
@@ -433,7 +434,10 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
         return times
     given = real_numbers("t_eval", t_eval)
     if given.ndim != 1:
-        raise ValueError(f"`t_eval` must be 1-dimensional, got shape {given.shape}")
+        raise ValueError(
+            f"`t_eval` must be 1-dimensional, the times themselves, as in numpy.linspace(t0, tf, 101), got "
+            f"{shown(t_eval)}"
+        )
     times = plain_times(given, t0, tf)
     if times is not None:
         return times
@@ -452,7 +456,7 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
     require_no_unit("args", args)
-    listed = items(args)
+    listed = None if isinstance(args, str) else items(args)
     if listed is None:
         raise TypeError(
             f"Supplied 'args' cannot be unpacked: give a tuple of the extra arguments, for one args=({shown(args)},)"

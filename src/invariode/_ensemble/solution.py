@@ -245,9 +245,9 @@ class EnsembleSolution:
         size, n = self.y_end.shape
         counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
         parts = [f"{k} {what}" for status, what in counted if (k := int((self.status == status).sum()))]
-        text = (
-            f"EnsembleSolution of {size} trajectories, {n} components, {len(self.t)} times: {', '.join(parts) or '-'}"
-        )
+        rows, times = "trajectory" if size == 1 else "trajectories", len(self.t)
+        shape = f"{size} {rows}, {n} component{'s' * (n != 1)}, {times} time{'s' * (times != 1)}"
+        text = f"EnsembleSolution of {shape}: {', '.join(parts) or '-'}"
         if self.messages:
             first = min(self.messages)
             text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"

@@ -25,7 +25,10 @@ def explain(error: TypeError | ValueError, problem: Problem) -> None:
         if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
             error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
             return
-        if problem.args and _is_of_the_call(error) and (found := _not_taking(problem)):
+        found = _not_taking(problem) if _is_of_the_call(error) else []
+        if found and not problem.args:
+            error.add_note(f"{' and '.join(found)}: called with t and y alone; args=(a, b) passes further arguments")
+        elif found:
             if "fun" in found and (note := _one_array(problem)):
                 error.add_note(note)
                 return

@@ -291,7 +291,7 @@ def to_events(events: EventsLike) -> list[Event]:
         return []
     if callable(events) or is_native(events) or isinstance(events, Roots):
         events = [cast("EventFunction", events)]
-    elif not isinstance(events, Sequence):
+    elif not isinstance(events, Sequence) or isinstance(events, str):
         raise TypeError(f"events must be a function event(t, y) or a list of these, got {shown(events)}")
     found: list[Event] = []
     for event in events:

@@ -107,6 +107,10 @@ METHODS: Mapping[OwnName, Method] = MappingProxyType(
 )
 
 
+#: Methods of fixed step that a beginner may ask for.
+_FIXED_STEP = frozenset({"euler", "midpoint", "heun", "rk2", "rk4", "leapfrog", "verlet", "symplectic"})
+
+
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     """The method of that name, of that name in SciPy, or of that class there or in `invariode.scipy`; and what SciPy's
     name implies."""
@@ -120,7 +124,8 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
-    raise ValueError(f"unknown method {name!r}{meant(name, known) or '.'} `method` must be one of {_names()}")
+    near = "; there are no methods of fixed step." if name.lower() in _FIXED_STEP else meant(name, known)
+    raise ValueError(f"unknown method {name!r}{near or '.'} `method` must be one of {_names()}")
 
 
 def _names() -> str:

@@ -567,7 +567,7 @@ class Problem:
         >>> problem = iv.Problem(orbit, (0, 10), [1.0, 3.0], labels=["prey", "predators"])
         >>> many = problem.solve_ensemble([[1.0, 3.0], [1.0, 2.0], [1.0, 1.0]], workers=1, rtol=1e-6)
         >>> many
-        EnsembleSolution of 3 trajectories, 2 components, 1 times: 3 reached the end
+        EnsembleSolution of 3 trajectories, 2 components, 1 time: 3 reached the end
         """
         from .._ensemble.ensemble import Wanted, solve_rows
 
