@@ -81,7 +81,7 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
 
 }  // namespace
 
-Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
+std::vector<double> Dense::at(std::span<const double> t, const ProblemSpec* problem) const {
   std::optional<BoundProblem> bound;
   std::optional<Invariants> invariants;
   std::optional<Projector> projector;
@@ -104,7 +104,11 @@ Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
         output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr, tangent ? &*tangent : nullptr);
   }
   if (status == Status::stop) throw nb::python_error();
-  return to_array<Table>(std::move(y), t.size(), output.size());
+  return y;
+}
+
+Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
+  return to_array<Table>(at({t.data(), t.size()}, problem), t.size(), output.size());
 }
 
 Dense Dense::joined(const Dense& next) const {

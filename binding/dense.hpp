@@ -3,6 +3,7 @@
 
 #include <nanobind/nanobind.h>
 
+#include <span>
 #include <vector>
 
 #include "arrays.hpp"
@@ -18,8 +19,10 @@ struct Dense {
   Weights weights;
   bool complex;
 
-  /// y at each t: (len(t), n). Where the mode projects, onto the invariants of `problem`; without it values are
-  /// corrected only.
+  /// y at each t, one state after the other. Where the mode projects, onto the invariants of `problem`; without it
+  /// values are corrected only.
+  [[nodiscard]] std::vector<double> at(std::span<const double> t, const ProblemSpec* problem) const;
+  /// The same as an array, (len(t), n).
   [[nodiscard]] Table evaluate(const ConstVector& t, const ProblemSpec* problem) const;
   /// Returns this solution followed by `next`, which starts where this ends.
   [[nodiscard]] Dense joined(const Dense& next) const;

@@ -402,26 +402,49 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, nb::handle y0, cons
 /// A run that Python advances step by step. It keeps its solver alive.
 class Stepper {
  public:
-  /// `course`: see `follow`; None: that of the solver.
-  Stepper(nb::object owner, const ConstVector& y0, const nb::object& course)
-      : owner_(on_course(std::move(owner), course)),
-        bound_(nb::cast<const BoundSolver&>(owner_).bound),
-        solver_(nb::cast<const BoundSolver&>(owner_).solver),
-        run_(solver_) {
-    require_state(y0, solver_.problem().extent().size());
-    integration().keep_last_step();
-    guarded([&] { integration().start(y0.data()); });
+  Stepper(nb::object owner, nb::handle y0)
+      : owner_(std::move(owner)),
+        bound_(nb::cast<BoundSolver&>(owner_).bound),
+        solver_(nb::cast<BoundSolver&>(owner_).solver) {
+    begin(y0);
   }
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, owner_); }
+
+  /// Starts again at another point, to another end, with another size of the first step; 0: the method's own choice.
+  /// What the former run has found is gone.
+  void restart(double t0, double tf, nb::handle y0, double first_step) {
+    if (busy_) throw being_advanced();
+    Settings settings = solver_.settings();
+    settings.t0 = t0;
+    settings.tf = tf;
+    settings.first_step = first_step;
+    nb::cast<BoundSolver&>(owner_).course.reset();
+    solver_.cover(std::move(settings));
+    begin(y0);
+  }
 
   /// Goes on by one accepted step; what the state is then, tells why not.
   void step() {
     if (integration().state() != State::running) throw std::runtime_error("the run has ended");
+    last_.reset();
     guarded([&] {
       const std::int64_t steps = integration().counts().steps;
+      const double t = integration().t();
       integration().advance();
       accepted_ = integration().counts().steps > steps;
+      if (accepted_) t_old_ = t;
     });
+  }
+  /// Goes on until t is reached or passed, or the run has ended, by `most` accepted steps at most. Returns their
+  /// number.
+  std::int64_t advance(double t, std::int64_t most) {
+    const std::int64_t before = integration().counts().steps;
+    const auto made = [&] { return integration().counts().steps - before; };
+    while (integration().state() == State::running && is_ahead(t) && made() < most) {
+      step();
+      if (PyErr_CheckSignals() != 0) throw nb::python_error();
+    }
+    return made();
   }
 
   /// The continuous solution over the last step.
@@ -432,31 +455,53 @@ class Stepper {
     guarded([&] { one = integration().last_step(); });
     return {std::move(one.value()), solver_.weights(), solver_.problem().complex};
   }
-
-  [[nodiscard]] Vector y() {
-    const double* y = integration().y();
-    const std::size_t n = solver_.problem().extent().size();
-    return to_array<Vector>(std::vector<double>(y, y + n), n);
+  /// y at a time within the last step of a run that goes on, projected as `Dense::evaluate` does; None: t is not
+  /// within.
+  nb::object at(double t, const ProblemSpec* problem) {
+    const bool within = accepted_ && integration().state() == State::running &&
+                        integration().forward() * (t - t_old_) >= 0 && !is_ahead(t);
+    if (!within) return nb::none();
+    if (t == integration().t()) return y();
+    if (!last_) last_.emplace(interpolant());
+    return state_array(last_->at({&t, 1}, problem).data(), size(), solver_.problem().complex);
   }
-  [[nodiscard]] Integration& integration() { return run_.integration(); }
+
+  [[nodiscard]] nb::object y() { return state_array(integration().y(), size(), solver_.problem().complex); }
+  [[nodiscard]] double t_old() const { return t_old_; }
+  [[nodiscard]] Integration& integration() { return run_->integration(); }
+  [[nodiscard]] bool remarkable() {
+    const Integration& loop = integration();
+    return loop.manifold().harm().component >= 0 || loop.below_zero().index >= 0 || loop.stiffness().found ||
+           !loop.discontinuities().found().empty() || loop.discontinuities().sticks_since();
+  }
   /// Returns the result of the run so far: it may continue afterwards.
   [[nodiscard]] FinishedRun result() {
     Run::Marks none;
-    return present(run_.result_since(none), solver_);
+    return present(run_->result_since(none), solver_);
   }
-  [[nodiscard]] std::int64_t evaluations() const { return run_.evaluations(); }
+  [[nodiscard]] std::int64_t evaluations() const { return run_->evaluations(); }
   [[nodiscard]] nb::handle owner() const { return owner_; }
 
  private:
-  static nb::object on_course(nb::object solver, const nb::object& course) {
-    if (!course.is_none()) follow(course, nb::cast<BoundSolver&>(solver));
-    return solver;
+  static std::runtime_error being_advanced() { return std::runtime_error("the run is being advanced already"); }
+  [[nodiscard]] std::size_t size() const { return solver_.problem().extent().size(); }
+  [[nodiscard]] bool is_ahead(double t) { return integration().forward() * (t - integration().t()) > 0; }
+
+  void begin(nb::handle y0) {
+    const std::span<const double> start = numbers_of(y0);
+    require_state(start, size());
+    accepted_ = false;
+    last_.reset();
+    run_.emplace(solver_);
+    t_old_ = solver_.settings().t0;
+    integration().keep_last_step();
+    guarded([&] { integration().start(start.data()); });
   }
 
   /// A user function may not step the run that calls it, nor may another thread meanwhile.
   template <class Work>
   void guarded(Work&& work) {
-    if (busy_) throw std::runtime_error("the run is being advanced already");
+    if (busy_) throw being_advanced();
     busy_ = true;
     try {
       work();
@@ -470,8 +515,10 @@ class Stepper {
 
   nb::object owner_;
   const BoundProblem& bound_;
-  const Solver& solver_;
-  Run run_;
+  Solver& solver_;
+  std::optional<Run> run_;
+  std::optional<Dense> last_;  // the solution over the last step, once `at` has evaluated it
+  double t_old_ = 0;           // where the last accepted step began
   bool busy_ = false;
   bool accepted_ = false;
 };
@@ -706,28 +753,40 @@ void define_stepper(nb::module_& module) {
                       "A run that is advanced step by step. Threads take turns.")
       .def(
           "__init__",
-          [](Stepper* self, nb::object solver, const ConstVector& y0, const nb::object& course) {
+          [](Stepper* self, nb::object solver, nb::handle y0) {
             if (!nb::isinstance<BoundSolver>(solver)) throw nb::type_error("a Stepper needs a Solver");
-            new (self) Stepper(std::move(solver), y0, course);
+            new (self) Stepper(std::move(solver), y0);
           },
-          nb::arg("solver"), nb::arg("y0"), nb::arg("course") = nb::none(),
-          "Starts at (t0, y0), on a course as in `Solver.integrate_anew`; None: that of the solver.")
+          nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
+      .def("restart", &Stepper::restart, nb::lock_self(), nb::arg("t0"), nb::arg("tf"), nb::arg("y0"),
+           nb::arg("first_step"),
+           "Starts again at (t0, y0), with the end tf; first_step: 0 if the method is to choose it. The run must not "
+           "have times of output.")
       .def("step", &Stepper::step, nb::lock_self(), "Goes on by one accepted step, if it can: see `state`.")
+      .def("advance", &Stepper::advance, nb::lock_self(), nb::arg("t"), nb::arg("most"),
+           "Goes on by accepted steps, at most so many, until t is reached or passed or the run has ended. Returns how "
+           "many steps it has made.")
       .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
+      .def(
+          "at", &Stepper::at, nb::lock_self(), nb::arg("t"), nb::arg("problem").none(),
+          nb::sig("def at(self, t: float, problem: Problem | None) -> numpy.ndarray | None"),
+          "y at a time within the last step, of a run that has not ended, projected as by `Dense.evaluate`; None: t is "
+          "not within it.")
       .def("result", &Stepper::result, nb::lock_self(),
            "Return the result of the run so far, and why it ended, if it has.")
       .def_prop_ro(
           "state", [](Stepper& s) { return name_of(s.integration().state()); }, nb::lock_self())
       .def_prop_ro(
           "t", [](Stepper& s) { return s.integration().t(); }, nb::lock_self())
-      // The array has its own memory; a copy would be made by Python code, in which the thread may end
-      // (interpreter.hpp).
-      .def_prop_ro("y", &Stepper::y, nb::lock_self(), nb::rv_policy::reference)
+      .def_prop_ro("t_old", &Stepper::t_old, nb::lock_self(), "Where the last accepted step began.")
+      .def_prop_ro("y", &Stepper::y, nb::lock_self(), nb::sig("def y(self) -> numpy.ndarray"), "A new array.")
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, nb::lock_self(),
           "|h| that the next step will try.")
       .def_prop_ro(
           "order", [](Stepper& s) { return s.integration().step().order(); }, nb::lock_self())
+      .def_prop_ro("remarkable", &Stepper::remarkable, nb::lock_self(),
+                   "Whether the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.")
       .def_prop_ro(
           "harmed", [](Stepper& s) { return s.integration().manifold().harm().component; }, nb::lock_self())
       .def_prop_ro(

@@ -694,16 +694,29 @@ class Solver:
 class Stepper:
     """A run that is advanced step by step. Threads take turns."""
 
-    def __init__(self, solver: object, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], course: object | None = None) -> None:
+    def __init__(self, solver: object, y0: object) -> None:
+        """Starts at (t0, y0)."""
+
+    def restart(self, t0: float, tf: float, y0: object, first_step: float) -> None:
         """
-        Starts at (t0, y0), on a course as in `Solver.integrate_anew`; None: that of the solver.
+        Starts again at (t0, y0), with the end tf; first_step: 0 if the method is to choose it. The run must not have times of output.
         """
 
     def step(self) -> None:
         """Goes on by one accepted step, if it can: see `state`."""
 
+    def advance(self, t: float, most: int) -> int:
+        """
+        Goes on by accepted steps, at most so many, until t is reached or passed or the run has ended. Returns how many steps it has made.
+        """
+
     def interpolant(self) -> Dense:
         """The continuous solution over the last step."""
+
+    def at(self, t: float, problem: Problem | None) -> numpy.ndarray | None:
+        """
+        y at a time within the last step, of a run that has not ended, projected as by `Dense.evaluate`; None: t is not within it.
+        """
 
     def result(self) -> Run:
         """Return the result of the run so far, and why it ended, if it has."""
@@ -715,7 +728,12 @@ class Stepper:
     def t(self) -> float: ...
 
     @property
-    def y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+    def t_old(self) -> float:
+        """Where the last accepted step began."""
+
+    @property
+    def y(self) -> numpy.ndarray:
+        """A new array."""
 
     @property
     def h(self) -> float:
@@ -723,6 +741,12 @@ class Stepper:
 
     @property
     def order(self) -> int: ...
+
+    @property
+    def remarkable(self) -> bool:
+        """
+        Whether the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.
+        """
 
     @property
     def harmed(self) -> int: ...

@@ -257,6 +257,10 @@ class BoundInvariants:
         problem = self._problem(dense.n, dense.complex, self.value, dense.parameters) if self.specs else None
         return dense.evaluate(t, problem)
 
+    def alone(self, y: Array) -> _core.Problem | None:
+        """Return the invariants of a state like y for the core; None: there are none."""
+        return self._problem_of(y, self.value) if self.specs else None
+
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:
         return self._problem(reals(y), y.dtype.kind == "c", value)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .. import _core
 from .._base.arguments import Array, default_labels, warn
 from .._problem.invariants import AccuracyWarning
@@ -13,10 +11,14 @@ from .plan import Plan, solver
 
 #: Before this many steps nothing can be said about harm: one step in eight is examined.
 FEW_STEPS = 64
+#: This many steps are made without giving other threads a turn.
+_AT_ONCE = 1024
+#: States of runs that cannot start.
+_REFUSALS = frozenset({"invariant_refused", "start_contradicts", "start_out_of_bounds"})
 
 
 class Walk:
-    """A plan that is carried out step by step, by a solver of its own or by one that was made for it.
+    """A plan that is carried out step by step.
 
     Raises
     ------
@@ -24,30 +26,55 @@ class Walk:
         The plan cannot start there.
     """
 
-    def __init__(self, plan: Plan, y0: Array, core: _core.Solver | None = None) -> None:
+    def __init__(self, plan: Plan, y0: Array, span: tuple[float, float] | None = None) -> None:
+        """`span`: (t0, tf) in place of those of the plan, in the same direction."""
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self.plan = plan._replace(functions=plan.functions._replace(linear=None))
-        self.core = _core.Stepper(core or solver(plan), y0.view(float), None if core is None else plan.course)
-        if self.core.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
+        if span is not None:
+            (t0, tf), first = span, plan.settings.first_step
+            settings = plan.settings._replace(first_step=min(first, abs(tf - t0)))
+            plan = plan._replace(course=plan.course._replace(t0=t0, tf=tf), settings=settings)
+        self.core = _core.Stepper(solver(plan), y0)
+        self.forward = plan.course.forward  # the direction of integration, 1 or -1
+        self._laws = plan.bound.alone(plan.y0)  # onto which the solution between steps is projected
+        self._begin()
+
+    def restart(self, t0: float, tf: float, y0: Array, first_step: float) -> None:
+        """Start again at (t0, y0), in the same direction, with the invariants at their values so far. `first_step`: 0
+        if the method is to choose it."""
+        self.core.restart(t0, tf, y0, first_step)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._steps, self._next_look = 0, FEW_STEPS
+        self._warned = self._warned_stiff = self._warned_discontinuous = False
+        if self.core.state in _REFUSALS:
             raise self.plan.exception(self.core.result()) or AssertionError
-        self._inside: _core.Dense | None = None  # the solution over the last step, once it was asked for
-        self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
 
     def step(self) -> None:
         """Advance the run by one step, if it can: see `state`."""
-        self._inside = None
         self.core.step()
-        self._watch()
+        self._watch(1)
+
+    def advance(self, t: float, most: int | None = None) -> int:
+        """Advance the run by steps until t is reached or passed, or it has ended; return the number of steps, at most
+        `most`."""
+        taken = 0
+        while taken != most:
+            chunk = min(self._next_look - self._steps, _AT_ONCE)
+            if most is not None:
+                chunk = min(chunk, most - taken)
+            made = self.core.advance(t, chunk)
+            taken += made
+            self._watch(made)
+            if made < chunk:
+                break
+        return taken
 
     @property
     def state(self) -> str:
         """'running', or how the run has ended, as the core calls it."""
         return self.core.state
-
-    @property
-    def forward(self) -> float:
-        """The direction of integration, 1 or -1."""
-        return self.plan.course.forward
 
     @property
     def t(self) -> float:
@@ -56,8 +83,7 @@ class Walk:
     @property
     def y(self) -> Array:
         """A new array."""
-        y: Array = self.core.y.view(self.plan.y0.dtype)
-        return y
+        return self.core.y
 
     @property
     def failure(self) -> tuple[int, str]:
@@ -66,23 +92,22 @@ class Walk:
 
     def over_last_step(self) -> DenseSolution:
         """The solution over the last step. It may take evaluations of f."""
-        return DenseSolution(self._over_last_step(), self.plan.y0.dtype, self.plan.bound)
+        return DenseSolution(self.core.interpolant(), self.plan.y0.dtype, self.plan.bound)
 
-    def at(self, t: float) -> Array:
-        """Return the state at a time in the last step."""
-        found: Array = self.plan.bound.evaluate(self._over_last_step(), np.array([t]))[0].view(self.plan.y0.dtype)
-        return found
+    def at(self, t: float) -> Array | None:
+        """Return the state at a time in the last step; None: it is outside, or the run has ended."""
+        return self.core.at(t, self._laws)
 
-    def _over_last_step(self) -> _core.Dense:
-        if self._inside is None:
-            self._inside = self.core.interpolant()
-        return self._inside
-
-    def _watch(self) -> None:
-        """Warn once each if projection degrades the accuracy, if stability limits the steps, and if f is discontinuous.
-        A run may end before its bound without notice, so this is checked in steps 64, 128, 256, … too."""
-        self._steps += 1
-        if self.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
+    def _watch(self, steps: int) -> None:
+        """Count steps, and warn once each if projection degrades the accuracy, if stability limits the steps, and if f
+        is discontinuous. A run may end before its bound without notice, so this is checked in steps 64, 128, 256, …
+        too."""
+        self._steps += steps
+        if self.core.state == "running":
+            if self._steps < self._next_look:
+                return
+            self._next_look *= 2
+        if not self.core.remarkable:
             return
         if not self._warned:
             self._watch_accuracy()

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from .._base.arguments import Array, choice, count, function, number, state, warn
 from .._base.package import public
 from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native
 from .._plan.call_errors import explain
-from .._plan.plan import Plan, solver
+from .._plan.plan import Plan
 from .._plan.planning import make_plan
 from .._plan.walk import Walk
 from .._problem.invariants import InvariantsLike
@@ -226,7 +225,8 @@ class ode:  # noqa: N801 - SciPy's name
     -----
     `set_integrator` lists the methods that replace SciPy's integrators. As in SciPy, multistep and implicit methods
     continue across calls: their steps go beyond the requested time, at which the solution is interpolated. Explicit
-    Runge-Kutta pairs end exactly at the requested time, and restart in the next call.
+    Runge-Kutta pairs end exactly at the requested time, and restart in the next call with the step size that this one
+    has found: f may have changed meanwhile.
 
     Examples
     --------
@@ -257,9 +257,7 @@ class ode:  # noqa: N801 - SciPy's name
         self._code: int | None = None  # None: nothing was integrated
         self._problem: Problem | None = None
         self._plan: Plan | None = None
-        self._walk: Walk | None = None  # the run that continues from call to call
-        self._core: _core.Solver | None = None  # of runs that start anew in each call
-        self._begun = 0.0  # where its last step began
+        self._walk: Walk | None = None  # the run that continues, or starts again, from call to call
 
     def __repr__(self) -> str:
         return f"<invariode.{type(self).__name__}, {self._chosen().name}, at t = {self.t}>"
@@ -369,17 +367,16 @@ class ode:  # noqa: N801 - SciPy's name
             The run failed; the message gives t, the reason, and what to try.
         """
         target = number("t", t)
-        chosen = self._chosen()
         if target == self.t:
             return self._y
-        ends = chosen.nsteps is not None or (step if chosen.goes_on else self._solout is not None)
-        if math.isinf(target) and not ends:
-            raise ValueError(f"t = {target} is never reached: give a finite t, nsteps, solout, or step=True")
+        if math.isinf(target):
+            self._require_end(target, step=bool(step))
+        chosen = self._integrator or self._chosen()
         try:
-            if chosen.goes_on:
-                self._go_on(target, chosen, step=bool(step), relax=bool(relax))
-            else:
+            if not chosen.goes_on:
                 self._start_anew(target, chosen)
+            elif step or relax or not self._has_passed(target):
+                self._go_on(target, chosen, step=bool(step), relax=bool(relax))
         except BaseException as error:
             self._walk = None
             if isinstance(error, (TypeError, ValueError)) and self._problem is not None:
@@ -412,38 +409,42 @@ class ode:  # noqa: N801 - SciPy's name
             self._integrator = _integrator("vode", {})
         return self._integrator
 
+    def _require_end(self, target: float, *, step: bool) -> None:
+        chosen = self._chosen()
+        if chosen.nsteps is None and not (step if chosen.goes_on else self._solout is not None):
+            raise ValueError(f"t = {target} is never reached: give a finite t, nsteps, solout, or step=True")
+
     def _forget(self) -> None:
         """Discard the plan: the next call makes a new one, and fixes the invariants at its start."""
-        self._problem = self._plan = self._walk = self._core = None
+        self._problem = self._plan = self._walk = None
 
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
         """Return a run from here to `tf`. If there is a plan, invariants keep its values."""
-        calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
-        if self._plan is None or self._plan.course.forward != math.copysign(1.0, endless):
+        calls, ahead = self._calls, math.copysign(1.0, tf - self.t)
+        walk = self._walk
+        if walk is not None and walk.forward == ahead:  # its next step has the size that the last call has found
+            first = walk.plan.settings.first_step or walk.core.h
+            walk.restart(self.t, tf, self._y, min(first, abs(tf - self.t)))
+            return walk
+        if self._plan is None or self._plan.course.forward != ahead:
             held = None if self._plan is None else self._plan.bound.value
             linear = {"jac": calls.jacobian(), **chosen.bands} if chosen.implicit else {}
-            self._problem = Problem(
-                calls.f, (self.t, endless), self._y, args=calls.f_params, invariants=self._invariants, **linear
-            )
+            span = self.t, math.copysign(math.inf, ahead)
+            self._problem = Problem(calls.f, span, self._y, args=calls.f_params, invariants=self._invariants, **linear)
             plan = make_plan(self._problem, chosen.method, chosen.options)
-            self._plan, self._core = plan if held is None else plan.holding(held), None
-        plan, first = self._plan, self._plan.settings.first_step
-        plan = plan._replace(course=plan.course._replace(t0=self.t, tf=tf))
-        if first > abs(tf - self.t):
-            return Walk(plan._replace(settings=plan.settings._replace(first_step=abs(tf - self.t))), self._y)
-        if self._core is None:
-            self._core = solver(plan)
-        return Walk(plan, self._y, self._core)
+            self._plan = plan if held is None else plan.holding(held)
+        self._walk = Walk(self._plan, self._y, (self.t, tf))
+        return self._walk
 
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
         """Integrate from the current time to `target`, calling solout at the start and after each step."""
         walk = self._walk_to(target, chosen)
-        steps, stopped = 0, self._is_stopped()
-        while walk.state == "running" and not stopped and steps != chosen.nsteps:
-            walk.step()
+        solout, most, steps = self._solout is not None, chosen.nsteps, 0
+        stopped = solout and self._is_stopped()
+        while not stopped and steps != most and walk.state == "running":
+            steps += walk.advance(target, 1 if solout else most)
             self.t, self._y = walk.t, walk.y
-            steps += 1
-            stopped = walk.state in ("running", "reached_end") and self._is_stopped()
+            stopped = solout and walk.state in ("running", "reached_end") and self._is_stopped()
         self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
 
     def _is_stopped(self) -> bool:
@@ -451,27 +452,27 @@ class ode:  # noqa: N801 - SciPy's name
         answer = None if self._solout is None else self._solout(self.t, self._y.copy())
         return answer is not None and bool(answer < 0)
 
+    def _has_passed(self, target: float) -> bool:
+        """Move to `target` if it is within the last step of the run: the common case in loops."""
+        y = None if self._walk is None else self._walk.at(target)
+        if y is None:
+            return False
+        self.t, self._y, self._code = target, y, _ODEPACK.success
+        return True
+
     def _go_on(self, target: float, chosen: _Integrator, *, step: bool, relax: bool) -> None:
         """Advance this run until it has passed `target`, or by a single step."""
         walk, ahead = self._walk, math.copysign(1.0, target - self.t)
-        if walk is None or not self._leads_to(target, walk) or (step and walk.forward != ahead):
-            walk = self._walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
-            self._begun = self.t
-        forward = walk.forward
+        leads = walk is not None and walk.state == "running" and walk.forward * (target - walk.core.t_old) >= 0
+        if walk is None or not leads or (step and walk.forward != ahead):
+            walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
         goal = math.nextafter(self.t, target) if step else target
-        steps = 0
-        while walk.state == "running" and forward * (goal - walk.t) > 0 and steps != chosen.nsteps:
-            self._begun = walk.t
-            walk.step()
-            steps += 1
-        reached = walk.state == "running" and forward * (goal - walk.t) <= 0
-        inside = reached and not (step or relax) and target != walk.t
-        self.t, self._y = (target, walk.at(target)) if inside else (walk.t, walk.y)
+        walk.advance(goal, chosen.nsteps)
+        if not (step or relax) and self._has_passed(target):
+            return
+        self.t, self._y = walk.t, walk.y
+        reached = walk.state == "running" and walk.forward * (goal - walk.t) <= 0
         self._end(walk, chosen, reached=reached, stopped=False)
-
-    def _leads_to(self, target: float, walk: Walk) -> bool:
-        """Return whether a run will reach that time, or passed it in its last step."""
-        return walk.forward * (target - self._begun) >= 0
 
     def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
         """Set the return code of a call, with a warning if it failed."""
