@@ -778,7 +778,7 @@ void define_stepper(nb::module_& module) {
           "state", [](Stepper& s) { return name_of(s.integration().state()); }, nb::lock_self())
       .def_prop_ro(
           "t", [](Stepper& s) { return s.integration().t(); }, nb::lock_self())
-      .def_prop_ro("t_old", &Stepper::t_old, nb::lock_self(), "Where the last accepted step began.")
+      .def_prop_ro("t_old", &Stepper::t_old, nb::lock_self(), "Time at which the last accepted step began.")
       .def_prop_ro("y", &Stepper::y, nb::lock_self(), nb::sig("def y(self) -> numpy.ndarray"), "A new array.")
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, nb::lock_self(),
@@ -786,7 +786,7 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "order", [](Stepper& s) { return s.integration().step().order(); }, nb::lock_self())
       .def_prop_ro("remarkable", &Stepper::remarkable, nb::lock_self(),
-                   "Whether the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.")
+                   "True if the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.")
       .def_prop_ro(
           "harmed", [](Stepper& s) { return s.integration().manifold().harm().component; }, nb::lock_self())
       .def_prop_ro(

@@ -729,7 +729,7 @@ class Stepper:
 
     @property
     def t_old(self) -> float:
-        """Where the last accepted step began."""
+        """Time at which the last accepted step began."""
 
     @property
     def y(self) -> numpy.ndarray:
@@ -745,7 +745,7 @@ class Stepper:
     @property
     def remarkable(self) -> bool:
         """
-        Whether the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.
+        True if the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.
         """
 
     @property
