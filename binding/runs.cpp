@@ -748,9 +748,8 @@ void define_solver(nb::module_& module) {
            "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.");
 }
 
-void define_stepper(nb::module_& module) {
-  nb::class_<Stepper>(module, "Stepper", nb::type_slots(slots<Stepper>),
-                      "A run that is advanced step by step. Threads take turns.")
+void define_steps_of_stepper(nb::class_<Stepper>& stepper) {
+  stepper
       .def(
           "__init__",
           [](Stepper* self, nb::object solver, nb::handle y0) {
@@ -783,8 +782,11 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, nb::lock_self(),
           "|h| that the next step will try.")
-      .def_prop_ro(
-          "order", [](Stepper& s) { return s.integration().step().order(); }, nb::lock_self())
+      .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); }, nb::lock_self());
+}
+
+void define_remarks_of_stepper(nb::class_<Stepper>& stepper) {
+  stepper
       .def_prop_ro("remarkable", &Stepper::remarkable, nb::lock_self(),
                    "True if the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.")
       .def_prop_ro(
@@ -819,6 +821,13 @@ void define_stepper(nb::module_& module) {
           "njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; }, nb::lock_self())
       .def_prop_ro(
           "nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; }, nb::lock_self());
+}
+
+void define_stepper(nb::module_& module) {
+  nb::class_<Stepper> stepper(module, "Stepper", nb::type_slots(slots<Stepper>),
+                              "A run that is advanced step by step. Threads take turns.");
+  define_steps_of_stepper(stepper);
+  define_remarks_of_stepper(stepper);
 }
 
 }  // namespace
