@@ -74,13 +74,14 @@ State Jumps::at_breakpoints(double t, double* Y, bool inside) {
   return state;
 }
 
-/// Algebraic variables jump where their equations do, and invariants may have other values.
+/// Algebraic variables jump where their equations do, and invariants may have other values. If these determine y, it
+/// jumps with them.
 State Jumps::without_action(double t, double* Y, bool inside) {
   std::copy_n(Y, extent_.n, raw_.begin());
   State state = onto_equations(t, Y);
   if (state != State::running) return state;
   if (parts_.manifold.compare_values(t, Y, others_) == Status::stop) return State::interrupted;
-  if (!moved_) return state;
+  if (!moved_ && !(others_ && parts_.manifold.determines_state())) return state;
   state = begin(t, raw_.data(), inside);
   moved_ = true;
   rehold_ = others_;

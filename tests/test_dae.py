@@ -100,12 +100,13 @@ def test_all_constraints_are_satisfied_to_roundoff_by_every_method_at_every_tole
 
 
 def test_constraints_that_switch_with_t():
-    """Unknowns that t alone determines follow, from tables too, also from one that begins with the run. Any other
-    constraint that jumps ends the run there, and the message names it."""
+    """Unknowns that t alone determines follow, from tables too, also from one that begins with the run, in a run, in
+    its extension and as a problem, with their sensitivities. Any other constraint that jumps ends the run there, and
+    the message names it."""
 
-    def follow(t, y, yp):
+    def follow(t, y, yp, rate):
         x, v, force = y
-        return [yp[0] - v, yp[1] - force, x - np.minimum(t, 1.0)]
+        return [yp[0] - v, yp[1] - force, x - np.minimum(rate * t, 1.0)]
 
     times = np.linspace(0, 2, 21)
     path = np.sin(times)
@@ -114,8 +115,15 @@ def test_constraints_that_switch_with_t():
         return [yp[0] + y[0] - y[1], y[0] - table(t)]
 
     for method in ("dop853", "radau"):
-        sol = iv.solve_dae(follow, (0, 2), [0, 1, 0], method=method, t_eval=[0.9, 1.1])
-        np.testing.assert_allclose(sol.y, [[0.9, 1], [1, 0], [0, 0]], atol=1e-14)
+        given = {"args": (0.8,), "method": method}
+        sol = iv.solve_dae(follow, (0, 2), [0, 1, 0], t_eval=[1, 1.5], sensitivities=True, **given)
+        np.testing.assert_allclose(sol.y, [[0.8, 1], [0.8, 0], [0, 0]], atol=1e-14)
+        np.testing.assert_allclose(sol.sensitivities[:, 0], [[1, 0], [1, 0], [0, 0]], atol=1e-14)
+        part = iv.solve_dae(follow, (0, 1), [0, 1, 0], **given)
+        problem = iv.Dae(follow, 0, [0, 1, 0], args=(0.8,)).problem((0, 2))
+        for other in (part.extend(2), problem.solve(method)):
+            np.testing.assert_allclose(other.y_end[:2], [1, 0], atol=1e-14)
+            assert 1.25 in other.t
         for table in (iv.Input(times, path, "linear"), lambda t: np.interp(t, times, path)):
             sol = iv.solve_dae(track, (0, 2), [0, 0], args=(table,), method=method, t_eval=[0.05, 1.05])
             slopes = np.diff(path)[[0, 10]] / 0.1

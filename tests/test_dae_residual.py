@@ -16,12 +16,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:initial values were moved")
 
 def test_functions_that_cannot_be_traced_are_solved_as_they_stand_up_to_index_1():
     """Index 0 and 1, with y' behind a singular matrix, nonlinear in y'; with fewer calls than IDA at equal error."""
-    cases = {
-        "robertson": (1e-6, 1e-12, 3e-5, 1741),
-        "akzo": (1e-6, 1e-8, 3e-6, 471),
-        "transistors": (1e-4, 1e-6, 1e-3, 38890),
-    }
-    for name, (rtol, atol, error, calls_of_ida) in cases.items():
+    cases = (
+        ("robertson", 1e-6, 1e-12, 3e-5, 1741),
+        ("akzo", 1e-4, 1e-6, 6e-5, 259),
+        ("akzo", 1e-6, 1e-8, 3e-6, 471),
+        ("transistors", 1e-4, 1e-6, 1e-3, 38890),
+    )
+    for name, rtol, atol, error, calls_of_ida in cases:
         problem = PROBLEMS[name]
         start = problem.analysed().consistent()
         F = opaque(problem.F)

@@ -28,7 +28,8 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
   if (invariants_ != nullptr) {
     projector_.emplace(*invariants_, weights, settings.iterations, settings.negligible);
     guard_.emplace(*invariants_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
-    if (with_events && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights);
+    if (Restoration::determines(*invariants_) || (with_events && Restoration::needed(*invariants_)))
+      restoration_.emplace(*invariants_, weights);
     harm_.emplace(extent_.n, extent_.size());
     if (extent_.k > 0) tangent_.emplace(*invariants_, weights, extent_, bounds_);
     if (invariants_->along_steps()) {

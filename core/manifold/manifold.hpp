@@ -79,6 +79,8 @@ class Manifold {
   Status note_values(double t, const double* y);
   /// Compares the invariants at (t, y), as functions of the piece that begins there; `differ`: by more than roundoff.
   Status compare_values(double t, const double* y, bool& differ);
+  /// Demanded invariants leave y no direction to move in: it follows from them where they jump.
+  [[nodiscard]] bool determines_state() const { return restoration_ && restoration_->determines(); }
   /// Forgets the gradients, which are not valid where the solution continues.
   void forget();
   /// The start, which is within bounds, onto the manifold within them. Not finite: there is no such point near it.

@@ -29,8 +29,18 @@ bool Restoration::needed(const Invariants& invariants) {
                      [](const InvariantBlock& block) { return !block.held && block.level > 0; });
 }
 
+bool Restoration::determines(const Invariants& invariants) {
+  std::size_t demanded = 0;
+  for (const InvariantBlock& block : invariants.blocks())
+    if (!block.held && block.sense == 0) demanded += block.m;
+  return demanded >= invariants.n();
+}
+
 Restoration::Restoration(const Invariants& invariants, const Weights& weights)
-    : weights_(weights), demanded_(demanded_of(invariants, weights)), projector_(demanded_, weights, 1) {}
+    : weights_(weights),
+      demanded_(demanded_of(invariants, weights)),
+      projector_(demanded_, weights, 1),
+      determines_(determines(invariants)) {}
 
 Status Restoration::restore(double t, double* y) {
   const Outcome outcome = projector_.linearize_at(t, y);
@@ -40,7 +50,7 @@ Status Restoration::restore(double t, double* y) {
   std::size_t i = 0;
   for (const InvariantBlock& block : demanded_.blocks())
     for (const std::size_t end = i + block.m; i < end; ++i)
-      if (block.level == 0 && !(at.distance(i) <= weights_.rtol())) return Status::ok;
+      if (block.level == 0 && !determines_ && !(at.distance(i) <= weights_.rtol())) return Status::ok;
   return projector_.impose(t, y).outcome == Outcome::stop ? Status::stop : Status::ok;
 }
 

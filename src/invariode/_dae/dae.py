@@ -30,7 +30,7 @@ from .._base.suggestions import meant
 from .._base.types import EventsLike, MethodName, OnFailure, Span
 from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction
-from .._functions.graph.landings import landings, timed
+from .._functions.graph.landings import timed
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
@@ -584,10 +584,10 @@ class Dae:
         options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
         if (callback := options.get("callback")) is not None:
             options["callback"] = through.callback(callback)
-        points = [] if (given := options.get("breakpoints")) is None else through.breakpoints(given)
-        if switches := self._switches(reduction, starts, span, points):
+        if (points := options.get("breakpoints")) is not None:
+            options["breakpoints"] = through.breakpoints(points)
+        if timed([one for level in reduction.levels for one in level.in_states]):
             require_no_jump(reduction, span, np.array([x[one] for one in reduction.states]), self._p)
-        options["breakpoints"] = points + switches
         atol = self._atol(reduction, options)
         describing: dict[str, Any] = {
             "sensitivities": sensitivities,
@@ -597,26 +597,6 @@ class Dae:
             describing["events"] = [through.event(one) for one in to_events(events)]
         problem = self._problem(reduction, x, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
-
-    def _switches(
-        self, reduction: Reduction, starts: Starts, span: tuple[float, float], points: Sequence[Any]
-    ) -> list[Any]:
-        """Return breakpoints where constraints switch with t, which f may not show. A constraint that jumps there
-        moves a state that t alone determines; any other would need an impulse, and the run ends."""
-        nodes = [one for level in reduction.levels for one in level.in_states]
-        if not (conditions := timed(nodes)):
-            return []
-        known = {one[0] if isinstance(one, tuple) else one for one in points}
-        times = landings(conditions, self._p, *span).between(min(span), max(span)).tolist()
-
-        def moved(t: float, state: Array, *args: Any) -> Array:
-            p = layout_of(args).numbers if args else self._p
-            x = point_of(reduction, t, state, p).x
-            found = starts.nearest(Point(np.nextafter(t, span[1]), x), np.full(x.shape[1], len(x)), ())
-            return np.array([found[one] for one in reduction.states])
-
-        inside = [t if self.freedom else (t, moved) for t in times if t not in {*known, *span} and np.isfinite(t)]
-        return inside if span[0] in known else [span[0], *inside]
 
     def _after_action(
         self,

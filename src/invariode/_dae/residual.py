@@ -88,13 +88,14 @@ class ResidualForm:
         size = len(self.residual(t, y, yp, *args))
         if size != self.n:
             raise ValueError(f"F returns {size} residuals for {self.n} unknowns: as many equations are needed")
-        self.V = self._null_space(t, y, yp, args)
+        self.V, of_yp = self._null_space(t, y, yp, args)
         self.free = np.array([self._own(k) for k in range(len(self.V))], dtype=int)
         self.bound = np.setdiff1d(np.arange(self.n), self.free)
         self.r = len(self.bound)
         self.mass = np.diag(np.concatenate([np.ones(self.r), np.zeros(self.n)]))
-        self._require_index_1(t, y, yp, args)
-        self.start = self._consistent(t, np.concatenate([self.states(y), self._combined(yp)]), args)
+        A = np.hstack([self._along(t, y, yp, args, self.V, of_yp=False), of_yp[:, self.bound]])
+        self._require_index_1(t, A)
+        self.start = self._consistent(t, np.concatenate([self.states(y), self._combined(yp)]), args, A)
 
     def _own(self, k: int) -> int:
         """Return the component in which only vector k of the basis is not 0."""
@@ -199,70 +200,68 @@ class ResidualForm:
     # ------------------------------------------------------------------------------------------------------------------
     # Structure
 
-    def _slopes(self, t: float, y: Array, yp: Array, args: tuple[Any, ...], of_yp: bool) -> Array:
-        """Return ∂F/∂y' or ∂F/∂y, by central differences."""
-        columns = []
+    def _along(self, t: float, y: Array, yp: Array, args: tuple[Any, ...], directions: Array, of_yp: bool) -> Array:
+        """Return the derivatives of F in y' or in y along the rows of `directions`, in columns, by central
+        differences."""
         moved = yp if of_yp else y
-        for j in range(self.n):
-            step = _INCREMENT * (1 + abs(moved[j]))
-            ends = []
-            for sign in (1, -1):
-                at = moved.copy()
-                at[j] += sign * step
-                ends.append(self.residual(t, *((y, at) if of_yp else (at, yp)), *args))
-            columns.append((ends[0] - ends[1]) / (2 * step))
-        return np.array(columns).T
+        found = np.empty((self.n, len(directions)))
+        for k, direction in enumerate(directions):
+            step = _INCREMENT * (1 + np.abs(moved[direction != 0]).max())
+            ends = (moved + sign * step * direction for sign in (1, -1))
+            one, other = (self.residual(t, *((y, at) if of_yp else (at, yp)), *args) for at in ends)
+            found[:, k] = (one - other) / (2 * step)
+        return found
 
-    def _null_space(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
-        """Return the null space of ∂F/∂y' at several points: a basis by rows."""
+    def _null_space(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> tuple[Array, Array]:
+        """Return the null space of ∂F/∂y' at the first of several points, a basis by rows, and ∂F/∂y' there. It must
+        be the null space at the others too."""
         rng = np.random.default_rng(_SEED)
-        parts = []
+        V, first, floor = None, np.zeros((self.n, self.n)), np.zeros(self.n)
         for distance in _DISTANCES:
             near = [one + distance * rng.standard_normal(self.n) * (1 + np.abs(one)) for one in (y, yp)]
+            directions = np.eye(self.n) if V is None else V
             with np.errstate(all="ignore"):
-                A = self._slopes(t, near[0], near[1], args, of_yp=True)
-            if np.isfinite(A).all():
+                A = self._along(t, near[0], near[1], args, directions, of_yp=True)
+            if not np.isfinite(A).all():
+                continue
+            if V is None:
                 largest = np.abs(A).max(axis=1, initial=0)
                 floor = _ROUNDOFF * np.where(largest > 0, largest, 1)
-                parts.append(np.where(np.abs(A) > floor[:, None], A, 0.0))
-        if not parts:
+                V, first = null_space(np.where(np.abs(A) > floor[:, None], A, 0.0), _ROUNDOFF).vectors, A
+            elif (np.abs(A) > floor[:, None] * np.maximum(1.0, np.abs(V).max(axis=1, initial=0))).any():
+                raise ValueError(
+                    "the combinations of derivatives in F change along the solution: ∂F/∂y' is singular at the start, "
+                    "and loses rank there only, or its null space depends on t and y"
+                )
+        if V is None:
             raise ValueError(f"F cannot be evaluated near the start, t = {t:.6g}: give other initial values")
-        alone, together = null_space(parts[0], _ROUNDOFF).vectors, null_space(np.vstack(parts), _ROUNDOFF).vectors
-        if len(alone) > len(together):
-            raise ValueError(
-                "the combinations of derivatives in F change along the solution: ∂F/∂y' is singular at the start, and "
-                "loses rank there only, or its null space depends on t and y"
-            )
-        return together
+        return V, first
 
     def _determining(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> Array:
         """Return (F_y Vᵀ, F_y' E): how F determines (w_a, z)."""
-        of_y, of_yp = (self._slopes(t, y, yp, args, of_yp=which) for which in (False, True))
-        return np.hstack([of_y @ self.V.T, of_yp[:, self.bound]])
+        of_yp = self._along(t, y, yp, args, np.eye(self.n)[self.bound], of_yp=True)
+        return np.hstack([self._along(t, y, yp, args, self.V, of_yp=False), of_yp])
 
-    def _consistent(self, t: float, u: Array, args: tuple[Any, ...]) -> Array:
-        """Return u with F = 0 and this w_d, by Newton's iteration; u itself, which the run then tests, if none is
-        near."""
+    def _consistent(self, t: float, u: Array, args: tuple[Any, ...], A: Array) -> Array:
+        """Return u with F = 0 and this w_d, by Newton's iteration from u, where F determines the rest by A; u itself,
+        which the run then tests, if none is near."""
+        first = u[self.r :]
 
         def values(rest: Array) -> tuple[Array, Array]:
             at = np.concatenate([u[: self.r], rest])
             return self.y(at), self.yp(at)
 
         def slopes(rest: Array) -> tuple[Array, Array]:
-            A = self._determining(t, *values(rest), args)
-            return A, np.abs(A) @ np.abs(rest)
+            found = A if rest is first else self._determining(t, *values(rest), args)
+            return found, np.abs(found) @ np.abs(rest)
 
-        first = u[self.r :]
         found = newton(
             lambda rest: self.residual(t, *values(rest), *args), slopes, first, np.maximum(1.0, np.abs(first))
         )
         return np.concatenate([u[: self.r], found.x]) if found.ended is Ended.SETTLED else u
 
-    def _require_index_1(self, t: float, y: Array, yp: Array, args: tuple[Any, ...]) -> None:
-        if not len(self.free):
-            return
-        A = self._determining(t, y, yp, args)
-        if not condition(A) > max(SINGULAR, EPS**0.5):
+    def _require_index_1(self, t: float, A: Array) -> None:
+        if len(self.free) and not condition(A) > max(SINGULAR, EPS**0.5):
             algebraic = ", ".join(self.names[j] for j in self.free)
             raise ValueError(
                 f"its index is above 1: the equations do not determine {algebraic} together with the derivatives at "

@@ -16,6 +16,7 @@ from .._functions.compiled import CompiledFunction
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
+from .._functions.graph.python import Formula
 from .._functions.layout import ArgumentLayout, Numbers, layout_of, place_of
 from .._functions.second_order import SecondOrder
 from .._problem.inputs import Input
@@ -55,8 +56,8 @@ class Schedule(NamedTuple):
 
 
 def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[Node] | None = None) -> Schedule | None:
-    """The landings of a problem; None: there are none. Conditions that change too often, or in a way that is not
-    understood, are left out, with a warning.
+    """The landings of a problem, of f and of its invariants; None: there are none. Conditions that change too often, or
+    in a way that is not understood, are left out, with a warning.
 
     Parameters
     ----------
@@ -72,6 +73,7 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     from .._functions.graph.landings import landings, timed
 
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
+    found = found + _of_invariants(problem)
     if not found:
         return None
     p = layout_of(problem.args).numbers
@@ -113,6 +115,14 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     if made is None:
         return []
     return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
+
+
+def _of_invariants(problem: Problem) -> list[Crossing]:
+    """The conditions of invariants that have a graph, and that depend on t alone."""
+    from .._functions.graph.landings import timed
+
+    formulas = (getattr(one.fun, "fun", one.fun) for one in problem.invariants)
+    return [one for fun in formulas if isinstance(fun, Formula) for one in timed(fun.outputs)]
 
 
 def _of_python(problem: Problem) -> PlainGraph | None:

@@ -482,7 +482,7 @@ class _ChangeSearch:
         levels = np.unique(np.asarray(crossing.levels))
         value = float(self._values(crossing.moving, np.array([start]))[0])
         guess = start + (levels - value) / slope
-        near = 1e-9 * (np.abs(guess) + abs(start) + np.abs(levels / slope))
+        near = np.maximum(1e-9 * (np.abs(guess) + abs(start) + np.abs(levels / slope)), _LEAST)
         inside = (guess + near >= self.low) & (guess - near <= self.high)
         guess, near = guess[inside], near[inside]
         if len(guess) > MOST_LANDINGS:
@@ -509,7 +509,9 @@ class _ChangeSearch:
     def _of_interval(self, crossing: Crossing, inner: Sequence[Source], straight: bool) -> Array:
         if not math.isfinite(self.high - self.low):
             raise _UnknownError("is neither a straight line nor periodic in t, and the interval is infinite")
-        return self._inside(self._within(crossing, inner, self.low, self.high, straight, _IN_INTERVAL))
+        before = self.low - _SAME * np.spacing(max(abs(self.low), abs(self.high)))  # the start may be a change too
+        found = self._within(crossing, inner, before, self.high, straight, _IN_INTERVAL)
+        return self._inside(np.maximum(found, self.low))
 
     def _inside(self, times: Array) -> Array:
         return np.unique(times[(self.low <= times) & (times <= self.high)])
