@@ -604,12 +604,15 @@ def _sign(d: float) -> int:
     return 1 if d > 0 else -1 if d < 0 else 0
 
 
+def is_clock(difference: Node) -> bool:
+    """Return whether a difference depends on t and on no state."""
+    return not used([difference], "y") and any(one.op == "t" for one in in_order([difference]))
+
+
 def times_of_roots(differences: Sequence[Node], p: Array) -> list[float]:
-    """Return the times at which comparisons that are affine in t alone change."""
+    """Return the times at which comparisons, of t alone, change that are affine in t."""
     found = set()
     for one in differences:
-        if used([one], "y") or not any(each.op == "t" for each in in_order([one])):
-            continue
         a, b, c = (ArrayFunction([one]).at(t, np.zeros(0), p)[0] for t in (0.0, 1.0, 3.5))
         slope = b - a
         if slope and abs(a + 3.5 * slope - c) <= 1e-12 * (abs(a) + abs(c)):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from .. import _core
 from .._base.arguments import Array, number, positive_integer
+from .._base.latest import Latest
 from .._base.package import extra
 from .._base.rational import as_rows
 from .._base.suggestions import meant
@@ -24,8 +26,10 @@ from .._problem.delays import GraphOfPast
 from .._problem.invariants import Invariants
 from .._problem.methods import METHODS
 from .._problem.problem import Problem
+from .._results.solution import Solution
+from .._solve.prepared import PreparedSolver
 from .equations import FAST, Equations, used
-from .events import SAME_TIME, EventCode, Machine, times_of_roots
+from .events import SAME_TIME, EventCode, Machine, is_clock, times_of_roots
 from .past import with_past_as_states
 from .reading import Contents
 
@@ -167,6 +171,9 @@ class Model:
         self._contents, self._fast = contents, fast
         self._equations = Equations(contents, fast, given)
         self._others: dict[frozenset[str], Model] = {}
+        #: What simulations of one kind have in common: readers of columns, and solvers.
+        self._readers: Latest[tuple[str, ...], ArrayFunction] = Latest()
+        self._solvers: Latest[Hashable, PreparedSolver] = Latest()
         self.name = contents.name
         self.states = list(self._equations.states)
         e = self._equations
@@ -409,11 +416,15 @@ class Model:
         return model._times(p, *t_span)
 
     def _times(self, p: Array, t0: float, tf: float) -> list[float]:
+        return [t for t in times_of_roots(self._clocks, p) if min(t0, tf) < t < max(t0, tf)]
+
+    @cached_property
+    def _clocks(self) -> list[Node]:
+        """The differences of all comparisons of t with parameters, in rates, rules and triggers."""
         comparisons = ("less", "less_equal", "equal", "not_equal")
         inside = [one for one in in_order(self._equations.slopes) if one.op in comparisons]
         differences = [one.arguments[0] - one.arguments[1] for one in inside]
-        found = times_of_roots([*differences, *self._events.differences], p)
-        return [t for t in found if min(t0, tf) < t < max(t0, tf)]
+        return [one for one in (*differences, *self._events.differences) if is_clock(one)]
 
     # Simulation
 
@@ -503,13 +514,18 @@ class Model:
             return np.repeat(np.tile(y, 1 + len(self._equations.delays))[:, None], len(times), axis=1)
         known = next((one for one in METHODS.values() if method in (one.name, one.scipy_name)), None)
         explicit = self._equations.mass is not None and known is not None and known.mass == "none"
-        problem = self._problem((start, end), p, y, moieties, explicit, **more)
-        if problem.matrices.mass is not None and method == "auto":
+        if self._equations.mass is not None and method == "auto":
             method = "ode15s"
-        delays = [] if problem.delays is None else problem.delays.values(problem.args, problem.y0)
-        if delays:
-            options["dense_output"] = True
-        sol = problem.solve(method, t_eval=times, on_failure="return", **options)
+        options |= {"t_eval": times, "on_failure": "return"}
+        delays: list[float] = []
+        if self.events or self._equations.delays:
+            problem = self._problem((start, end), p, y, moieties, explicit, **more)
+            if problem.delays is not None:
+                delays = problem.delays.values(problem.args, problem.y0)
+                options["dense_output"] = True
+            sol = problem.solve(method, **options)
+        else:
+            sol = self._prepared((start, end), p, y, moieties, explicit, method, options)
         if sol.status < 0:
             missing = [name for name, one in self._contents.reactions.items() if one.law is None]
             about = f" Reactions without a rate: {', '.join(missing)}." if missing else ""
@@ -519,12 +535,32 @@ class Model:
             Y[: len(y), np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]
         return Y
 
+    def _prepared(
+        self,
+        t_span: tuple[float, float],
+        p: Array,
+        y: Array,
+        moieties: bool,
+        explicit: bool,
+        method: MethodName,
+        options: dict[str, Any],
+    ) -> Solution:
+        """Return the solution by a solver that all simulations of one kind have in common."""
+        about = _core.plain_options({**options, "t_eval": None})
+        kind = t_span, options["t_eval"].tobytes(), moieties, explicit, method, about, (*self._times(p, *t_span),)
+        solver = None if about is None else self._solvers.get(kind)
+        if solver is None:
+            solver = self._problem(t_span, p, y, moieties, explicit).prepare(method, **options)
+            if about is not None:
+                self._solvers[kind] = solver
+        return solver(y0=y, args=dict(zip(self._names, p.tolist(), strict=False)) or None)
+
     def _default_columns(self) -> list[str]:
         moving = [n for n, one in self._contents.species.items() if not one.constant]
         return ["time", *(f"[{name}]" for name in moving)]
 
     def _reader(self, columns: Sequence[str]) -> ArrayFunction:
-        return ArrayFunction([self.selection(name) for name in columns])
+        return self._readers.find((*columns,), lambda: ArrayFunction([self.selection(name) for name in columns]))
 
     def selection(self, name: str) -> Node:
         """Return the values of a column, as a node of the model's graph."""
