@@ -281,6 +281,11 @@ def test_the_clock_stands_inside_the_figure_and_clear_of_the_title(films):
         clock = ax.texts[0].get_window_extent()
         assert clock.y1 <= film.figure.bbox.y1
         assert not (ax.get_title() and clock.overlaps(ax.title.get_window_extent()))
+    wide = films(
+        iv.Problem(lambda t, y: [1], (0, 2), [-2.0], name="A wide film").solve(), lambda t, y: [[y[0], t], [2, t]]
+    )
+    wide.figure.canvas.draw()
+    assert wide.figure.axes[0].title.get_window_extent().y1 <= wide.figure.bbox.y1
 
 
 def test_numbers_of_a_thin_axis_in_space_do_not_run_together(films):

@@ -427,6 +427,9 @@ class TestBlame:
             with pytest.raises(TypeError, match="positional argument") as raised:
                 iv.solve_ivp(**{"fun": decay, "t_span": (0, 1), "y0": [1.0, 2.0], **given})
             assert self.notes(raised) == f"{name}: called with t and y alone; args=(a, b) passes further arguments"
+        with pytest.raises(TypeError, match="positional argument") as raised:  # as MATLAB's OutputFcn
+            iv.solve_ivp(decay, (0, 1), [1.0, 2.0], callback=lambda t, y, flag: False)
+        assert self.notes(raised).startswith("callback: called with t and y alone")
 
     def test_a_function_without_args_is_named(self):
         def level(t, y):

@@ -147,7 +147,7 @@ def test_imaginary_parts_are_drawn_too(kind):
     times = np.linspace(0, 3, 7)
     m = iv.solve_ensemble(lambda t, y: 1j * y, (0, 3), [[1 + 0j], [1 + 0j]], t_eval=times, workers=1, rtol=1e-6)
     ax = m.plot(kind, ax=Figure().add_subplot())
-    bands = ["90% of the trajectories", "50% of the trajectories"] if kind == "bands" else []
+    bands = ["90 % of the trajectories", "50 % of the trajectories"] if kind == "bands" else []
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["Re y0", "Im y0", *bands]
     drawn = [(line.get_linestyle(), line.get_ydata()) for line in ax.lines if len(line.get_ydata())]
     for dashes, expected in (("-", np.cos(times)), ("--", np.sin(times))):

@@ -499,7 +499,7 @@ def test_bands_are_named():
     """Once, whatever the number of components."""
     many = iv.solve_ensemble(circle, (0, 1), [[1.0, 0.0], [2.0, 0.0]], t_eval=[0, 0.5, 1], workers=1)
     labels = many.plot().get_legend_handles_labels()[1]
-    assert labels[-2:] == ["90% of the trajectories", "50% of the trajectories"]
+    assert labels[-2:] == ["90 % of the trajectories", "50 % of the trajectories"]
     assert "trajectories" not in str(many.plot("quantiles").get_legend_handles_labels()[1])
 
 

@@ -14,6 +14,9 @@ _OF_MATLAB = {
     "odeplot": "call sol.plot()",
     "odephas2": "call sol.plot_phase(i, j)",
     "odephas3": "call sol.plot_phase(i, j, k)",
+    **dict.fromkeys(
+        ("bvp4c", "bvp5c"), "boundary values: scipy.integrate.solve_bvp, or shooting with fit or a root finder"
+    ),
     "odeprint": "pass progress=True, or a callback=",
 }
 

@@ -19,9 +19,12 @@ from .._problem.problem import Problem
 _FED = ("fun", "jac")
 
 
-def explain(error: TypeError | ValueError, problem: Problem) -> None:
+def explain(error: TypeError | ValueError, problem: Problem, callback: Any = None) -> None:
     """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
     if isinstance(error, TypeError):
+        if not takes(callback, ()) and _is_of_the_call(error):
+            error.add_note("callback: called with t and y alone, after each step; it returns True to stop the run")
+            return
         if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
             error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
             return

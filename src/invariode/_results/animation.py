@@ -105,7 +105,8 @@ def animated(
     ax.set_title(ax.get_title(), pad=_TITLE)
     film = Film(ax, motion, joined, fps, line)
     film.show(0)
-    film.figure.draw_without_rendering()  # laid out once: the frames stand still
+    for _ in range(2):  # the height of the title is known after the first; then the frames stand still
+        film.figure.draw_without_rendering()
     film.figure.set_layout_engine("none")
     return film
 

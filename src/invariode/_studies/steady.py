@@ -155,7 +155,8 @@ class SteadyState:
 
     def __repr__(self) -> str:
         kind = ("stable" if self.stable else "unstable") if self.success else "not reached"
-        return f"SteadyState({kind}, residual={self.residual:.3g}, {len(self.totals)} totals)"
+        totals = f"{len(self.totals)} total{'s' * (len(self.totals) != 1)}"
+        return f"SteadyState({kind}, residual={self.residual:.3g}, {totals})"
 
 
 @public

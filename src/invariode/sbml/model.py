@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, number, positive_integer
+from .._base.arguments import Array, interval, number, positive_integer
 from .._base.latest import Latest
 from .._base.package import extra
 from .._base.rational import as_rows
@@ -206,7 +206,8 @@ class Model:
     def report(self) -> str:
         """Return what was made of the model, and what was ignored, in lines of text."""
         c, e = self._contents, self._equations
-        lines = [f"{self.name}: SBML Level {c.level}, {len(c.species)} species, {len(c.reactions)} reactions"]
+        reactions = f"{len(c.reactions)} reaction{'s' * (len(c.reactions) != 1)}"
+        lines = [f"{self.name}: SBML Level {c.level}, {len(c.species)} species, {reactions}"]
         lines.append(f"states: {', '.join(self.states) or 'none'}")
         computed = [name for name in c.initial if name not in e.place]
         if computed:
@@ -322,7 +323,7 @@ class Model:
             A name that the model does not have, or a symbol that a rule determines.
         """
         model, p, y0 = self._start(values)
-        t0, machine = float(t_span[0]), None
+        t0, machine = interval(t_span)[0], None
         y0 = model._consistent(t0, y0, p)
         more: dict[str, Any] = {}
         if model.events:

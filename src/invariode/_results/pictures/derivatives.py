@@ -111,7 +111,7 @@ def _lines(
                 draw_over_t(panel, sol, curves.t, values, curves.smooth, own)
         if ax is None:
             label = _title(names[k], parameters[columns[0]] if len(columns) == 1 else "p", factors is not None)
-            panel.set_ylabel(drawable(label))
+            panel.set_ylabel(drawable(label).replace(" / max", "\n/ max"))  # beside a low panel
     for place, panel in enumerate(dict.fromkeys(panels)):
         if ax is not None or (place == 0 and len(columns) > 1):  # all panels have the same lines
             legend(panel, f"{len(shown)} of {len(rows)} components" if len(shown) < len(rows) else None)

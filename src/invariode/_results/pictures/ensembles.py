@@ -80,7 +80,7 @@ def _name_bands(ax: Axes) -> None:
     opaque = 0.0
     for low, high, alpha in _BANDS:
         opaque = 1 - (1 - opaque) * (1 - alpha)
-        label = f"{_QUANTILES[high] - _QUANTILES[low]:.0%} of the trajectories"
+        label = f"{100 * (_QUANTILES[high] - _QUANTILES[low]):.0f} % of the trajectories"
         ax.fill_between([], [], [], color="0.3", alpha=opaque, linewidth=0, label=once(ax, label))
 
 

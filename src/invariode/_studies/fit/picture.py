@@ -128,7 +128,7 @@ def draw_correlation(names: Sequence[str], correlation: Array, ax: Axes | None) 
         for i, j in zip(*np.nonzero(np.isfinite(correlation)), strict=True):
             value = correlation[i, j]
             colour = "white" if abs(value) > _DARK else "black"
-            ax.text(j, i, f"{value:.2f}".replace("-", "−"), ha="center", va="center", color=colour, fontsize="small")
+            ax.text(j, i, f"{value:z.2f}".replace("-", "−"), ha="center", va="center", color=colour, fontsize="small")
     ax.figure.colorbar(image, ax=ax).set_label("correlation")
     return ax
 
