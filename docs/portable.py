@@ -17,8 +17,9 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -191,11 +192,18 @@ def _picture(data: str, path: Path) -> None:
 
 def _outputs(page: Path, cell: Any, alt: str, number: Iterator[int]) -> Iterator[str]:
     """Yield the outputs of an executed cell as Markdown, and write its pictures."""
-    for one in cell.outputs:
-        if one.output_type == "stream":
-            if one.name == "stdout":
-                yield f"```text\n{one.text.rstrip()}\n```"
+    for streams, group in groupby(cell.outputs, lambda one: one.output_type == "stream"):
+        if streams:  # what one cell prints comes in parts
+            printed = "".join(one.text for one in group if one.name == "stdout").rstrip()
+            if printed:
+                yield f"```text\n{printed}\n```"
             continue
+        yield from _shown(page, group, alt, number)
+
+
+def _shown(page: Path, outputs: Iterable[Any], alt: str, number: Iterator[int]) -> Iterator[str]:
+    """Yield values and pictures as Markdown."""
+    for one in outputs:
         data = one.get("data", {})
         if "image/png" in data:
             name = "-".join([*page.parent.parts, page.stem, str(next(number))])

@@ -60,9 +60,9 @@ class Case:
             {x.strip() for x in self.setting(text, one).split(",") if x.strip()} for one in ("amount", "concentration")
         )
         tags = json.loads((folder / "tags.json").read_text())
-        self.tags = [
-            x.strip() for one in ("componentTags", "testTags") for x in tags.get(one, "").split(",") if x.strip()
-        ]
+        listed = ",".join(tags.get(one, "") for one in ("componentTags", "testTags")).split(",")
+        # Some lists end with the next line of the case, "testType: TimeCourse".
+        self.tags = [tag for one in listed if (tag := one.strip()) and not tag.startswith("testType:")]
 
     @staticmethod
     def setting(text, name):
