@@ -73,7 +73,7 @@ def code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
 
 @pytest.fixture(params=ALGEBRAIC)
 def algebraic_code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
-    """Those of the methods that take M(t), and singular M."""
+    """Yield the methods that take M(t), and singular M."""
     return getattr(iv, request.param)
 
 

@@ -1,4 +1,4 @@
-"""What differs between processors of one kind: the kernels of OpenBLAS, of which NumPy's and SciPy's wheels carry a
+"""Differences between processors of one kind: the kernels of OpenBLAS, of which NumPy's and SciPy's wheels carry a
 library each, and the instructions that NumPy uses for its elementary functions.
 
     python tests/kernels.py             # the kernels that this processor can run

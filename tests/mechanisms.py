@@ -326,7 +326,7 @@ def spatial_chain() -> Case:
 
 
 def energy_of_unit_masses(t: float, q: Array, v: Array) -> float:
-    """Of unit masses in the plane, gravity 1."""
+    """Return the energy of unit masses in the plane, gravity 1."""
     return (v @ v) / 2 + q[1::2].sum()
 
 

@@ -49,7 +49,7 @@ def alone(w: float) -> iv.Solution:
 
 
 def _act(told: Connection, what: str, path: Path, w: float) -> None:
-    """What a process does when it is told to begin: it says 'done', or why it was refused."""
+    """Do what a process is told to begin with: it says 'done', or why it was refused."""
     told.recv()
     try:
         if what == "solve":
@@ -101,7 +101,7 @@ class Process:
 
 
 def _whole(path: Path, w: float) -> str:
-    """Whether a checkpoint holds the run, which goes on if it has not ended: '' or what differs."""
+    """Check that a checkpoint holds the run, which goes on if it has not ended: '' or what differs."""
     loaded = iv.load(path, problem(w))
     if not loaded.success:
         loaded.extend(END)

@@ -26,7 +26,7 @@ Numbers = list[mpf]
 Tree = tuple[int, tuple["Tree", ...]]
 
 #: Times of the extensions' further stages. Each of their arguments is a value of the extension before it, whose order
-#: in q stands in front; behind them stands that of the extension itself, which is as high as the stages permit. For
+#: in q stands in front; after them stands that of the extension itself, which is as high as the stages permit. For
 #: rkn1210 four of them, or five that lie symmetrically, permit no more than order 10.
 EXTENSIONS = {
     "rkn64": (6, [], 6),
@@ -48,7 +48,7 @@ def _rational(text: str) -> mpf:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A pair whose last stage is f at the end of the step, and further stages behind it."""
+    """A pair whose last stage is f at the end of the step, and further stages after it."""
 
     c: Numbers
     A: list[Numbers]
@@ -115,7 +115,7 @@ def nodes(tree: Tree) -> int:
 
 @cache
 def factor(tree: Tree) -> mpf:
-    """Of f = factor t^(nodes − 1) on the exact solution."""
+    """Return the factor of f = factor t^(nodes − 1) on the exact solution."""
     product = mpf(1)
     for branch in tree[1]:
         product *= factor(branch) / (nodes(branch) * (nodes(branch) + 1))

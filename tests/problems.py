@@ -68,7 +68,7 @@ def slack(method: str) -> int:
 
 
 def one_step(method: str) -> bool:
-    """Whether a step takes nothing but y from those before it, though perhaps the order that has proved best."""
+    """Return True if a step takes nothing but y from those before it, though perhaps the order that has proved best."""
     return iv.METHODS[method].fixed_order or method == "radau"
 
 

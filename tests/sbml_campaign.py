@@ -78,7 +78,7 @@ class Case:
         return found
 
     def objection(self, **options):
-        """What is wrong with the result; None: it is as expected."""
+        """Return the defect of the result; None: it is as expected."""
         model = sbml.load(self.folder / "model.xml", fast=options.pop("fast", "refuse"))
         times = self.expected[:, 0]
         table = model.simulate(0.0, times[-1], times, self.selections(model), **options)

@@ -75,7 +75,7 @@ EXCLUDED: list[tuple[dict[str, tuple[str, ...]], str]] = [
 
 
 def allowed(levels: Row) -> bool:
-    """Whether no exclusion applies to these levels, of all factors or of some."""
+    """Return True if no exclusion applies to these levels, of all factors or of some."""
     return not any(all(levels.get(name) in those for name, those in rule.items()) for rule, _ in EXCLUDED)
 
 
@@ -239,7 +239,7 @@ class Scenario:
         if kind == "none":
             return (q,)
         i = max(j for j, knot in enumerate(self.knots) if knot <= middle)
-        if kind == "previous":  # in t: behind the middle when the run goes backward
+        if kind == "previous":  # in t: after the middle when the run goes backward
             return (q + self.values[i if self.sign > 0 else i + 1],)
         if kind == "linear":
             slope = (self.values[i + 1] - self.values[i]) / (self.knots[i + 1] - self.knots[i])
@@ -313,7 +313,7 @@ class Scenario:
         return first, which
 
     def _jumps(self, s: float, state: State, which: list[int], exact: Exact) -> State:
-        """What happens at s: actions of events, then the dose, each followed by what it sets off."""
+        """Return the jump at s: actions of events, then the dose, each followed by what it sets off."""
         waiting = list(which)
         doses = [self.dose] if self.dose and s == self.B else []
         while waiting or doses:

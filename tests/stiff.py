@@ -67,7 +67,7 @@ def references() -> dict[str, np.ndarray]:
 
 
 def as_array(function):
-    """What it returns, as an array: these tests take slices of it, and its parts along complex steps."""
+    """Return its value as an array: these tests take slices of it, and its parts along complex steps."""
     return lambda t, y: np.array(function(t, y))
 
 

@@ -31,7 +31,7 @@ CHECKPOINTS = {"adjoint": "checkpoints"}
 
 
 def sections(sol):
-    """Of how many a run consists."""
+    """Return the number of sections of a run."""
     return sum(len(one.begins) for one in sol._origin.sectioned)
 
 
@@ -232,7 +232,7 @@ def of_some_hundred_steps(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_checkpoints_change_no_bit_of_the_gradient(method):
-    """Of a long run, where invariants are held, with costs at several times and an integral."""
+    """A long run, where invariants are held, with costs at several times and an integral."""
     given = {"t_span": (0, 15), "invariants": conserved} | of_some_hundred_steps(method)
     whole = solved(method, **given)
     sol = solved(method, **given, keep="end", **CHECKPOINTS)
@@ -353,7 +353,7 @@ BOUNCE = iv.Event(
 
 @pytest.mark.parametrize("method", ["ode45", "ode15s", "radau"])
 def test_the_gradient_goes_through_impacts(method):
-    """Three of them, with costs before, between and behind."""
+    """Three of them, with costs before, between and after."""
     options = {"args": (9.81, 0.8), "events": BOUNCE, "rtol": RTOL, "atol": ATOL, "dense_output": True}
     sol = iv.solve_ivp(ball, (0, 2), [1.0, 0.5], method, **options, sensitivities=[*(0, 1), "y0"])
     assert len(sol.t_events[0]) == 3
@@ -374,7 +374,7 @@ def struck_in_reals(t, y, gravity, restitution):
 @pytest.mark.filterwarnings("ignore:.* are differences:invariode.AccuracyWarning")
 @pytest.mark.parametrize("action", [struck, struck_in_reals])
 def test_actions_may_depend_on_the_time_of_their_event(action):
-    """Whether or not they take complex t."""
+    """They may take complex t, or not."""
     racket = iv.Event(lambda t, y, gravity, restitution: y[0], direction=-1, action=action)
     options = {"args": (9.81, 0.8), "events": racket, "rtol": RTOL, "atol": ATOL, "dense_output": True}
     sol = iv.solve_ivp(ball, (0, 1), [1.0, 0.5], "ode45", **options, sensitivities=[*(0, 1), "y0"])
@@ -448,8 +448,8 @@ def test_an_integral_over_impacts_moves_with_their_times():
 
 
 @pytest.mark.parametrize("rehold", [True, False])
-def test_laws_take_new_values_behind_actions(rehold):
-    """The energy of a pendulum, behind a push, or as it was where a push turns it around."""
+def test_laws_take_new_values_after_actions(rehold):
+    """The energy of a pendulum, after a push, or as it was where a push turns it around."""
 
     def push(t, y, g, size):
         return [y[0], y[1] * (1 + size) if rehold else -y[1]]

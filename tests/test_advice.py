@@ -36,7 +36,7 @@ def overflows(t: float, y: Any) -> list[float]:
         return [np.exp(y[0] ** 2)]
 
 
-#: f, y0, and a time behind the singularity.
+#: f, y0, and a time after the singularity.
 BLOW_UPS = {
     "square": (lambda t, y: [y[0] ** 2], [1.0], 5.0),
     "exp": (lambda t, y: [math.exp(min(y[0], 700.0))], [0.0], 5.0),
@@ -80,7 +80,7 @@ def logarithm(x: Any) -> Any:
         return np.log(x)
 
 
-#: f, y0, a time behind the one at which a component reaches 0, and that component.
+#: f, y0, a time after the one at which a component reaches 0, and that component.
 UNDEFINED = {
     "root": (lambda t, y: [-root(y[0])], [1.0], 3.0, 0),
     "log": (lambda t, y: [logarithm(y[0]) - 1], [1.0], 2.0, 0),
@@ -159,7 +159,7 @@ def test_inputs_that_begin_too_late_are_not_told_to_be_of_the_kind_that_they_are
 
 
 def test_a_gradient_does_not_warn_of_the_end_of_the_run() -> None:
-    """What f is from there on has no part in it."""
+    """The values of f from there on have no part in it."""
     fun: Any = lambda t, y, p: [-p * y[0] + (1.0 if float(str(t)) < 2 else 0.0)]  # noqa: E731
     for method in ("ode45", "ode15s", "radau"):
         with warnings.catch_warnings():

@@ -117,7 +117,7 @@ def test_refused(name):
 @explicit_and_implicit
 @pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("invariant ")])
 def test_values_of_invariants_are_refused_in_every_method(method, name):
-    """What g returns shows when it is called."""
+    """The values of g show when it is called."""
     changed, error, message = CALLS[name]
     with pytest.raises(error, match=message):
         iv.solve_ivp(decay, (0, 2), [1, 2], method, **changed)

@@ -19,7 +19,7 @@ def crossing(t, y):
 
 
 def event_of(solve_ivp, **attributes):
-    """The same event for both libraries; ours with at_start."""
+    """Return one event for both libraries; ours with at_start."""
 
     def event(t, y):
         return y[0]
@@ -86,7 +86,7 @@ def impacts(solve_ivp, event, count=12):
 
 @pytest.mark.parametrize("start", [False, True])
 def test_a_restart_loop_with_a_direction_finds_each_impact_once(start):
-    """The same in both libraries: where it starts the event rises, and only falls count."""
+    """In both libraries the event rises where it starts, and only falls count."""
     first = np.sqrt(2 / 9.81)
     expected = first + np.cumsum([0, *(2 * first * 0.9 ** np.arange(1, 12))])
     event = iv.Event(ground, terminal=True, direction=-1, at_start=start)

@@ -23,7 +23,7 @@ def may_leonard(t, y, a=0.8, b=1.3):
 
 
 def said_by(run):
-    """What `run` returns, and its warnings of components below 0."""
+    """Return the value of `run`, and its warnings of components below 0."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = run()

@@ -65,7 +65,7 @@ def excess(sol: iv.Solution, exact: Exact, tolerance: float) -> float:
 
 
 def tolerances(method: str) -> list[float]:
-    """Those that suit its order."""
+    """Return the tolerances that suit its order."""
     return [1e-3, 1e-4, 1e-5] if METHODS[method].order == 2 else [1e-3, 1e-4, 1e-6, 1e-8]
 
 
@@ -322,7 +322,7 @@ def plain_problem() -> iv.Problem:
 
 
 def shape_of(sol: iv.Solution) -> tuple[Any, ...]:
-    """What tells two sequences of steps apart."""
+    """Return a key that tells two sequences of steps apart."""
     return sol.stats.steps, sol.stats.failed, sol.t_end, *sol.y[:, -1]
 
 
@@ -384,7 +384,7 @@ def test_a_run_that_goes_on_keeps_the_choice_bit_for_bit(method, tmp_path):
     """In memory and from a file, even if no output is left to come."""
     problem = relaxing(1e5)[0]
     steps = problem.solve(method, dense_output=True).t
-    few = int((steps < 1).sum())  # behind the outputs, and long before the end
+    few = int((steps < 1).sum())  # after the outputs, and long before the end
     runs: list[tuple[dict[str, Any], dict[str, Any]]] = [
         ({}, {"dense_output": True}),
         ({"events": [lambda t, y: y[0] + 10]}, {}),

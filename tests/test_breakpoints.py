@@ -65,7 +65,7 @@ def test_inputs_bring_their_breakpoints(method):
 @explicit_and_implicit
 @pytest.mark.parametrize("jac", [False, True])
 def test_native_functions_have_inputs_first_in_their_parameters(method, jac):
-    """The same values as the Python functions get, to the last bit."""
+    """They get the values that the Python functions get, to the last bit."""
     pytest.importorskip("numba")
     wind = iv.Input(np.linspace(0, 10, 7), np.random.default_rng(1).normal(size=(7, 2)), "linear")
     level = iv.Input([0, 3, 6], [1.0, 2.0, 0.5])
@@ -350,7 +350,7 @@ def test_a_demanded_value_that_an_invariant_leaves_in_a_jump_is_said_to_be_left(
 
 @pytest.mark.parametrize("form", [lambda f: f, compiled])
 def test_residuals_of_ensembles_are_those_of_each_piece(form):
-    """Of functions of t, whose last piece is not the first one; of one that jumps; and behind an action."""
+    """Functions of t, whose last piece is not the first one; one that jumps; and a state after an action."""
     given = {"t_eval": [0, 0.5, 1, 1.5, 2], **TIGHT}
     start = [[1.0, 0.3], [0.5, 0.1]]
     rising = {"invariants": form(lambda t, y: y[0] - np.sin(t)), "breakpoints": [1.0]}

@@ -119,7 +119,7 @@ MASKED = [
 
 
 def test_masked_results_are_refused():
-    """What is behind a mask is no value."""
+    """The number under a mask is no value."""
     for given in MASKED:
         with pytest.raises(ValueError, match="masked entries, which have no values"):
             iv.solve_ivp(**{"fun": decay, "t_span": (0, 1), "y0": [1, 1], **given})

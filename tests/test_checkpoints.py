@@ -204,7 +204,7 @@ def changed(path, **about):
 
 
 def told(path):
-    """What a state file says of itself."""
+    """Return the header of a state file."""
     with np.load(path) as archive:
         return json.loads(str(archive["about"]))
 

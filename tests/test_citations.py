@@ -1,4 +1,4 @@
-"""What a run is based on, as BibTeX: nothing that the sources say is lost, nothing is cited that was not used."""
+"""The sources of a run as BibTeX: nothing that they say is lost, nothing is cited that was not used."""
 
 from __future__ import annotations
 

@@ -310,7 +310,7 @@ def test_a_start_satisfies_all_constraints_and_moves_what_is_not_fixed():
 
 
 def test_the_nearest_start_is_that_of_least_change():
-    """Of one constraint: on the circle, the nearest point in the weights of the values is found by Gauss and Newton."""
+    """One constraint: on the circle, the nearest point in the weights of the values is found by Gauss and Newton."""
     start = iv.Dae(pendulum, 0, [0.6, -0.8, 0], [0.8, 0.6, 0], order=2).consistent()
     np.testing.assert_array_equal(start.y[:2], [0.6, -0.8])  # consistent ones stay
     np.testing.assert_array_equal(start.yp[:2], [0.8, 0.6])

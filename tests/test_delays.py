@@ -227,7 +227,7 @@ def test_compiled_functions_are_as_python_ones(method):
         np.testing.assert_allclose(compiled.y, python.y, rtol=1e-12)
 
 
-def test_inputs_come_behind_delayed_values():
+def test_inputs_come_after_delayed_values():
     tap = iv.Input([0, 2, 3], [0.0, 1.0, 0.0])
     with_input = iv.Problem(lambda t, y, z, u: -z[0] + u, (0, 5), [1.0], inputs=tap, delays=1, history=1)
     by_hand = iv.Problem(lambda t, y, z: -z[0] + (2 <= t < 3), (0, 5), [1.0], delays=1, history=1, breakpoints=[2, 3])
@@ -294,7 +294,7 @@ def test_what_is_wrong_or_not_supported_is_said():
 
 
 def test_memory_does_not_grow_with_the_number_of_steps():
-    """What a run remembers after 100 delays is no more than twice what it remembers after 10."""
+    """A run remembers no more after 100 delays than twice what it remembers after 10."""
     options = {"delays": 1.0, "history": 1.0, "keep": "end", "rtol": 1e-3, "max_step": 0.05}
     sizes = [len(iv.solve_ivp(decay, (0, tf), [1.0], "ode23", **options)._origin.memory) for tf in (20, 200)]
     assert sizes[1] < 2 * sizes[0]

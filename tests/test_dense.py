@@ -32,7 +32,7 @@ def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpol
 
 @families_and_series
 def test_a_value_does_not_depend_on_the_other_times(method):
-    """Those of a step are evaluated together, in blocks of which the last is not full."""
+    """Values within a step are evaluated together, in blocks of which the last is not full."""
     t = np.linspace(0, 1, 1501)
     few, many = (iv.solve_ivp(spring, (0, 1), [1.0, 0.0, 0.5], method, t_eval=t[::k]).y for k in (100, 1))
     np.testing.assert_array_equal(many[:, ::100], few)

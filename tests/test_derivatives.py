@@ -18,7 +18,7 @@ def hill(t, x, n, K):
 
 
 def untraced(fun):
-    """The same function, which cannot be traced."""
+    """Return the function in a form that cannot be traced."""
 
     def with_try(t, y, *args):
         try:

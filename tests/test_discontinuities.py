@@ -354,7 +354,7 @@ def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
 
 @pytest.mark.parametrize("how", ["lanes", "threads", "processes", "parts", "store"])
 def test_ensembles_tell_where(how, tmp_path: Path):
-    """The same in lanes, in the core one at a time, in Python, in parts and from a store: the first jump of each."""
+    """In lanes, in the core one at a time, in Python, in parts and from a store: the first jump of each."""
     N = 5
     args = np.column_stack([np.arange(1.0, N + 1), [9.0, 0, 9, 0, 9]])
     fun = switched if how != "processes" else lambda t, y, *p: switched.fun(t, y, p)

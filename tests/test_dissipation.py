@@ -1,4 +1,4 @@
-"""What is dissipated never rises at the steps, whatever method; a function that f does not dissipate is refused."""
+"""Dissipated quantities never rise at the steps, whatever method; a function that f does not dissipate is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documentation shows is what one gets: code blocks and docstring examples are executed."""
+"""The documentation shows what one gets: code blocks and docstring examples are executed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What scripts for SciPy do with results, functions and arguments works here too."""
+"""Scripts for SciPy may do here with results, functions and arguments what they do there."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ OTHERS = {
 
 
 class TestArguments:
-    """Those of `args` reach invariants and events too; a function that does not take them is named."""
+    """The arguments in `args` reach invariants and events too; a function that does not take them is named."""
 
     @pytest.mark.parametrize("name", OTHERS)
     def test_it_is_said_which(self, name):

@@ -265,7 +265,7 @@ def test_attribute_of_a_function(method):
 
 @families
 def test_kinks_jumps_touches_and_noise_end(method):
-    """What no polynomial resolves is left to signs, after a bounded number of samples."""
+    """Roots that no polynomial resolves are left to signs, after a bounded number of samples."""
     calls = 0
 
     def counted(fun):
@@ -331,7 +331,7 @@ def test_wrong_samples(samples, error):
 
 
 def test_pairs_of_roots_within_a_step_are_found(method):
-    """Of a tent, whose kink leaves two roots within a step: at random places, of widths down to a hundredth of it."""
+    """The kink of a tent leaves two roots within a step: at random places, of widths down to a hundredth of it."""
     rng = np.random.default_rng(4451)
     for rtol in (1e-3, 1e-6, 1e-9):
         for width in (0.6, 0.1):

@@ -253,7 +253,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_the_old_one(tmp_path, 
 
 @pytest.mark.skipif(os.name == "nt", reason="modes, links and pipes of POSIX")
 class TestTargets:
-    """What is there already is what is written to: its mode, what a link points at, a pipe, a device."""
+    """A target that exists is written to as it is: its mode, what a link points at, a pipe, a device."""
 
     @pytest.mark.parametrize("mode", [0o600, 0o640, 0o777])
     def test_a_file_keeps_its_mode(self, tmp_path, mode):

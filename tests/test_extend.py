@@ -171,7 +171,7 @@ def test_jumps_go_on_and_each_piece_keeps_its_value(method):
 
 @families_and_series
 def test_a_jump_at_the_very_end(method):
-    """The action is taken there, and the extension starts behind it."""
+    """The action is taken there, and the extension starts after it."""
     event = iv.Event(lambda t, y: t - 2, action=lambda t, y: [y[0] + 1])
     sol = iv.solve_ivp(lambda t, y: [0.0], (0, 2), [0.0], method, events=event, dense_output=True).extend(4)
     np.testing.assert_array_equal(sol.t_events[0], [2.0])

@@ -193,7 +193,7 @@ class TestEnsemble:
             np.testing.assert_allclose(one[0].t, [1], rtol=1e-12)
 
     def test_drift_is_known_where_actions_change_values(self):
-        """Of a ball whose energy is halved in each impact the residuals are kept, but not those at single outputs."""
+        """The residuals of a ball whose energy is halved in each impact are kept, but not those at single outputs."""
         impact = iv.Event(lambda t, y: y[0], direction=-1, action=lambda t, y: [0.0, -0.7 * y[1]])
         law = iv.Invariants(lambda t, y: 9.81 * y[0] + y[1] ** 2 / 2, names="energy")
         about = {"events": impact, "invariants": law, "t_eval": [0.1, 1.0]}

@@ -1,4 +1,4 @@
-"""What is read from a file is checked against what reads it, and what is given to go on with against the run."""
+"""Files are checked against what reads them, and what is given to go on with against the run."""
 
 from __future__ import annotations
 
@@ -514,7 +514,7 @@ def test_added_fields_replace_none_of_the_solution(name, tmp_path):
 
 @pytest.mark.parametrize("method", ["ode45", "ode15s", "radau"])
 def test_edited_breakpoints_end_or_are_refused(method, tmp_path):
-    """A run that stands before t = 1 and whose next breakpoint is said to be behind it has no way to go."""
+    """A run that stands before t = 1 and whose next breakpoint is said to be after it has no way to go."""
     for points in ([0.1, 0.2], [0.5, 2.0], [1.0, 0.3], [1.5, 2.0], [-1.0, 5.0], [1.0, 2.0, 2.5]):
         problem().solve(method, breakpoints=[1.0, 2.0], max_steps=9).save(tmp_path / "a")
         rewritten(tmp_path / "a", lambda arrays, about, points=points: arrays.update({

@@ -1,4 +1,4 @@
-"""The first step, at the start and behind every jump: not above the scale of f, not below the spacing of t."""
+"""The first step, at the start and after every jump: not above the scale of f, not below the spacing of t."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_what_begins_at_rest_is_not_passed_over(name):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_nor_is_it_behind_breakpoints_and_actions_backwards_or_with_a_tiny_slope_before(name):
+def test_nor_is_it_after_breakpoints_and_actions_backwards_or_with_a_tiny_slope_before(name):
     pulse = stimulus(1)
 
     def forced(t, y):
@@ -141,7 +141,7 @@ def test_a_first_step_below_the_spacing_of_t_is_an_error_in_its_own_words(name):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_it_is_one_behind_an_action_too(name):
+def test_it_is_one_after_an_action_too(name):
     ignite = (1.0, lambda t, y: [y[0], 1e50])
     sol = iv.solve_ivp(lambda t, y: [y[1] / y[0], 0.0], (0, 2), [1e6, 0.0], name, breakpoints=[ignite])
     assert sol.status == -1

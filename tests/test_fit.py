@@ -216,7 +216,7 @@ class TestSteadyStates:
         return iv.Problem(self.network, (-1, 8), y0, args=args, labels=["a", "b", "c"])
 
     def long_run(self):
-        """What the system comes to before."""
+        """Return the state that the system comes to before."""
         before = iv.Problem(lambda t, y, *args: self.network(-1, y, *args), (0, 400), (2.0, 0, 0), args=self.START)
         return before.solve("ode15s", rtol=1e-10, atol=1e-13).y[:, -1]
 
@@ -354,7 +354,7 @@ class TestLinearTheory:
             assert slope * fit.standard_errors["slope"] == pytest.approx(1, rel=1e-3)
 
     def test_profiles_do_not_depend_on_the_scale(self):
-        """Those of k and of ln k are the same interval, as quantiles of the likelihood ratio say."""
+        """k and ln k have one interval, as quantiles of the likelihood ratio say."""
         data = noisy(decaying(), T[::3], 0.2)
         ends = []
         for scale in ("linear", "log"):
@@ -466,7 +466,7 @@ class TestLinearTheory:
         np.testing.assert_allclose(target.gradient(x), differences, rtol=1e-6)
 
     def test_profiles_with_a_prior(self):
-        """Of a linear model with a known sigma they are the intervals; beside a noise level, the likelihood ratio of
+        """For a linear model with a known sigma they are the intervals; beside a noise level, the likelihood ratio of
         the data counts per degree of freedom, and the prior as it is."""
         prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02))}
         fit = iv.fit(straight(), T, LINE_DATA, prior, sigma=0.1)
@@ -534,7 +534,7 @@ class TestLinearTheory:
         assert "χ²/ν" not in repr(fit)
 
     def test_coverage_of_intervals(self):
-        """Of 60 fits with fixed seeds 95 % contain the truth, up to three standard deviations of that count."""
+        """95 % of 60 fits with fixed seeds contain the truth, up to three standard deviations of that count."""
         inside = 0
         for seed in range(60):
             data = noisy(decaying(), T, 0.1, seed)
@@ -627,7 +627,7 @@ class TestWhatGoesWrong:
         assert fit.predict([7.0]).y[0, 0] == pytest.approx(np.exp(-7 * fit.parameters["k"]), rel=1e-4)
 
     def test_what_the_data_do_not_determine_is_named(self):
-        """Of scale · x only the product with x's size is seen; a parameter that f ignores is alone."""
+        """Only the product scale · x is seen in x's data; a parameter that f ignores is alone."""
         problem = iv.Problem(lambda t, y, k, unused: -k * y, (0, 5), [2.0], args=(0.7, 1.0), labels=["x"])
         data = 3 * np.exp(-0.6 * T) + 0.01 * np.sin(9 * T)
         wanted = {"k": (0, 5), "y0[x]": iv.Parameter(1.0), "scale": iv.Parameter(2.0), "unused": iv.Parameter(1.0)}

@@ -1,4 +1,4 @@
-"""What looks conserved at a point of rest or symmetry is tested near it too."""
+"""Functions that look conserved at a point of rest or symmetry are tested near it too."""
 
 from __future__ import annotations
 

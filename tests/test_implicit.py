@@ -1,4 +1,4 @@
-"""What is known of the Jacobian and of the mass matrix: every form gives the same solution, every error is named."""
+"""Forms of the Jacobian and of the mass matrix: every one gives the same solution, every error is named."""
 
 from __future__ import annotations
 
@@ -385,7 +385,7 @@ class TestDae:
         np.testing.assert_allclose(1.5 * z**2 + np.log(z) + sol.t, 1.5, atol=2e-5)
 
     def test_mass_whose_null_space_is_not_evident(self, algebraic_code):
-        """The same system in other unknowns and equations: A M B y' = A f(B y)."""
+        """A system in other unknowns and equations: A M B y' = A f(B y)."""
         rng = np.random.default_rng(5)
         A, B = rng.normal(size=(2, 3, 3))
         y0 = np.linalg.solve(B, [1, 0, 0])

@@ -221,7 +221,7 @@ def plus(amount: float):
 
 
 def test_an_event_that_a_jump_crosses_is_reported_once_for_each_jump(method):
-    """With its direction, at the time of the jump, with the state behind it; at_jumps=False: not at all."""
+    """With its direction, at the time of the jump, with the state after it; at_jumps=False: not at all."""
     rng = np.random.default_rng(44)
     states = np.concatenate([[0.1], rng.uniform(-1, 1, 12)])  # from one jump to the next
     times = np.arange(1.0, len(states))
@@ -257,7 +257,7 @@ def test_a_clock_that_is_put_back_loses_no_stroke(method):
 
 
 @families_and_series
-def test_a_dose_that_jumps_over_a_threshold_ends_the_run_behind_it(method):
+def test_a_dose_that_jumps_over_a_threshold_ends_the_run_after_it(method):
     toxic = level(150.0, direction=1, terminal=True)
     doses = dict.fromkeys(8.0 * np.arange(1, 10), plus(100.0))
     about = {"events": toxic, "breakpoints": doses, "rtol": 1e-6}
@@ -267,7 +267,7 @@ def test_a_dose_that_jumps_over_a_threshold_ends_the_run_behind_it(method):
     np.testing.assert_allclose([sol.y[0, -1], sol.y_end[0], sol.y_events[0][0, 0], sol.sol(8.0)[0]], exact, rtol=1e-4)
     np.testing.assert_allclose(sol.y[0, -2], exact - 100, rtol=1e-4)
     assert iv.solve_ivp(lambda t, y: [-0.05 * y[0]], (0, 10), [100.0], method, t_eval=[8.0], **about).y[0, 0] > 150
-    longer = sol.extend(12.0)  # from behind the jump: it falls below the threshold, and rises above it at no later time
+    longer = sol.extend(12.0)  # from after the jump: it falls below the threshold, and rises above it at no later time
     np.testing.assert_allclose(longer.y_end[0], exact * np.exp(-0.2), rtol=1e-4)
     assert len(longer.t_events[0]) == 1
 
@@ -379,7 +379,7 @@ def test_a_checkpointed_run_that_stops_before_a_jump_has_each_output_once(method
 
 
 def test_algebraic_variables_follow_an_action(algebraic_code):
-    """x' = z − x, z = 2 x, from 1: x doubles in ln 2, and is halved again; z is consistent behind each action, whatever
+    """x' = z − x, z = 2 x, from 1: x doubles in ln 2, and is halved again; z is consistent after each action, whatever
     the action says of it. Sensitivities to the factor, forward and adjoint, are those of the closed form."""
 
     def fun(t, y, k):
@@ -404,7 +404,7 @@ def test_algebraic_variables_follow_an_action(algebraic_code):
 
 @explicit_and_implicit
 def test_sensitivities_follow_actions_that_set_each_other_off(method):
-    """Of events, and of a breakpoint that sets off an event: forward and adjoint agree with differences."""
+    """Events, and a breakpoint that sets off an event: forward and adjoint agree with differences."""
 
     def fun(t, y, k):
         return [k, -0.1 * k * y[1]]

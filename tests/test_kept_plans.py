@@ -86,7 +86,7 @@ def _timeless(value: Any) -> Any:
 
 
 def outcome(**call: Any) -> Any:
-    """What a solve comes to: its data, or its exception; and its warnings."""
+    """Return the outcome of a solve: its data, or its exception; and its warnings."""
     with warnings.catch_warnings(record=True) as told, np.errstate(all="ignore"):
         warnings.simplefilter("always")
         try:
@@ -104,7 +104,7 @@ def outcome(**call: Any) -> Any:
 
 
 def alone(**call: Any) -> Any:
-    """The same without templates."""
+    """Return the outcome without templates."""
     known, prepared._kept = prepared._kept, Latest()
     try:
         return outcome(**call)
@@ -254,7 +254,7 @@ FORMS: dict[str, list[Any]] = {
 
 @pytest.mark.parametrize("name", FORMS)
 def test_the_form_of_an_argument_does_not_matter(name: str) -> None:
-    """What is read at once, in the binding, and what has to be looked at."""
+    """Some forms are read at once, in the binding, and some have to be looked at."""
     found = []
     for form in FORMS[name]:
         sol = iv.solve_ivp(**case(**{name: form}))

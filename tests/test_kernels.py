@@ -45,7 +45,7 @@ MASSES: dict[str, Any] = {
 
 
 def fun(t: float, y: np.ndarray) -> list[float]:
-    """Of plain arithmetic, without functions that NumPy has in several versions. All modes decay."""
+    """Plain arithmetic, without functions that NumPy has in several versions. All modes decay."""
     a, b, c, d = y.tolist()
     return [1 + t - a - a * a * a, 0.5 * a - 40 * b, c * (b - 3) - 1000 * c * c * c, a - 5 * d - d * d * d]
 
@@ -137,7 +137,7 @@ def test_the_null_space_of_a_circuit_is_the_sums_over_its_floating_groups(n):
 
 @pytest.mark.parametrize("n", [3, 12, 40])
 def test_the_null_space_of_any_matrix_is_found_in_any_units(n):
-    """Of products of random matrices, their rows and columns in units of 1e-8 to 1e8: Zᵀ M is roundoff of its terms."""
+    """Products of random matrices, their rows and columns in units of 1e-8 to 1e8: Zᵀ M is roundoff of its terms."""
     rng = np.random.default_rng(n)
     rank = n - n // 3
     M = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, n))
@@ -160,7 +160,7 @@ def test_elimination_counts_pivots_and_says_what_is_left():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_null_space_with_noise_in_its_last_bits_serves_as_well(monkeypatch, seed):
-    """What another processor's linear algebra would make of it: no run of the amplifier fails, in either form."""
+    """Noise as another processor's linear algebra makes it: no run of the amplifier fails, in either form."""
     rng = np.random.default_rng(seed)
     exact = matrices.null_vectors
 

@@ -308,8 +308,8 @@ def no_flux_product(t, y, v):
 
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_linear_invariants(method):
-    """What vanishes on f vanishes on J v: exact products keep it to roundoff, differences to the noise of f over √ε, a
-    preconditioner that does not know it to the tolerance. Projection repairs that."""
+    """An invariant that vanishes on f vanishes on J v: exact products keep it to roundoff, differences to the noise of
+    f over √ε, a preconditioner that does not know it to the tolerance. Projection repairs that."""
     y0 = 1 + np.cos(np.linspace(0, np.pi, 40)) ** 2
     rtol = 1e-5
 
@@ -432,7 +432,7 @@ def test_what_is_undefined_now_and_then_costs_attempts_only(method):
 
 
 def test_native_products():
-    """y and v one behind the other, as machine code gets them: the bits of the Python function."""
+    """y and v one after the other, as machine code gets them: the bits of the Python function."""
     address = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
 
     @address

@@ -303,7 +303,7 @@ def test_a_mass_matrix_and_algebraic_equations():
 
 
 def test_where_nothing_is_known_runs_are_as_before():
-    """What is hidden from tracing takes the steps it took, and f is called as often as it is counted."""
+    """A function hidden from tracing takes the steps it took, and f is called as often as it is counted."""
     calls = []
 
     def fun(t, y):

@@ -34,7 +34,7 @@ def undefined_beyond(t, y, a, b):
 
 
 def first_integral(t, y, a, b):
-    """Of `predators`: its form depends on the parameters."""
+    """Return the invariant of `predators`: its form depends on the parameters."""
     return y[0] - b * math.log(y[0]) + y[1] - a * math.log(y[1])
 
 

@@ -58,7 +58,7 @@ def test_functions_with_names_of_matlab_keep_its_limit(method):
 
 @families
 def test_a_tenth_is_that_of_the_interval(method):
-    """Of the one that is solved: of another one of a prepared solver, of the whole one of an extension."""
+    """The interval is the one that is solved: another one of a prepared solver, the whole one of an extension."""
     problem = iv.Problem(drift, SPAN, [0.0])
     sol = problem.solve(method, max_step="tenth")
     assert same(sol, problem.solve(method, max_step=TENTH))

@@ -271,7 +271,7 @@ def endless(native):
 @pytest.mark.parametrize(("native", "workers"), [(True, 2), (False, 1), (False, 2)])
 @pytest.mark.parametrize("from_iterator", [False, True])
 def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, from_iterator):
-    """Those that are there are the ones of an ensemble without the others; the others have status -128 and are NaN."""
+    """The finished ones are those of an ensemble without the others; the others have status -128 and are NaN."""
     problem, args = endless(native)
     if from_iterator:  # parts: the first ones end, another never does
         args = [(1.0,)] * 10 + [(0.0,)]

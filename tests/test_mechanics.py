@@ -321,7 +321,7 @@ def test_a_start_within_the_tolerance_is_moved():
 
 
 def test_projection_of_the_start_is_the_least_change_in_the_metric_of_the_mass():
-    """Of two masses on a line at distance 1 the heavy one moves less: the centre of mass rests."""
+    """Two masses on a line at distance 1: the heavy one moves less, and the centre of mass rests."""
     masses = np.array([1.0, 9.0])
     rod = MechanicalSystem(masses, lambda t, q, v: [0, 0], lambda t, q: q[1] - q[0] - 1)
     with pytest.warns(UserWarning, match=r"q0 by up to 0\.09, of v0 by up to 1\.8"):

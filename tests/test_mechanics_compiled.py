@@ -15,7 +15,7 @@ from test_mechanics import BAD, INERTIA
 
 
 def compiled_pendulum(**given):
-    """Of length p[0], as a body with an angle and a rod, so that M, Q and φ have several components."""
+    """Return a pendulum of length p[0], a body with an angle and a rod, so that M, Q and φ have several components."""
     pytest.importorskip("numba")
     functions = {
         "mass": iv.compile(lambda t, q, p: (1.0, 1.0)),

@@ -12,7 +12,7 @@ EXPLICIT = ("ode45", "dop853", "ode78", "ode89", "ode113")
 
 
 def errors(case, method, rtol, correction="levels"):
-    """Of positions, velocities and multipliers at the end, the largest ones."""
+    """Return the largest errors of positions, velocities and multipliers at the end."""
     sol = case.problem(correction).solve(method, rtol=rtol, atol=rtol, keep="end")
     assert sol.success
     n = len(case.q0)

@@ -30,7 +30,7 @@ def friction(t, y):
 
 
 def sliding(t, y):
-    """The same as long as the body moves."""
+    """Return f as long as the body moves."""
     return [y[1], -y[0] + FRICTION]
 
 

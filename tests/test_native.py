@@ -575,7 +575,7 @@ def test_ctrl_c_stops_native_code():
 
 
 class TestArguments:
-    """What a compiled function writes to its arguments stays there, as that of a Python function does."""
+    """Values that a compiled function writes to its arguments stay there, as those of a Python function do."""
 
     @staticmethod
     def honest(t, y, p):
@@ -613,7 +613,7 @@ class TestArguments:
     @classmethod
     @functools.cache
     def honestly(cls):
-        """The same functions, which write nothing."""
+        """Return the functions that write nothing."""
         return [
             iv.compile(cls.honest),
             iv.compile(lambda t, y, p: p[0] * y[0] * y[0] + y[1] * y[1]),

@@ -1,4 +1,4 @@
-"""What notebooks show: well-formed HTML with the numbers of the text form, and nothing of the user's as markup."""
+"""Summaries in notebooks: well-formed HTML with the numbers of the text form, and nothing of the user's as markup."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def test_the_numbers_in_the_core_are_those_derived(method):
 @pytest.mark.slow
 @pairs
 def test_the_order_conditions_hold_with_sixty_digits(method):
-    """Of both formulas and of the extension, up to the order that the method states."""
+    """Both formulas and the extension meet them, up to the order that the method states."""
     about = iv.METHODS[method]
     pair, weights = complete(method)
     theta = mpf(3) / 7
@@ -195,7 +195,7 @@ def test_events_and_jumps(method):
 
 @pairs
 def test_sensitivities(method):
-    """Of positions and velocities to parameters and initial values, in closed form."""
+    """Derivatives of positions and velocities to parameters and initial values, in closed form."""
     w, c = 2.0, 0.5
     sol = iv.solve_ivp(
         iv.SecondOrder(spring), (0, 4), [1.0, 0.0], method, args=(w, c), sensitivities=["w", "y0[0]"], **TOLERANCES
@@ -289,7 +289,7 @@ def until_it_converges(t, q, p):
 
 
 def test_what_cannot_be_traced_is_compiled_by_numba():
-    """Of the accelerations too, in both orders of compile and SecondOrder."""
+    """The accelerations are too, in both orders of compile and SecondOrder."""
 
     def solve(fun):
         return iv.solve_ivp(fun, (0, 1), [1.0, 0.0], "rkn86", args=(0.1,), **TOLERANCES)

@@ -44,7 +44,7 @@ def exact(t):
 
 
 def bands():
-    """Of A, with the highest diagonal first: [i - j + mu, j]."""
+    """Return the bands of A, with the highest diagonal first: [i - j + mu, j]."""
     return np.array([[0, 2, 1], [-5, -3, -4], [1, 2, 0]], dtype=float)
 
 
@@ -178,7 +178,7 @@ def test_extra_arguments_reach_func_and_dfun(odeint):
 
 @LIBRARIES
 def test_critical_points_are_not_stepped_across(odeint):
-    """f is not defined behind them; and where it jumps there, the answer is as exact as elsewhere."""
+    """f is not defined after them; and where it jumps there, the answer is as exact as elsewhere."""
     reached = []
 
     def f(y, t):

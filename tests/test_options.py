@@ -39,7 +39,7 @@ def decay(t, y):
 
 
 def function_of(entry):
-    """What Python calls: the constructor of a class."""
+    """Return the function that Python calls: the constructor of a class."""
     return entry.__init__ if isinstance(entry, type) else entry
 
 
@@ -223,7 +223,7 @@ class TestOptionsOfSeveralFields:
                     setattr(one, field.name, None)
 
     def test_short_forms_are_the_same_options(self, tmp_path):
-        """The same run, bit for bit, and the same end of it."""
+        """The runs and their ends are equal, bit for bit."""
         x = np.linspace(0, 1, 12)[1:-1]
 
         def heat(t, u):

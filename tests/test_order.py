@@ -158,7 +158,7 @@ def test_order_between_steps(pair, interpolation):
 
 
 def evaluations(sol: iv.Solution, method: str) -> int:
-    """What the method's attempts cost."""
+    """Return the cost of the method's attempts."""
     s = sol.stats
     if method == "ode113":  # P E C E; a failed attempt ends before the second evaluation
         return 1 + 2 * s.steps + s.failed

@@ -144,7 +144,7 @@ def test_clenshaw_curtis_is_exact_for_polynomials_through_its_nodes(n):
 
 
 class Page(HTMLParser):
-    """What a page refers to, and the ids in it."""
+    """The references of a page, and the ids in it."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -229,7 +229,7 @@ def test_more_than_a_dozen_components_have_a_sequence_of_colours():
 
 
 class TestCurvesBetweenSteps:
-    """What is drawn is the solution, not the chords of its steps."""
+    """Curves show the solution, not the chords of its steps."""
 
     @explicit_and_implicit
     def test_they_stay_on_the_circle_where_chords_leave_it(self, method):

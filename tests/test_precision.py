@@ -1,4 +1,4 @@
-"""What `invariode compare` answers: costs at equal error, and the sentence that sums them up."""
+"""Answers of `invariode compare`: costs at equal error, and the sentence that sums them up."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_updates_come_while_the_run_goes_on(monkeypatch, oscillator):
 
 
 class Clock:
-    """Of the bar, in place of the machine's."""
+    """A clock for the bar, in place of the machine's."""
 
     def __init__(self, monkeypatch) -> None:
         self.now = 0.0
@@ -276,7 +276,7 @@ class Cell:
 
 @pytest.fixture
 def notebook(monkeypatch):
-    """What IPython is in a notebook: a shell with a kernel, and cells that show HTML."""
+    """Stand in for IPython in a notebook: a shell with a kernel, and cells that show HTML."""
     cell = Cell()
 
     def display(text, display_id):

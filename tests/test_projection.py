@@ -1,4 +1,4 @@
-"""What projection guarantees: at steps, in whatever units, with redundant invariants and special values."""
+"""Guarantees of projection: at steps, in whatever units, with redundant invariants and special values."""
 
 from __future__ import annotations
 

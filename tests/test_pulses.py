@@ -1,4 +1,4 @@
-"""What f does for a short time after a long rest is seen: radau and auto look at f inside long steps."""
+"""Pulses of f after a long rest are seen: radau and auto look at f inside long steps."""
 
 from __future__ import annotations
 

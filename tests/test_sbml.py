@@ -218,7 +218,7 @@ def test_algebraic_rules_are_equations_of_a_singular_mass_matrix():
 
 @pytest.mark.parametrize("method", ["ode45", "dop853", "ode113", "radau"])
 def test_algebraic_rules_with_all_methods(method):
-    """z² = 3 - x with x' = -x, also behind an event that sets x to 2: with methods without a mass matrix z has a rate,
+    """z² = 3 - x with x' = -x, also after an event that sets x to 2: with methods without a mass matrix z has a rate,
     and the rule is imposed."""
     text = model(
         "",

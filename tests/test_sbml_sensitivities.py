@@ -82,7 +82,7 @@ def test_sensitivities_of_random_models_are_differences_of_runs():
 
 
 @pytest.mark.parametrize("method", ["ode15s", "dop853"])
-def test_algebraic_rules_behind_events(method):
+def test_algebraic_rules_after_events(method):
     """z = 3 - x² and x' = -k x; where z reaches 2 + a, which is at x = √(1 - a), x becomes 1 + b z, later x is zero."""
     text = model(
         "",

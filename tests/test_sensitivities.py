@@ -13,7 +13,7 @@ from parametric import RATES, ROBERTSON, TOLERANCES, kept, lotka_volterra, of_sw
 
 @families_and_series
 def test_sensitivities_are_as_accurate_as_the_solution(method):
-    """Those of a frequency grow in proportion to t, and so do their errors, against those of y."""
+    """The sensitivity to a frequency grows in proportion to t, and so do its errors, against those of y."""
     sol = iv.solve_ivp(spring, (0, 6), [1.0, 0.0], method, args=(1.5, 0.3), rtol=1e-6, atol=1e-8, sensitivities=True)
     error = np.abs(sol.y - swinging(sol.t, 1.5, 0.3)).max()
     assert np.abs(sol.sensitivities - of_swinging(sol.t, 1.5, 0.3)).max() <= 3 * 6 * error
@@ -199,7 +199,7 @@ def braked(t, y, w, d):
 
 
 def energy(t, y, w, d):
-    """Of `braked`, which keeps it for d = 0."""
+    """Return the energy of `braked`, which keeps it for d = 0."""
     return y[1] ** 2 / 2 + w * w * y[0] ** 2 / 2
 
 

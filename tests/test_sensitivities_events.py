@@ -1,4 +1,4 @@
-"""Sensitivities of times and states of events, and behind their actions."""
+"""Sensitivities of times and states of events, and after their actions."""
 
 from __future__ import annotations
 

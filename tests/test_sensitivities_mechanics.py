@@ -210,8 +210,8 @@ def links(t, q, length, gravity):
 
 
 def test_large_mechanisms_have_differences():
-    """Of the core's accelerations: a graph with a linear system of this size would take long to compile. From rest, q
-    is a function of g t², so that ∂q/∂g = t v / (2 g)."""
+    """The core's accelerations are differenced: a graph with a linear system of this size would take long to compile.
+    From rest, q is a function of g t², so that ∂q/∂g = t v / (2 g)."""
     count, gravity, end = 13, 9.81, 0.3
     chain = iv.MechanicalSystem(
         np.ones(2 * count),
@@ -244,7 +244,7 @@ def arm(gravity, restitution):
     return system.problem((0, 2.8), [-1, 0, -2, 0], [0, 0, 0, 0]).replace(events=wall)
 
 
-def test_what_joints_do_behind_a_blow_is_differentiated():
+def test_what_joints_do_after_a_blow_is_differentiated():
     """The corrections of velocities are as large as these: differences of tight runs, good to 1e-8."""
     sol = arm(1.0, 0.5).replace(sensitivities=True).solve("dop853", **TIGHT)
     assert len(sol.t_events[0]) == 1

@@ -110,7 +110,7 @@ def test_a_prepared_solver_has_the_values_of_its_call():
 
 @pytest.mark.parametrize("scale", [None, {"rate": 1.0}, {"rate": 1.0, "source": 1.0}, 1.0])
 def test_a_prepared_solver_takes_the_sizes_of_its_call(scale):
-    """Those that are not given are the values of the parameters."""
+    """Sizes that are not given are the values of the parameters."""
     grown = iv.compile(lambda t, y, rate, source: [-rate * y[0] + source])
     problem = iv.Problem(grown, (0, 3), [1.0], args=(1.0, 1e-6), sensitivities=iv.Sensitivities(scale=scale))
     solver, other = problem.prepare("ode45"), (2.0, 1e3)

@@ -163,7 +163,7 @@ def test_the_unit_of_time_scales_coefficients_exactly(name, most):
 @forms
 @pytest.mark.parametrize("along", [False, True])
 def test_lanes_have_the_bits_of_one_at_a_time(most, along):
-    """Of a small system and of a large one, each lane with its own t, unit and parameters."""
+    """A small system and a large one, each lane with its own t, unit and parameters."""
     rng, lanes = np.random.default_rng(3), 4
     for f in [SYSTEMS["few"], *([SYSTEMS["many"]] if most < 0 else [])]:
         n = len(f)

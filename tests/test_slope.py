@@ -54,7 +54,7 @@ def test_curves_stay_between_the_values_of_the_run(poured, method):
 
 
 def test_jumps_at_breakpoints_are_seen_from_both_sides_by_curves():
-    """Of f with a jump at 1 that is given as a breakpoint, backwards too."""
+    """A jump of f at 1 is given as a breakpoint, backwards too."""
 
     def f(t, y):
         return [1.0 if t > 1 else 0.0]

@@ -231,6 +231,10 @@ def test_every_docstring_stands_alone():
     seen = [(f"{path.relative_to(PACKAGE)}:{name}", first) for _, path in SOURCES for name, first in docstrings(path)]
     assert [f"{place}: {first}" for place, first in seen if fragment.match(first)] == []
     assert len(seen) > 1000
+    # A test's may go on from the test's name, which says what "they" are.
+    tests = [(path.name, first) for path in (ROOT / "tests").glob("*.py") for _, first in docstrings(path)]
+    assert [one for one in tests if re.match(r"(The same|What|Those|Of|Whether)\b", one[1])] == []
+    assert len(tests) > 1000
     assert fragment.match("The same, of a run.")
     assert not fragment.match("Offsets of the columns.")
 
@@ -424,7 +428,7 @@ class TestReplace:
 
 @explicit_and_implicit
 def test_t_end_is_where_the_run_ended(method, tmp_path):
-    """At the end of the interval, at a terminal event, behind the last output; also from a file."""
+    """At the end of the interval, at a terminal event, after the last output; also from a file."""
 
     def fall(t, y):
         return [-1.0]

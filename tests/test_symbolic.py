@@ -104,7 +104,7 @@ def derivative(fun, y):
 
 
 def test_jacobians_are_those_of_the_functions(name):
-    """Of f and of every invariant; the difference quotient of order 4 is off by h⁴ and by roundoff / h."""
+    """f and every invariant are differentiated; the difference quotient of order 4 is off by h⁴ and by roundoff / h."""
     problem = made(name, compiled=False)
     y, args = problem.y0, problem.args
     jacobian = problem.matrices.jac(0.3, y, *args)
@@ -201,7 +201,7 @@ class TestLaws:
         assert "energy" not in laws(self.free, [self.x, self.y, self.z], constraints=[self.x - t])
 
     def test_dependent_laws_are_left_out_at_the_start(self):
-        """Of a free body on a line the energy is a function of the momentum."""
+        """The energy of a free body on a line is a function of the momentum."""
         line = sy.lagrangian(self.x.diff() ** 2 / 2, [self.x])
         assert list(line.laws) == ["energy", "momentum of x"]
         assert len(line.problem((0, 1), [0], [1], compiled=False).invariants) == 1

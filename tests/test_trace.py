@@ -737,7 +737,7 @@ def filled_complex(t, y, w):
 
 
 def products(t, y):
-    """Of two vectors of complex numbers, in which none is conjugated."""
+    """Return products of two vectors of complex numbers, in which none is conjugated."""
     return np.dot(y, 1j * y) * np.array([0.1, 0.2j]) - y * np.inner(y, y.conj())
 
 

@@ -1,4 +1,4 @@
-"""What is wrong is said, however little it is; what is right is neither accused nor harmed."""
+"""Wrong functions are reported, however little is wrong; right ones are neither accused nor harmed."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def root(t, y):
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 @dealt(method=METHODS, g=[pole, logarithm, root], ends=[(1, 0), (1, -1), (10, 3)])
 def test_nor_a_domain_that_ends_elsewhere(method, g, ends):
-    """The same populations, counted down from one number and up from another: log(1 - y), sqrt(10 - y), 1 / (y - 3)."""
+    """Populations counted down from one number and up from another: log(1 - y), sqrt(10 - y), 1 / (y - 3)."""
     end, other = ends
     rtol = (1e-5 if method == "ode23" else 1e-6) / end  # the absolute accuracy of a problem that is not shifted
 

@@ -26,7 +26,7 @@ JACOBIANS = ["given", None, "2-point"]
 
 @dataclasses.dataclass(frozen=True)
 class Units:
-    """What one unit of time, of the state and of the invariants of a problem is called in other units."""
+    """Names of one unit of time, of the state and of the invariants of a problem in other units."""
 
     time: float = 1.0
     state: float = 1.0
@@ -116,7 +116,7 @@ def test_extreme_units_of_the_state_do_not_matter(method, problem):
 
 @dealt(name=[name for name, one in STIFF.items() if len(one.y0) < 100], form=["given", "differences"])
 def test_units_do_not_matter_to_newton(name, form):
-    """Those of f and its Jacobian, in ode15s."""
+    """f and its Jacobian may have any units, in ode15s."""
     one = STIFF[name]
 
     def run(units: Units) -> iv.Solution:

@@ -1,4 +1,4 @@
-"""Damaged fields behind valid checksums: whole archives in which one number, size, text or array is another.
+"""Damaged fields after valid checksums: whole archives in which one number, size, text or array is another.
 
 The oracle: `load` gives a solution or a ValueError that names the file; what it gives can be evaluated and extended, or
 its memory is refused with a ValueError. The process survives.

@@ -1,6 +1,6 @@
 """The gradient of a scalar with respect to many parameters, by runs backwards.
 
-For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 behind the last t_i,
+For G(y(t_1), y(t_2), ..., p) + ∫ g(t, y, p) dt, with μ = 0 after the last t_i,
 
     μ' = −(∂f/∂y)ᵀ λ − (∂g/∂y)ᵀ,   Mᵀ λ = μ,   μ(t_i⁻) = μ(t_i⁺) + (∂G/∂y(t_i))ᵀ,
     d/dp = μ(t_0)ᵀ ∂y0/∂p + ∫ (λᵀ ∂f/∂p + ∂g/∂p) dt + ∂G/∂p
@@ -256,7 +256,7 @@ class _Adjoint:
 
     def _tell_of_jumps(self, followed: bool) -> None:
         """A warning if f has jumped where there is no breakpoint."""
-        known = {point.t for point in self._breakpoints} | {self._run.t}  # at the end f is not used behind it
+        known = {point.t for point in self._breakpoints} | {self._run.t}  # at the end f is not used after it
         jumps = [t for t in self._sol.stats.discontinuities if t not in known]
         if jumps and not (followed and self._slope.knows_jumps):
             warn(
@@ -441,7 +441,7 @@ class _Adjoint:
         return float(np.nextafter(t, forward * np.inf)) if t in self._times_of_breaks else t
 
     def _taking_values(self, t: float, mu: Array) -> Array:
-        """μ before a breakpoint at which laws jump, though y does not, from that behind it."""
+        """μ before a breakpoint at which laws jump, though y does not, from that after it."""
         y = self._y(t)
         mu, beside = self._laws.on_tangent(self._behind(t), y, mu, taking=True)
         self._total = self._total + beside
@@ -572,7 +572,7 @@ class _Adjoint:
 
 
 def _unchanged(s: float, Y: Array, mu: Array) -> Array:
-    """The quadratures behind a cost, which adds to μ alone."""
+    """The quadratures after a cost, which adds to μ alone."""
     return Y[1:]
 
 

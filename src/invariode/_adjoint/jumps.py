@@ -357,13 +357,13 @@ class Jumps:
 
     def _of_landing(self, landing: LandingJump, rates: Array, solution: Callable[[float], Array], t: float) -> Jump:
         y = solution(float(np.nextafter(t, self._t0)))
-        before, behind = landing.sides(t, y)
+        before, after = landing.sides(t, y)
         none = np.zeros(self._n)
-        return Jump(t, y, y, np.eye(self._n), np.outer(before - behind, rates), none, rates, reholds=False, moves=False)
+        return Jump(t, y, y, np.eye(self._n), np.outer(before - after, rates), none, rates, reholds=False, moves=False)
 
     def _of_crossing(self, condition: Switching, crossing: Crossing, t: float, y: Array) -> Jump:
         e = Partials.at(condition.difference, t, y)
-        moved = crossing.before - crossing.behind
+        moved = crossing.before - crossing.after
         of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
         A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
         return Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False)
@@ -408,7 +408,7 @@ def at_bounds(
     found: list[Rest] = []
     since: dict[tuple[int, int], float] = {}  # where components rest at the end of a part, by side and number
     for t in y.knots() if isinstance(y, SectionedSolution) else [y.ts]:
-        # At the time of an action y(t) is the state behind it: a step ends at the state before.
+        # At the time of an action y(t) is the state after it: a step ends at the state before.
         states, ends = y(t[:-1]), y(np.nextafter(t[1:], t[:-1]))
         bounds = (-1, problem.bounds.lower), (1, problem.bounds.upper)
         sides = [

@@ -20,7 +20,7 @@ from .arguments import warn
 _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
 #: And on a file system that has no locks.
 _NO_LOCKS = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL})
-#: Where Windows locks a byte: behind the text, which others are to read.
+#: Where Windows locks a byte: after the text, which others are to read.
 _BEHIND = 1 << 30
 #: Bytes of that text, at most.
 _TEXT = 4096

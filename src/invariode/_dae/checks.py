@@ -151,6 +151,6 @@ def impasse(sol: Solution, reduction: Reduction, p: Array) -> str:
             return (
                 f"The run could not be continued at t = {sol.t_end:.10g}: {one.in_words('no longer ')}. The "
                 "solution ends there (an impasse point), or passes a singular position: stop before it with a "
-                "terminal event, or start behind it."
+                "terminal event, or start after it."
             )
     return ""

@@ -393,7 +393,7 @@ def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | 
 
 
 def _at_events(sol: Solution, unknowns: Any, p: Array, places: tuple[int | None, ...]) -> AtEvents | None:
-    """Return the derivatives of times of events, and those of the unknowns there; behind an action, whose state is not
+    """Return the derivatives of times of events, and those of the unknowns there; after an action, whose state is not
     kept, these are NaN."""
     known = None if sol._sensitivities is None else sol._sensitivities.events
     if known is None or sol.y_events is None:

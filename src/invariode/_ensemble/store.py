@@ -490,7 +490,7 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
-    """Return names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one.
+    """Return names of the numbers in args: those of the arguments of `fun` after t, y and its inputs, if each is one.
     Empty: they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)

@@ -70,7 +70,7 @@ def parts_of_array(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
 
 
 def _method(value: Any) -> BoundFunction | None:
-    """Return the Python function behind a function or a callable object, if there is one."""
+    """Return the Python function that underlies a function or a callable object, if there is one."""
     if isinstance(value, CompiledFunction):
         value = value.fun
     value = value.fun if isinstance(value, FirstOrderForm) else value

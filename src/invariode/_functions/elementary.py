@@ -148,7 +148,7 @@ def scaled_pi(bits: int) -> int:
 
 
 def two_over_pi(words: int) -> list[int]:
-    """A word 0, then that many words of 64 bits of 2/π behind the point."""
+    """A word 0, then that many words of 64 bits of 2/π after the point."""
     bits = 64 * words + 64
     digits = ((2 << (2 * bits)) // scaled_pi(bits)) >> 64
     return [0, *((digits >> 64 * i) % (1 << 64) for i in reversed(range(words)))]

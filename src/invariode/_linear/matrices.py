@@ -478,7 +478,7 @@ def _real_bands(A: Array, lower: int, upper: int) -> Array:
 
 
 def _whole(storage: _Storage, values: Any) -> sp.csc_array:
-    """The matrix behind the core's values."""
+    """The matrix that the core's values make up."""
     from scipy.sparse import csc_array, dia_array
 
     n = storage.n * (2 if storage.complex else 1)

@@ -54,7 +54,7 @@ class _InOne:
 
 
 def _python(one: OfState) -> Any:
-    """Return the Python function behind a user's function of the state."""
+    """Return the Python function that underlies a user's function of the state."""
     inside = one.function.fun if isinstance(one.function, CompiledFunction) else one.function
     if not isinstance(one.function, CompiledFunction) or not one.function.inplace:
         return inside

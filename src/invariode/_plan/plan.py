@@ -269,7 +269,7 @@ def say_established(
 
 def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Solver:
     """The plan handed to the core: a solver with functions of its own. `quadratures`: integrals that the run computes
-    behind y, of a plan without sensitivities."""
+    after y, of a plan without sensitivities."""
     functions = plan.functions
     problem = _core.Problem(
         n=functions.n,

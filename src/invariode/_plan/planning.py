@@ -189,7 +189,7 @@ def _require_delays(problem: Problem, method: Method, options: Options) -> None:
 
 
 def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoint]) -> Plan:
-    """The plan with the equations of the sensitivities, whose switches are events behind those of the user."""
+    """The plan with the equations of the sensitivities, whose switches are events after those of the user."""
     from .._sensitivity.variations import make_variations
 
     varied = make_variations(problem, plan.y0, plan.tolerances, plan.bound.specs, breakpoints, plan.schedule)

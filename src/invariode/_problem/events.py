@@ -58,7 +58,7 @@ class Event:
     at_jumps : bool, default True
         Whether a change of sign by a jump is an occurrence: where the action of another event, or of a breakpoint,
         carries the solution over the surface `fun` = 0, once for each jump, at its time, with `direction`. The action
-        of this event then follows; if it is terminal, the run ends with the state behind the jump.
+        of this event then follows; if it is terminal, the run ends with the state after the jump.
 
     Notes
     -----
@@ -241,7 +241,7 @@ class _Component:
 
 
 class _OnRoots:
-    """`on_roots` as the core calls it: the state, and behind it the sign that each function takes on."""
+    """`on_roots` as the core calls it: the state, and after it the sign that each function takes on."""
 
     def __init__(self, roots: Roots) -> None:
         self._roots = roots

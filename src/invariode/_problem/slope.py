@@ -25,7 +25,7 @@ class Slope(NamedTuple):
     @property
     def fun(self) -> Any:
         """Function f of (t, y, *args), with the values of the inputs filled in; native if f is. With delays f takes z
-        behind y."""
+        after y."""
         return fed(self.given, self.inputs, after=0 if self.delays is None else 1)
 
     def for_core(self, y0: Array, parameters: ArgumentLayout) -> Any:

@@ -166,12 +166,12 @@ def _ended(run: Run, laws: LawNames, stated: Stated) -> tuple[int, str]:
         )
     if run.state == "restart_inconsistent":
         return -1, (
-            f"No consistent values of the algebraic variables were found behind the breakpoint or action at t = "
+            f"No consistent values of the algebraic variables were found after the breakpoint or action at t = "
             f"{run.t!r}. Give it an action that returns a state near the consistent one."
         )
     if run.state == "marks_endless":
         return -3, (
-            f"Delays bring discontinuities of derivatives to more than 10000 times behind t = {run.t!r}: a method of "
+            f"Delays bring discontinuities of derivatives to more than 10000 times after t = {run.t!r}: a method of "
             "lower order follows fewer of them."
         )
     return -1, _step_failed(run, laws.names, stated)

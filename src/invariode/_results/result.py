@@ -597,7 +597,7 @@ class Result(Deferred, dict[str, Any]):
 
     @property
     def y_end(self) -> Array:
-        """The state at `t_end`, of shape (n,), whatever the output holds: behind the last jump there."""
+        """The state at `t_end`, of shape (n,), whatever the output holds: after the last jump there."""
         return self._y_end
 
     @property

@@ -15,7 +15,7 @@ class AtEvents(NamedTuple):
     """Sensitivities at the occurrences of each event."""
 
     before: list[Array]  # (occurrences, n, k)
-    after: list[Array]  # behind the action
+    after: list[Array]  # after the action
     times: list[Array]  # ∂τ/∂p, (occurrences, k)
 
     def joined(self, then: AtEvents) -> AtEvents:

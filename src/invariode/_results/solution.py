@@ -67,7 +67,7 @@ class Solution(Exports):
         Where the run ended: the end of the interval, or where an event, the callback or a failure ended it. The output
         may end earlier.
     y_end : ndarray, (n,)
-        The state at `t_end`, behind the last jump there. The output need not hold it: `t_eval` may end earlier.
+        The state at `t_end`, after the last jump there. The output need not hold it: `t_eval` may end earlier.
 
     Notes
     -----
@@ -227,7 +227,7 @@ class Solution(Exports):
         Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
         the solution stays on the manifold and its sensitivities in the tangent space, so that only the tangential part
         of ∂G/∂y enters the adjoint. The integral of λᵀ ∂f/∂p is in the error test of the backward run. At the time of
-        an action, G depends on the state behind it. If f has conditions at which it jumps, the problem is solved again
+        an action, G depends on the state after it. If f has conditions at which it jumps, the problem is solved again
         to locate them. The end of the run counts as fixed, even if a terminal event has determined it.
 
         Examples

@@ -4,7 +4,7 @@ An event e(t, y, p) = 0 occurs at τ(p), with
 
     ∂τ/∂p = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),
 
-and behind its action y⁺ = h(τ, y⁻, p)
+and after its action y⁺ = h(τ, y⁻, p)
 
     S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ.
 
@@ -302,7 +302,7 @@ class EventTime:
 
 
 class _Restored(CoreFunction):
-    """The state behind an action, moved onto the demanded values of invariants."""
+    """The state after an action, moved onto the demanded values of invariants."""
 
     def __init__(self, demanded: Sequence[Invariants], threshold: float | Array) -> None:
         self._demanded, self._atol = demanded, RTOL * threshold
@@ -315,7 +315,7 @@ class _Restored(CoreFunction):
 
 
 def restoration(problem: Problem, names: Sequence[ParameterName], threshold: float | Array) -> Derivative | None:
-    """The derivatives of what the run does to a state behind an action, if it moves one onto constraints: by
+    """The derivatives of what the run does to a state after an action, if it moves one onto constraints: by
     differences, which do not depend on the tolerance."""
     demanded = [one for one in problem.invariants if one.value is not None]
     if not any(one.level > 0 for one in demanded):
@@ -337,8 +337,8 @@ class _Moment(NamedTuple):
     times : ndarray, (k,)
         ∂τ.
     moved : ndarray, (k, n)
-        The derivatives of the state behind them at τ(p).
-    behind : ndarray, (1 + k, n)
+        The derivatives of the state after them at τ(p).
+    after : ndarray, (1 + k, n)
         Y as the core has it then.
     fixed : bool
         The time is that of a breakpoint.
@@ -349,7 +349,7 @@ class _Moment(NamedTuple):
     f: Array
     times: Array
     moved: Array
-    behind: Array
+    after: Array
     fixed: bool = False
 
 
@@ -362,7 +362,7 @@ class Together:
     def before(self, t: float, Y: Array) -> _Moment | None:
         """The actions that come right before one in this state."""
         last = self._last
-        return last if last is not None and last.t == t and np.array_equal(last.behind, Y) else None
+        return last if last is not None and last.t == t and np.array_equal(last.after, Y) else None
 
     def note(self, moment: _Moment) -> None:
         """Record an action that has been taken."""
@@ -371,7 +371,7 @@ class Together:
 
 @dataclass
 class ActionOfEvent:
-    """S behind the action of an event."""
+    """S after the action of an event."""
 
     _action: Along
     _restored: Derivative | None
@@ -393,7 +393,7 @@ class ActionOfEvent:
             landed = self._restored.columns(t, after, before.times, moved, parameters)
             state = self._restored.value(t, after)
         found: Array = landed - np.outer(before.times, self._rate(t, state))
-        self._together.note(before._replace(moved=moved, behind=np.vstack([after, found])))
+        self._together.note(before._replace(moved=moved, after=np.vstack([after, found])))
         self._log.append((t, found.T.copy()))
         return found
 
@@ -413,7 +413,7 @@ class ActionOfEvent:
 
 @dataclass
 class ActionAtPoint:
-    """S behind the action at a breakpoint, whose time does not depend on parameters."""
+    """S after the action at a breakpoint, whose time does not depend on parameters."""
 
     _action: Derivative
     _restored: Derivative | None
@@ -427,5 +427,5 @@ class ActionAtPoint:
         moved = found = self._action.columns(t, Y[0], none, before.moved, parameters)
         if self._restored is not None:
             found = self._restored.columns(t, after, none, moved, parameters)
-        self._together.note(before._replace(moved=moved, behind=np.vstack([after, found])))
+        self._together.note(before._replace(moved=moved, after=np.vstack([after, found])))
         return found

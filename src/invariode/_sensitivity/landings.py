@@ -187,7 +187,7 @@ def _polynomials(given: Input, graph: Graph) -> list[Node]:
 
 @dataclass
 class LandingJump:
-    """S behind a landing whose time depends on parameters."""
+    """S after a landing whose time depends on parameters."""
 
     schedule: Schedule
     _places: Sequence[int | None]
@@ -200,11 +200,11 @@ class LandingJump:
         times = self.rates_of_time(t)
         if not times.any():
             return S
-        before, behind = self.sides(t, y)
-        return np.asarray(S + np.outer(times, before - behind))
+        f_before, f_after = self.sides(t, y)
+        return np.asarray(S + np.outer(times, f_before - f_after))
 
     def sides(self, t: float, y: Array) -> tuple[Array, Array]:
-        """y' before and behind a landing."""
+        """y' before and after a landing."""
         beside = self._forward * _BESIDE * float(np.spacing(abs(t)))
         return self._rate(t - beside, y), self._rate(t + beside, y)
 

@@ -177,7 +177,7 @@ class Variations:
             )
 
     def in_words(self, message: str, run: _core.Run) -> str:
-        """A message about a component of Y behind y."""
+        """A message about a component of Y after y."""
         pairs = 1 + self.is_complex
         n, component = self.start.shape[1] // pairs, run.component // pairs
         j, i = divmod(component - n, n)
@@ -299,7 +299,7 @@ def make_variations(
 
 
 def _with_past(problem: Problem, t: float, Y: Array) -> Array:
-    """(y, S) as the slope of S takes them: with delays, each row has the delayed values behind it."""
+    """(y, S) as the slope of S takes them: with delays, each row has the delayed values after it."""
     if problem.delays is None:
         return Y
     past = np.zeros((len(Y), Y.shape[1] * problem.delays.count))
@@ -349,7 +349,7 @@ class _Derivatives:
         if slope.graph is not None and slope.graph.switches(at):
             warn(
                 "sensitivities: fun jumps at conditions, which are not followed in problems with delays: sensitivities "
-                "may be wrong behind them. Pass the times of those on t alone as breakpoints",
+                "may be wrong after them. Pass the times of those on t alone as breakpoints",
                 AccuracyWarning,
             )
         return slope
@@ -429,7 +429,7 @@ class Crossing(NamedTuple):
     """Crossing of e(t, y, p) = 0: y' before and after, the rate of e before, and whether it leads back."""
 
     before: Array
-    behind: Array
+    after: Array
     rate: float
     leads_back: bool
 
@@ -497,7 +497,7 @@ class Switching:
         self.tell(t, found)
         k = len(S)
         times = -self.difference.columns(t, y, np.zeros(k), S, np.eye(k))[:, 0] / found.rate
-        moved: Array = S + np.outer(times, found.before - found.behind)
+        moved: Array = S + np.outer(times, found.before - found.after)
         return moved
 
     def tell(self, t: float, found: Crossing) -> None:
@@ -532,7 +532,7 @@ def followed(
         warn(
             f"sensitivities: fun jumps at {len(found)} conditions, where sensitivities jump too. With a mass matrix, "
             f"if an input is compared, or with more than {_MOST_SWITCHES} of them, these are not followed: "
-            "sensitivities may be wrong behind them",
+            "sensitivities may be wrong after them",
             AccuracyWarning,
         )
         return []

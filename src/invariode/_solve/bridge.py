@@ -140,7 +140,7 @@ class Bridge:
         if not (self._reached(sol) or self._failures_are_nan):
             raise SolveError(
                 f"{sol.message} The run ended at t = {sol.t_end:.6g}, before the end of the output, which must not "
-                "depend on y0 and args: give times t before it, or on_failure='return' for NaN behind it",
+                "depend on y0 and args: give times t before it, or on_failure='return' for NaN after it",
                 sol,
             )
         return sol

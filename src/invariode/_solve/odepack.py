@@ -437,7 +437,7 @@ def _critical_points(tcrit: ArrayLike, t0: float, tf: float) -> Array:
 
 
 def _rows(y: Array, asked: _Times) -> Array:
-    """Return the solution at the requested times, (n_t, n); NaN behind the end of the run."""
+    """Return the solution at the requested times, (n_t, n); NaN after the end of the run."""
     rows = np.ascontiguousarray(y.T)
     if missing := len(asked.times) - len(rows):
         rows = np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, dtype=rows.dtype)])

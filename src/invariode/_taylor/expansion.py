@@ -217,7 +217,7 @@ def make_expansion(
     events: Sequence[EventSpec],
     varied: Variations | None,
 ) -> Expansion:
-    """The series of a problem, whose events the core has in this form; behind them are those of sensitivities. `order`
+    """The series of a problem, whose events the core has in this form; after them are those of sensitivities. `order`
     says which order series have, by the number of their sums."""
     from .._functions.graph.series import count_sums
 
@@ -243,7 +243,7 @@ def make_expansion(
 
 
 class _Maker:
-    """Series for the core, of a state with its sensitivities behind it."""
+    """Series for the core, of a state with its sensitivities after it."""
 
     def __init__(self, size: int, order: int, own: bool) -> None:
         self._size, self._order, self._own = size, order, own

@@ -54,7 +54,7 @@ def load(file: str) -> Problem:
 
 
 def _parts(file: str) -> tuple[Path, str | None]:
-    """Return the file and the name behind its last colon, if that is one (a colon may be part of a path)."""
+    """Return the file and the name after its last colon, if that is one (a colon may be part of a path)."""
     head, colon, name = file.rpartition(":")
     if colon and name.isidentifier() and not Path(file).exists():
         return Path(head), name

@@ -130,7 +130,7 @@ class Experiments:
         return Part(experiment, rows, where)
 
     def _resets(self, condition: str) -> list[str]:
-        """Return the states that a condition sets behind a pre-equilibration."""
+        """Return the states that a condition sets after a pre-equilibration."""
         own = self._tables.resets.get(condition, self._tables.conditions[condition])
         return [name for name in self._equations.states if name in own]
 
@@ -205,11 +205,11 @@ class Experiments:
         if not self.model.events or self._machine.begins_quietly:
             return formula
 
-        def behind_events(t: float, y: Any, p: Any) -> Array:
-            """Return the initial value behind events that are triggered there."""
+        def after_events(t: float, y: Any, p: Any) -> Array:
+            """Return the initial value after events that are triggered there."""
             return np.asarray(self._machine.start(t, np.ravel(formula(t, y, p)), np.array([*p], dtype=float)))
 
-        return behind_events
+        return after_events
 
     # Observables
 

@@ -58,7 +58,7 @@ class Measurement:
 @dataclass
 class Tables:
     """A problem as its files have it. `conditions`: values by condition and symbol, numbers or names of parameters.
-    `resets`: the symbols that a condition sets behind a pre-equilibration; all of its own if it is not there."""
+    `resets`: the symbols that a condition sets after a pre-equilibration; all of its own if it is not there."""
 
     folder: str
     model: str

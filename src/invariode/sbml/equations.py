@@ -235,7 +235,7 @@ class Equations:
         return self.start(name)
 
     def _delayed(self, formula: Expression, value: Node, delay: Node) -> Node:
-        """Return a value at t - delay: of states behind y, those of the first delay, of the second, and so on."""
+        """Return a value at t - delay: of states after y, those of the first delay, of the second, and so on."""
         if used([delay], "y") or any(one.op == "t" for one in in_order([delay])):
             raise UnsupportedError("delay", "a formula uses delay() with a delay that changes")
         if delay.op == "number" and delay.value == 0:
@@ -388,7 +388,7 @@ class Equations:
         return total
 
     def _slope_of_entry(self, i: int) -> Node:
-        """Return the time derivative of y_i, or of a delayed value behind y."""
+        """Return the time derivative of y_i, or of a delayed value after y."""
         graph, n = self.graph, len(self.states) or 1
         which, i = divmod(i, n)
         name = self.states[i]

@@ -212,7 +212,7 @@ class Waiting:
 
 
 class _Taken(NamedTuple):
-    """A step of an action, for its derivatives: a trigger, or an execution (`after` is the state behind it)."""
+    """A step of an action, for its derivatives: a trigger, or an execution (`after` is the state after it)."""
 
     waiting: Waiting
     before: Array
@@ -251,7 +251,7 @@ class Machine:
         """Return the state after the events at the start of a run, which may begin there."""
         self._is_running = False
         behind = self._begun(t, y, p, executes=True)
-        #: The beginning with the state behind the events at the start, for further runs.
+        #: The beginning with the state after the events at the start, for further runs.
         self._beginning = self._snapshot()
         self._start, self._y0 = (behind, p), behind
         return behind
@@ -265,7 +265,7 @@ class Machine:
     def _begun(self, t: float, y: Array, p: Array, executes: bool) -> Array:
         """Begin a run. executes=False: y is the state after the events that are executed at the start."""
         self._t0, self.p, self._random = t, p, random.Random(self._seed)
-        #: States behind events, by time, for output at these times.
+        #: States after events, by time, for output at these times.
         self.behind = []
         self.queue = []
         self.executed = 0
@@ -337,12 +337,12 @@ class Machine:
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """Return the state behind the events that are due."""
+        """Return the state after the events that are due."""
         self.taken.clear()
         return y if self._due > t + _near(t) else self._after(t, y, {})
 
     def on_roots(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
-        """Return the state behind the events that comparisons trigger, or that are due."""
+        """Return the state after the events that comparisons trigger, or that are due."""
         self.taken.clear()
         signs = self._signs
         pairs = zip(which.tolist(), directions.tolist(), strict=True)
@@ -350,7 +350,7 @@ class Machine:
         return self._after(t, y, hit) if hit else y
 
     def _after(self, t: float, y: Array, hit: dict[int, int]) -> Array:
-        """Return the state behind the events that comparisons with these new signs trigger, and those that are due."""
+        """Return the state after the events that comparisons with these new signs trigger, and those that are due."""
         self._is_fresh = False
         self.first_due = min(self.queue, key=lambda one: one.time, default=None)
         with np.errstate(all="ignore"):
@@ -437,7 +437,7 @@ class Machine:
         return max(due, key=priority)
 
     def _executed(self, t: float, y: Array, chosen: Waiting) -> Array:
-        """Return the state behind the assignments: a concentration becomes an amount with the volume before."""
+        """Return the state after the assignments: a concentration becomes an amount with the volume before."""
         one = self.code.events[chosen.event]
         values = one.values.code(t, y, self.p) if chosen.values is None else chosen.values
         after = np.array(y)
@@ -510,7 +510,7 @@ class MachineDerivatives:
         return self._made[key]
 
     def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
-        """Return the derivatives of the state behind the action, (k, n), in the directions of the k parameters."""
+        """Return the derivatives of the state after the action, (k, n), in the directions of the k parameters."""
         moved = dy
         for one in self._machine.taken:
             if one.after is None:
@@ -520,7 +520,7 @@ class MachineDerivatives:
         return moved
 
     def value(self, t: float, y: Array) -> Array:
-        """Return the state behind the action, (n,)."""
+        """Return the state after the action, (n,)."""
         after = [one.after for one in self._machine.taken if one.after is not None]
         return after[-1] if after else y
 
@@ -539,7 +539,7 @@ class MachineDerivatives:
         return waiting.slopes
 
     def _executed(self, one: _Taken, t: float, dt: Array, dy: Array, dp: Array) -> Array:
-        """Return the derivatives of the state behind the assignments, (k, n)."""
+        """Return the derivatives of the state after the assignments, (k, n)."""
         i, y, waiting = one.waiting.event, one.before, one.waiting
         code = self._machine.code.events[i]
         if waiting.values is None:

@@ -388,7 +388,7 @@ class Model:
 
     @cached_property
     def _rules(self) -> Invariants:
-        """The algebraic rules, which determine their variables alone, behind the totals."""
+        """The algebraic rules, which determine their variables alone, after the totals."""
         e = self._equations
         names = [f"algebraic rule {i + 1}" for i in e.matched.values()]
         places = [e.place[name] for name in e.matched]
@@ -473,7 +473,7 @@ class Model:
         Returns
         -------
         Table
-            Arrays by column name. Where events happen at an output time, the values behind them.
+            Arrays by column name. Where events happen at an output time, the values after them.
 
         Raises
         ------
@@ -505,7 +505,7 @@ class Model:
         options: dict[str, Any],
         seed: int,
     ) -> Array:
-        """Return the states at these times, (n, m), behind events that happen there."""
+        """Return the states at these times, (n, m), after events that happen there."""
         end, y = float(times[-1]), self._consistent(start, y, p)
         machine, more = Machine(self._events, self._equations, seed), {}
         if self.events:

@@ -147,7 +147,7 @@ class Derived:
 
     @property
     def _direction(self) -> dict[Node, Node]:
-        """(dt, dy), behind y."""
+        """(dt, dy), after y."""
         graph, n = self._graph, self._n
         return {graph.t: graph.y(n), **{y: graph.y(n + 1 + j) for j, y in enumerate(self._y)}}
 

@@ -553,7 +553,7 @@ class _ChangeSearch:
 
     def _located(self, crossing: Crossing, low: Array, high: Array, first: Array, second: Array) -> Array:
         """The doubles at which the state goes from the first one to the second, or beyond it, between low and high: the
-        first double behind the change, or the last one before it if `moving` is at the level there."""
+        first double after the change, or the last one before it if `moving` is at the level there."""
         upper, rising = np.maximum(first, second), second > first
         level = upper if crossing.levels is None else np.asarray(crossing.levels)[np.maximum(upper, 1).astype(int) - 1]
         level = np.where(crossing.node.op == "ceil", upper - 1, level)

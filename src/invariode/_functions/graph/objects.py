@@ -90,7 +90,7 @@ def once(key: Any, make: Callable[[bytes], MachineCode]) -> MachineCode:
 
 
 def object_file(code: bytes, lines: int) -> bytes:
-    """An object file behind the number of lines of LLVM's language that it was made of."""
+    """An object file after the number of lines of LLVM's language that it was made of."""
     return lines.to_bytes(8, "little") + code
 
 

@@ -241,7 +241,7 @@ class Looped(SeriesWriter):
         self._count(2)
 
     def _gathered(self, name: str, indices: list[int], chunk: Chunk, *, strict: bool = False) -> Value:
-        """Numbers of an array at the indices of the members. Strict: there is nothing behind the last one."""
+        """Numbers of an array at the indices of the members. Strict: there is nothing after the last one."""
         neighbours = indices == list(range(indices[0], indices[0] + len(indices)))
         if not isinstance(chunk.start, int):
             if neighbours:

@@ -104,7 +104,7 @@ def interrupted(sol: Result, values: Array) -> Array:
 
 
 def _jumps(sol: Result) -> list[int]:
-    """Return the outputs behind jumps."""
+    """Return the outputs after jumps."""
     return [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(sol.t)]
 
 

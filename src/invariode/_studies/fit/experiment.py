@@ -450,7 +450,7 @@ class Series(NamedTuple):
     """The data of one quantity, or of the times of one event."""
 
     name: str
-    row: int  # among the quantities, the events behind them
+    row: int  # among the quantities, the events after them
     places: Array  # of the times, or of the occurrences
     values: Array  # there, (k,)
     sigma: Array | None  # their standard deviations, up to the level; None: unknown

@@ -262,7 +262,7 @@ class Fit:
         Parameters
         ----------
         t : array_like of shape (n_t,)
-            The times, within the problem's t_span. The prediction is NaN behind a terminal event.
+            The times, within the problem's t_span. The prediction is NaN after a terminal event.
         experiment : int, default 0
             The index of the experiment.
         level : float, default 0.95

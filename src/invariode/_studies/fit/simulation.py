@@ -245,7 +245,7 @@ class Simulation:
         )
 
     def _start(self, values: Array, slopes: bool) -> _Start | Failed:
-        """Return the start of a run, behind the pre-equilibration if there is one."""
+        """Return the start of a run, after the pre-equilibration if there is one."""
         begun = self._begun(self._own, self.experiment.problem, values, slopes)
         if self._before is None or self.experiment.before is None:
             return begun
@@ -489,7 +489,7 @@ def _guesses(experiment: Experiment, names: Sequence[str], values: Array) -> Arr
 
 
 def _watch(experiment: Experiment, settings: Settings, at: Point, guesses: Array) -> Through | None:
-    """Return the observed quantities, with sigma behind them if it is a function; None: components alone."""
+    """Return the observed quantities, with sigma after them if it is a function; None: components alone."""
     observation, sigma, m = experiment.observation, experiment.sigma_function, len(experiment.data.values)
     if observation.function is None and sigma is None:
         return None

@@ -58,7 +58,7 @@ class Settings(NamedTuple):
 
 
 class Through:
-    """The values of functions F(t, y, *args, **extras), one behind the other, with derivatives along runs.
+    """The values of functions F(t, y, *args, **extras), one after the other, with derivatives along runs.
 
     Parameters
     ----------
