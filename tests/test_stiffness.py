@@ -106,7 +106,8 @@ def test_an_extension_remembers():
 
 
 def radius(k: int, x: float) -> float:
-    """Return the spectral radius of the companion matrix of ode113's formulas of order k (PECE, local extrapolation), h λ = −x, equal steps."""
+    """Return the spectral radius of the companion matrix of ode113's formulas of order k (PECE, local extrapolation),
+    for h λ = −x and equal steps."""
     gamma = [1.0]
     for m in range(1, k + 1):
         gamma.append(1 - sum(gamma[j] / (m + 1 - j) for j in range(m)))
