@@ -4,8 +4,8 @@ Where a solution is held on r(t, y, p) = c(p), its sensitivities are moved onto 
 
     S ← S − K (R S + ∂r/∂p − c'),
 
-with K = W² Rᵀ (R W² Rᵀ)⁺, or the corrections of the levels, one after the other. A cost ∂G/∂y of S afterwards is the cost
-∂G/∂y − νᵀ R of S before, ν = Kᵀ (∂G/∂y)ᵀ, and νᵀ (c' − ∂r/∂p) besides. c' is R S + ∂r/∂p where the value has been
+with K = W² Rᵀ (R W² Rᵀ)⁺, or the corrections of the levels, one after the other. A cost ∂G/∂y of S afterwards is the
+cost ∂G/∂y − νᵀ R of S before, ν = Kᵀ (∂G/∂y)ᵀ, and νᵀ (c' − ∂r/∂p) besides. c' is R S + ∂r/∂p where the value has been
 taken, at the start, after an action or where r jumps, so that ν is carried there.
 """
 

@@ -15,6 +15,11 @@ def is_sparse(given: Any) -> bool:
     return hasattr(given, "tocsr")
 
 
+def as_dense(matrix: Any) -> Array:
+    """Return a matrix, dense or sparse, as an array."""
+    return np.asarray(matrix.toarray() if is_sparse(matrix) else matrix)
+
+
 def as_matrix(
     name: str,
     given: Any,

@@ -87,7 +87,7 @@ def traced_jacobian(
 
 
 class SparseJacobian:
-    """The entries of ∂g/∂y, row by row, as a function of (t, y, \\*args).
+    """The entries of a user's sparse matrix in one pattern, row by row, as a function of (t, y, \\*args).
 
     Parameters
     ----------
@@ -99,6 +99,8 @@ class SparseJacobian:
         What it returned at some points: the entries stored in any of them are the pattern.
     shape : tuple of int
         (m, n).
+    by_columns : bool, default False
+        The entries are those of the transposed matrix, row by row.
 
     Attributes
     ----------
@@ -106,11 +108,14 @@ class SparseJacobian:
         Where the entries of each row begin, and their columns.
     """
 
-    def __init__(self, jac: Callable[..., Any], name: str, known: list[Any], shape: tuple[int, int]) -> None:
-        self._jac, self._name, self._shape = jac, name, shape
+    def __init__(
+        self, jac: Callable[..., Any], name: str, known: list[Any], shape: tuple[int, int], *, by_columns: bool = False
+    ) -> None:
+        self._jac, self._name, self._shape, self._by_columns = jac, name, shape, by_columns
+        m, self._n = shape[::-1] if by_columns else shape
         self._places = np.unique(np.concatenate([self._places_of(self._read(one)) for one in known]))
-        row, column = np.divmod(self._places, shape[1])
-        self.pattern = np.searchsorted(row, np.arange(shape[0] + 1)).tolist(), column.tolist()
+        row, column = np.divmod(self._places, self._n)
+        self.pattern = np.searchsorted(row, np.arange(m + 1)).tolist(), column.tolist()
 
     def __call__(self, t: float, y: Array, *args: Any) -> Array:
         rows = self._read(self._jac(t, y, *args))
@@ -130,14 +135,14 @@ class SparseJacobian:
         from scipy.sparse import csr_array
 
         matrix = as_matrix(self._name, given, self._shape)
-        rows = csr_array(matrix, copy=True) if is_sparse(matrix) else csr_array(matrix)
+        rows = csr_array(matrix.T if self._by_columns else matrix, copy=is_sparse(matrix))
         rows.sum_duplicates()
         return rows.astype(float)
 
     def _places_of(self, rows: Any) -> Array:
         """i n + j of each entry, which ascends."""
-        row = np.repeat(np.arange(self._shape[0]), np.diff(rows.indptr))
-        return np.asarray(row * self._shape[1] + rows.indices)
+        row = np.repeat(np.arange(len(rows.indptr) - 1), np.diff(rows.indptr))
+        return np.asarray(row * self._n + rows.indices)
 
 
 def sparse_jacobian(

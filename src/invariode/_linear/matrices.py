@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, warn
-from .._base.matrices import as_matrix, compressed, is_sparse
+from .._base.matrices import as_dense, as_matrix, compressed, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
 from .._functions.graph.derived import Derived, derived, native
 from .._functions.increments import compiled_at_complex, python_at_complex
@@ -61,7 +61,7 @@ class _Storage:
         matrix = as_matrix(name, given, self.given_shape, is_complex=self.complex, banded=self.kind == "banded")
         if self.kind == "sparse":
             return _columns(_real_blocks(_compressed(matrix)) if self.complex else _compressed(matrix))
-        dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+        dense = as_dense(matrix)
         if self.complex:
             dense = _real_bands(dense, self.lower, self.upper) if self.kind == "banded" else _real_dense(dense)
         return np.ascontiguousarray(dense, dtype=float)

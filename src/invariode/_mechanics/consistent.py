@@ -10,6 +10,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
+from .._base.matrices import as_dense
 from .._functions.increments import sizes, somewhere
 from .._linear.least_norm import by_factors
 from .motion import DEPENDENT, MANY_COLUMNS, Motion, Point, lengths, vanishing
@@ -115,9 +116,9 @@ def _least_change(weight: Any, rows: Any, right: Array) -> Array:
         found = by_factors(rows, right, weight, accuracy=_ROUNDOFF)
         if found is not None:
             return found
-    A = np.ascontiguousarray(_dense(rows))
+    A = np.ascontiguousarray(as_dense(rows))
     for metric in (weight, _identity(n)):
-        solution = _core.solve_saddle(np.ascontiguousarray(_dense(metric)), A, np.zeros(n), right, DEPENDENT)
+        solution = _core.solve_saddle(np.ascontiguousarray(as_dense(metric)), A, np.zeros(n), right, DEPENDENT)
         change: Array = solution[0]
         if solution[-1]:  # unique
             break
@@ -131,10 +132,6 @@ def _identity(n: int) -> Any:
     from scipy.sparse import eye_array
 
     return eye_array(n, format="csr")
-
-
-def _dense(matrix: Any) -> Array:
-    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
 
 
 def _entries(matrix: Any) -> Array:
@@ -195,7 +192,7 @@ def dependent_rows(rows: Any, order: Iterable[int] | None = None) -> Array:
     dependent = np.zeros(m, dtype=bool)
     if m >= MANY_COLUMNS and _surely_independent(rows):
         return dependent
-    rows = _dense(rows)
+    rows = as_dense(rows)
     basis = np.zeros((0, rows.shape[1]))
     for i in range(m) if order is None else order:
         length = float(np.linalg.norm(rows[i]))

@@ -17,6 +17,7 @@ from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_n
 from .._functions.graph.function import TracedFunction
 from .._functions.increments import somewhere
 from .._functions.layout import ArgumentLayout
+from .._laws.jacobians import SparseJacobian
 from .differentiable import Differentiable, full_pattern
 from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
@@ -171,8 +172,8 @@ class Motion:
         else:
             returned = mass(start.t, start.q.copy(), *start.args)
         if hasattr(returned, "toarray"):
-            pattern = _common_pattern(mass, returned, (n, n), start)
-            self._core_functions["mass"] = _Entries(mass, pattern, (n, n), "mass(t, q)")
+            entries, pattern = _entries(mass, "mass(t, q)", returned, (n, n), start)
+            self._core_functions["mass"] = entries
             return "entries", pattern
         shape = _square(returned, n).shape
         size = n if len(shape) == 1 else n * n
@@ -188,8 +189,8 @@ class Motion:
         self.derivatives["constraints"] = f"given and {self.derivatives['constraints']}"
         returned = None if is_native(jacobian) else jacobian(start.t, start.q.copy(), *start.args)
         if hasattr(returned, "toarray"):
-            pattern = _common_pattern(jacobian, returned, shape, start)
-            self._core_functions["jacobian"] = _Entries(jacobian, pattern, shape, "jacobian(t, q)")
+            entries, pattern = _entries(jacobian, "jacobian(t, q)", returned, shape, start)
+            self._core_functions["jacobian"] = entries
             self._patterns["constraints"], self._jacobian_entries = pattern, True
         else:
             native = to_native("jacobian(t, q)", jacobian, self.n_q, self.m_phi * self.n_q, p)
@@ -486,32 +487,6 @@ class FunctionOfState(CoreFunction):
 # Matrices
 
 
-class _Entries:
-    """A user's function that returns a sparse matrix, as one that returns its entries in a pattern."""
-
-    def __init__(self, function: Callable[..., Any], pattern: Columns, shape: tuple[int, int], name: str) -> None:
-        self._function, self._pattern, self._shape, self._name = function, pattern, shape, name
-
-    def __call__(self, t: float, q: Array, *args: Any) -> Array:
-        from scipy.sparse import csc_array  # takes longer to import than everything else
-
-        given = csc_array(self._function(t, q, *args), dtype=float)
-        if given.shape != self._shape:
-            raise ValueError(f"{self._name} returned shape {given.shape}, expected {self._shape}")
-        given.sum_duplicates()
-        starts, rows, _ = self._pattern
-        if np.array_equal(given.indptr, starts) and np.array_equal(given.indices, rows):
-            return given.data
-        columns = np.repeat(np.arange(self._shape[1]), np.diff(starts))
-        wide = given.tocsr()
-        values = np.asarray(wide[rows, columns]).ravel()
-        if np.count_nonzero(values) < given.count_nonzero():
-            raise ValueError(
-                f"{self._name} has entries at t = {t} where it had none at the start: store these zeros too"
-            )
-        return values
-
-
 def _far(residual: Array, rows: Any, x: Array, weights: Array, kept: Array) -> Array:
     """Return which residuals of constraints that are not kept are many tolerances `weights` of x away from 0, (m,).
 
@@ -590,20 +565,15 @@ def _beside(start: Point) -> Iterator[Array]:
         yield start.q + part * somewhere(start.q)
 
 
-def _common_pattern(function: Callable[..., Any], at_start: Any, shape: tuple[int, int], start: Point) -> Columns:
-    """Return all entries that a sparse matrix stores at the start and beside it."""
-    if at_start.shape != shape:
-        raise ValueError(f"a sparse matrix of shape {at_start.shape} was returned, expected {shape}")
-    stored = abs(at_start) + _ones_where_stored(at_start)
-    for q in _beside(start):
-        stored = stored + _ones_where_stored(function(start.t, q, *start.args))
-    return _columns(stored)
-
-
-def _ones_where_stored(matrix: Any) -> Any:
-    ones = matrix.tocsc().astype(float)
-    ones.data[:] = 1.0
-    return ones
+def _entries(
+    function: Callable[..., Any], name: str, at_start: Any, shape: tuple[int, int], start: Point
+) -> tuple[SparseJacobian, Columns]:
+    """Return the entries of a sparse matrix by columns, all that it stores at the start and near it, and their
+    pattern."""
+    known = [at_start, *(function(start.t, q, *start.args) for q in _beside(start))]
+    entries = SparseJacobian(function, name, known, shape, by_columns=True)
+    starts, rows = (np.array(one, dtype=np.int32) for one in entries.pattern)
+    return entries, (starts, rows, np.ones(len(rows)))
 
 
 def _pattern_of_matrix(function: Callable[..., Any], start: Point, shape: tuple[int, int]) -> Columns:

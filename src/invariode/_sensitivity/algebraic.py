@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import EPS, Array
-from .._base.matrices import as_matrix, is_sparse
+from .._base.matrices import as_dense, as_matrix
 
 
 def dense_mass(mass: Any, t: float, args: tuple[Any, ...]) -> Array | None:
     """M at a time; None: the identity."""
     if mass is None:
         return None
-    given = as_matrix("mass", mass(t, *args) if callable(mass) else mass)
-    return np.asarray(given.toarray() if is_sparse(given) else given, dtype=float)
+    return as_dense(as_matrix("mass", mass(t, *args) if callable(mass) else mass)).astype(float)
 
 
 class Algebraic(NamedTuple):

@@ -160,13 +160,13 @@ def with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
     """The values with polynomials in t in the place of the first parameters, the inputs."""
     if not inputs:
         return list(outputs)
-    from .._functions.graph.kinks import substituted
+    from .._functions.graph.structure import replaced
 
     graph = outputs[0].graph
     values = [value for one in inputs for value in _polynomials(one, graph)]
     places = sorted({node.value for node in in_order(outputs) if node.op == "p"})
     instead = {graph.p(i): values[i] if i < len(values) else graph.p(i - len(values)) for i in places}
-    return substituted(outputs, instead)
+    return replaced(outputs, instead)
 
 
 def _polynomials(given: Input, graph: Graph) -> list[Node]:

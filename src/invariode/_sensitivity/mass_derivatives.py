@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
-from .._base.matrices import as_matrix
+from .._base.matrices import as_dense, as_matrix
 from .._functions.derivatives import Derivative, Point, derivative_of
 from .._functions.layout import with_numbers
 from .._problem.parameters import ParameterName, values_of
@@ -32,8 +32,7 @@ class _Rows:
         self.__name__ = "mass"
 
     def __call__(self, t: Any, y: Any, *args: Any) -> Any:
-        found = self._mass(t, *args)
-        return np.ravel(np.asarray(found.toarray() if hasattr(found, "toarray") else found))
+        return np.ravel(as_dense(self._mass(t, *args)))
 
 
 class MassDerivatives:

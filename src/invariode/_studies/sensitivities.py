@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, number, shown, state
-from .._base.matrices import is_sparse
+from .._base.matrices import as_dense
 from .._base.package import public
 from .._functions.derivatives import Derivative, Given, Point, derivative_of
 from .._functions.increments import somewhere
@@ -131,8 +131,8 @@ def _wrong(computed: Derivative, given: Given, at: Point, own: list[str]) -> Ite
     n, args = computed.n, computed.args
     if given.jac is not None:
         matrix = given.jacobian("fun", (n, n), args, at.t, at.y)
-        matrix, right = matrix.toarray() if is_sparse(matrix) else matrix, computed.jacobian(at.t, at.y)
-        yield from _differences("jac", matrix, right, computed.how, [f"y[{j}]" for j in range(n)], at.t)
+        right = computed.jacobian(at.t, at.y)
+        yield from _differences("jac", as_dense(matrix), right, computed.how, [f"y[{j}]" for j in range(n)], at.t)
     if given.dfdp is not None:
         found = given.of_parameters("fun", (n, len(own)), args, at.t, at.y)
         yield from _differences("dfdp", found, _columns(computed, at), computed.how, own, at.t)

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, positive, quietly, real_numbers, shown
+from .._base.matrices import as_dense
 from .._base.package import public
 from .._base.rational import as_rows
 from .._base.suggestions import meant
@@ -259,7 +260,7 @@ class SteadyStates:
         if callable(mass):
             raise ValueError("a steady state needs a constant mass matrix, and mass is a function")
         self._n, self._tol, self._names = len(problem.y0), tol, list(names)
-        self._mass = None if mass is None else np.asarray(mass.toarray() if hasattr(mass, "toarray") else mass, float)
+        self._mass = None if mass is None else as_dense(mass).astype(float)
         self._t = problem.t_span[0]
         self._own = [(j, one) for j, one in enumerate(self._names) if one.kind == "args"]
         self._derivative = self._last = self._at_start(problem)

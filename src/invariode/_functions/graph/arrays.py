@@ -77,8 +77,14 @@ def _written(node: Node, a: list[str], known: dict[str, Any]) -> str:
         from scipy import special  # no function of NumPy's
 
         known[op] = getattr(special, op)
-    elif op in ("solve", "entry", "piece", "pick"):
-        raise NotImplementedError(f"values of {op} for many times at once")
+    elif op in ("piece", "pick"):
+        table = f"table{len(known)}"
+        known |= {"np": np, table: np.array(node.value)}
+        if op == "piece":
+            return f"np.searchsorted({table}, {a[0]}, side='right') * 1.0"
+        return f"{table}[np.asarray({a[0]}, dtype=int)]"
+    elif op in ("solve", "entry"):
+        raise NotImplementedError("solutions of linear systems for many times at once")
     else:
         known[f"of_{op}"] = CALLED[op]
         op = f"of_{op}"

@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from .nodes import Node, in_order
-
-
-def substituted(outputs: Sequence[Node], instead: Mapping[Node, Node]) -> list[Node]:
-    """Return the nodes `outputs` with some nodes inside replaced by others."""
-    made: dict[Node, Node] = dict(instead)
-    for node in in_order(outputs):
-        if node in made:
-            continue
-        given = [made[one] for one in node.arguments]
-        same = all(one is before for one, before in zip(given, node.arguments, strict=True))
-        made[node] = node if same else node.graph.make(node.op, *given, value=node.value)
-    return [made[one] for one in outputs]
+from .switches import moves
 
 
 def is_analytic(outputs: Sequence[Node]) -> bool:
@@ -32,7 +21,7 @@ def kinks(outputs: Sequence[Node], others: Iterable[Node] = ()) -> list[Node]:
     found: dict[frozenset[Node], Node] = {}
     for node in in_order(outputs):
         for crossing in _crossings(node):
-            if node in also or _moves(crossing.difference):
+            if node in also or moves(crossing.difference):
                 a, b = crossing.pair or (crossing.difference, crossing.difference)
                 found.setdefault(frozenset((a, b)), crossing.difference)
     return [*found.values()]
@@ -58,7 +47,3 @@ def _crossings(node: Node) -> list[_SignChange]:
     if node.op == "piece":
         return [_SignChange(a - one, (a, a.graph.node(one))) for one in node.value]
     return []
-
-
-def _moves(difference: Node) -> bool:
-    return any(node.op == "y" for node in in_order([difference]))

@@ -16,11 +16,12 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array
+from .arrays import ArrayFunction
 from .derivatives import jacobian
 from .nodes import Node, in_order
 from .python import Formula
@@ -45,6 +46,8 @@ _SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
 _SAME = 16
 #: Around 0, where doubles are dense, less than this is no time.
 _LEAST = 1e-300
+#: States of functions of t alone.
+_NO_STATE = np.zeros(0)
 #: Bisection of an interval of doubles ends after so many halvings.
 _HALVINGS = 1100
 
@@ -211,74 +214,25 @@ def _crossing(node: Node, inner: frozenset[Node]) -> Crossing | None:
 # Functions of t, for many times at once
 
 
-def _erf(function: Callable[[float], float]) -> Callable[[Any], Any]:
-    return np.vectorize(function, otypes=[float])
-
-
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "subtract": np.subtract,
-    "multiply": np.multiply,
-    "divide": np.divide,
-    "negate": np.negative,
-    "power": np.power,
-    "atan2": np.arctan2,
-    "hypot": np.hypot,
-    "modulo": np.mod,
-    "minimum": np.minimum,
-    "maximum": np.maximum,
-    "abs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "and": np.logical_and,
-    "or": np.logical_or,
-    "not": np.logical_not,
-    "select": np.where,
-    "less": np.less,
-    "less_equal": np.less_equal,
-    "equal": np.equal,
-    "not_equal": np.not_equal,
-    **{name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh")},
-    **{name: getattr(np, name) for name in ("expm1", "log1p", "log10", "log2", "exp2", "cbrt")},
-    **{name: getattr(np, f"arc{name[1:]}") for name in ("asin", "acos", "atan", "asinh", "acosh", "atanh")},
-    "erf": _erf(math.erf),
-    "erfc": _erf(math.erfc),
-}
-
-
 class _OverTime:
     """Values of nodes at many times, for fixed parameters."""
 
     def __init__(self, p: Array) -> None:
         self._p = p
+        self._functions: dict[Node, ArrayFunction] = {}
 
     def __call__(self, node: Node, t: Array) -> Array:
-        """Return the values of a node at times t, as numbers also where the node is a truth value.
+        """Return the values of a node at times t, (m,), as numbers also where the node is a truth value.
 
         Raises
         ------
-        KeyError
+        NotImplementedError
             An operation that is no function of arrays, such as the solution of a linear system.
         """
-        made: dict[Node, Any] = {}
-        with np.errstate(all="ignore"):
-            for one in in_order([node]):
-                made[one] = self._value(one, t, [made[argument] for argument in one.arguments])
-        return np.broadcast_to(np.asarray(made[node], dtype=float), t.shape)
-
-    def _value(self, node: Node, t: Array, given: list[Any]) -> Any:
-        if node.op == "number":
-            return node.value
-        if node.op == "t":
-            return t
-        if node.op == "p":
-            return self._p[node.value]
-        if node.op == "piece":
-            return np.searchsorted(node.value, given[0], side="right").astype(float)
-        if node.op == "pick":
-            return np.asarray(node.value)[np.asarray(given[0], dtype=int)]
-        return _OPERATIONS[node.op](*given)
+        if node not in self._functions:
+            self._functions[node] = ArrayFunction([node])
+        (found,) = self._functions[node].over(t, _NO_STATE, self._p)
+        return np.asarray(found)
 
 
 class _Periodic(NamedTuple):
@@ -455,7 +409,7 @@ class _ChangeSearch:
         try:
             form = self._forms.of(crossing.moving)
             straight = self._forms.is_straight(crossing.moving)
-        except KeyError:
+        except NotImplementedError:
             raise _UnknownError("solves a linear system") from None
         none = np.zeros(0)
         if form == _Periodic(0.0, 0.0):

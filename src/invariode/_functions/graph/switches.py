@@ -116,7 +116,7 @@ def _comparisons(outputs: Sequence[Node]) -> list[Switch]:
     found = []
     for (a, b), nodes in groups.items():
         difference = a - b
-        if not _moves(difference):
+        if not moves(difference):
             continue
         below = _decided(outputs, {node: _answer(node, below=below) for node, below in nodes})
         above = _decided(outputs, {node: _answer(node, below=not below) for node, below in nodes})
@@ -135,7 +135,7 @@ def _steps(outputs: Sequence[Node]) -> list[Switch]:
             groups.setdefault(x, []).append(node)
     found = []
     for x, nodes in groups.items():
-        if not _moves(x):
+        if not moves(x):
             continue
         nearest = x.graph.make("floor", x + 0.5)
         odd = nearest.graph.make("modulo", nearest, nearest.graph.node(2.0))
@@ -155,7 +155,7 @@ def _stepped(node: Node, floor: Node) -> Node:
     return floor if node.op == "floor" else floor + 1.0
 
 
-def _moves(difference: Node) -> bool:
+def moves(difference: Node) -> bool:
     """Return whether the time at which a difference changes its sign, if there is one, depends on y."""
     return any(node.op == "y" for node in in_order([difference]))
 
