@@ -171,7 +171,7 @@ def test_moieties_hold_exactly():
 
 
 def test_simulations_of_one_model_are_those_of_fresh_ones():
-    """What simulations have in common is no memory of the others: bit for bit the same."""
+    """Simulations have no memory of each other: bit for bit the same."""
     one = sbml.load(ENZYME)
     calls = [
         ((0, 5, 6), {}),
