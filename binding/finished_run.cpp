@@ -23,19 +23,33 @@ namespace {
 
 using RunClass = nb::class_<FinishedRun>;
 
+nb::tuple take_points(FinishedRun& self) {
+  RunResult& r = self.result;
+  if (std::exchange(self.points_taken, true)) throw handed_over_already();
+  const std::size_t count = r.points.t.size();
+  if (!r.y_end) r.y_end.emplace(r.end(), r.end() + r.n);
+  const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
+  return nb::make_tuple(times_array(std::move(r.points.t)), y);
+}
+
+/// Sets items of a solution, whose names are made once.
+void put_into(FinishedRun& self, const nb::dict& items) {
+  constexpr std::size_t size = 6;
+  static const std::array<PyObject*, size> names = {
+      PyUnicode_InternFromString("t"),    PyUnicode_InternFromString("y"),   PyUnicode_InternFromString("nfev"),
+      PyUnicode_InternFromString("njev"), PyUnicode_InternFromString("nlu"), PyUnicode_InternFromString("t_end")};
+  const nb::tuple points = take_points(self);
+  const RunResult& r = self.result;
+  const std::array<nb::object, size> values = {
+      points[0],          points[1], nb::int_(r.nfev), nb::int_(r.linear.jacobians), nb::int_(r.linear.factorizations),
+      nb::float_(r.t_end)};
+  for (std::size_t i = 0; i < size; ++i)
+    if (PyDict_SetItem(items.ptr(), names[i], values[i].ptr()) < 0) throw nb::python_error();
+}
+
 void define_arrays_of_run(RunClass& run) {
-  run.def(
-         "take_points",
-         [](FinishedRun& self) {
-           RunResult& r = self.result;
-           if (std::exchange(self.points_taken, true)) throw handed_over_already();
-           const std::size_t count = r.points.t.size();
-           if (!r.y_end) r.y_end.emplace(r.end(), r.end() + r.n);
-           const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
-           return std::make_tuple(times_array(std::move(r.points.t)), y);
-         },
-         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
-         "(t, y) of the points, y of shape (n, n_t).")
+  run.def("take_points", &take_points, nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
+          "(t, y) of the points, y of shape (n, n_t).")
       .def_prop_ro(
           "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
           nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
@@ -77,16 +91,10 @@ void define_arrays_of_run(RunClass& run) {
 }
 
 void define_course_of_run(RunClass& run) {
-  run.def(
-         "put_into",
-         [](const FinishedRun& self, nb::dict items) {
-           const RunResult& r = self.result;
-           items["nfev"] = r.nfev;
-           items["njev"] = r.linear.jacobians;
-           items["nlu"] = r.linear.factorizations;
-           items["t_end"] = r.t_end;
-         },
-         nb::arg("items"), "Sets the counts `nfev`, `njev` and `nlu`, and `t_end`, among the items of a solution.")
+  run.def("put_into", &put_into, nb::arg("items"),
+          "Sets `t` and `y`, handed over as by `take_points`, the counts `nfev`, `njev` and `nlu`, and `t_end` among "
+          "the "
+          "items of a solution.")
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
       .def(
           "take_sections",

@@ -407,7 +407,7 @@ class Run:
 
     def put_into(self, items: dict) -> None:
         """
-        Sets the counts `nfev`, `njev` and `nlu`, and `t_end`, among the items of a solution.
+        Sets `t` and `y`, handed over as by `take_points`, the counts `nfev`, `njev` and `nlu`, and `t_end` among the items of a solution.
         """
 
     def take_dense(self) -> Dense | None: ...

@@ -552,7 +552,7 @@ class Result(Deferred, dict[str, Any]):
         **fields: Any,
     ) -> None:
         """`private` holds what is not an item; a callable makes it when it is first needed."""
-        super().__init__(items, **fields)
+        dict.__init__(self, items, **fields)
         if callable(private):
             self.__dict__["_make"] = private
         else:

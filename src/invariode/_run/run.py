@@ -337,13 +337,18 @@ def _carried_out(
 class Finished:
     """A run of the core that has ended, and what is reported of it, which is put together when somebody asks."""
 
+    sensitivities: SensitivityData | None = None
+    y_end: Array | None = None  # None: the end of the run is that of y
+    sectioned: tuple[Sectioned, ...] = ()
+
     def __init__(
         self,
         run: _core.Run,
         plan: Plan,
         source: Solved,
         members: tuple[str, ...],
-        plan_of_run: Callable[[], Plan] | None = None,
+        prepared: Prepared | None = None,
+        course: Course | None = None,
         checkpoint: RunFiles | None = None,
     ) -> None:
         self.run = run
@@ -351,20 +356,19 @@ class Finished:
         self.source = source
         self.members = members  # the methods that took turns
         self.checkpoint = checkpoint
-        self._plan_of_run = plan_of_run
-        self.sensitivities: SensitivityData | None = None
-        self.y_end: Array | None = None  # None: the end of the run is that of y
-        self.sectioned: tuple[Sectioned, ...] = ()
+        self._prepared, self._course = prepared, course
 
     @classmethod
     def by(cls, prepared: Prepared, run: _core.Run, course: Course, source: Solved) -> Finished:
         """Return a run of a prepared plan, whose own plan is made when it is needed."""
-        return cls(run, prepared.plan, source, prepared.members, lambda: prepared.plan_of(source.problem, course, run))
+        return cls(run, prepared.plan, source, prepared.members, prepared, course)
 
     @cached_property
     def plan(self) -> Plan:
         """Plan of the run."""
-        return self.general if self._plan_of_run is None else self._plan_of_run()
+        if self._prepared is None or self._course is None:
+            return self.general
+        return self._prepared.plan_of(self.source.problem, self._course, self.run)
 
     @cached_property
     def bound(self) -> BoundInvariants:
@@ -508,36 +512,38 @@ def _integrated(
 
 def _solution(finished: Finished) -> Solution:
     run, plan = finished.run, finished.general
-    ordinary = run.ordinary and plan.watch is None
-    status, message = MESSAGES[run.state] if ordinary else finished.plan.verdict(run)
-    dense = run.take_dense() if plan.settings.dense else None
-    t, y = run.take_points()
+    known = _ITEMS.get(run.state) if run.ordinary and plan.watch is None else None
+    sol = Solution(finished.private, known or _items(*finished.plan.verdict(run)))
+    run.put_into(sol)
+    sol["stats"] = Stats.when_needed(finished.stats)
     happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
     if plan.varied is not None:
-        y, finished.y_end, happened, finished.sensitivities = _parted(plan, plan.varied, y, run.end, happened or [])
-        plan.varied.tell_of_steps(t, y)
-    if plan.settings.sections:
+        parts = _parted(plan, plan.varied, sol["y"], run.end, happened or [])
+        sol["y"], finished.y_end, happened, finished.sensitivities = parts
+        plan.varied.tell_of_steps(sol["t"], sol["y"])
+    settings = plan.settings
+    if settings.sections:
         finished.sectioned = (Sectioned.of(finished.plan, run),)
-    items = _ITEMS.copy()
-    run.put_into(items)
-    items["t"], items["y"] = t, y
-    items["status"], items["message"], items["success"] = status, message, status >= 0
-    items["stats"] = Stats.when_needed(finished.stats)
-    if dense is not None:
-        items["sol"] = DenseSolution(dense, y.dtype, finished.bound).after(finished.source.history)
+    if settings.dense and (dense := run.take_dense()) is not None:
+        sol["sol"] = DenseSolution(dense, sol["y"].dtype, finished.bound).after(finished.source.history)
     if happened is not None:
-        items["t_events"] = [times for times, _ in happened]
-        items["y_events"] = [points.view(y.dtype) for _, points in happened]
-    if plan.settings.record:
-        items["steps"] = Steps(run, finished.members)
-    return Solution(finished.private, items)
+        dtype = sol["y"].dtype
+        sol["t_events"] = [times for times, _ in happened]
+        sol["y_events"] = [points.view(dtype) for _, points in happened]
+    if settings.record:
+        sol["steps"] = Steps(run, finished.members)
+    return sol
 
 
-#: The items of a solution, in their order; None: absent, unless the run has it.
-_ITEMS: dict[str, Any] = dict.fromkeys(
-    ("t", "y", "sol", "t_events", "y_events", "nfev", "njev", "nlu", "status", "message", "success", "stats", "steps")
-)
-_ITEMS["t_end"] = None
+def _items(status: int, message: str) -> dict[str, Any]:
+    """Return the items of a solution, in their order; None: absent, unless the run has it."""
+    names = ("t", "y", "sol", "t_events", "y_events", "nfev", "njev", "nlu")
+    ended = {"status": status, "message": message, "success": status >= 0}
+    return {**dict.fromkeys(names), **ended, "stats": None, "steps": None, "t_end": None}
+
+
+#: By the state of the run, if that says everything.
+_ITEMS = {state: _items(*ended) for state, ended in MESSAGES.items()}
 
 
 def _parted(

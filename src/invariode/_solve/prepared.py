@@ -42,6 +42,7 @@ class PreparedSolver:
         choice = choose(method, self._options)
         plan = planned(problem, choice)
         self._prepared = Prepared(problem, choice, plan)
+        self._source = Solved(problem, method, self._options)  # of runs in which nothing differs
         # Breakpoints lie in the interval.
         self._any_span = self._prepared.any_span and self._options.get("breakpoints") is None
 
@@ -99,11 +100,10 @@ class PreparedSolver:
                 course = course_of(prepared.choice, interval(t_span), len(start), self._options.get("t_eval"))
             run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
             if run is not None and (run.ordinary or run.state in MESSAGES or run.steps > 0):
-                source = Solved(
-                    partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp),
-                    self.method,
-                    self._options,
-                )
+                source = self._source
+                if y0 is not None or args is not None or t_span is not None or dy0dp is not None:
+                    changed = partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp)
+                    source = Solved(changed, self.method, self._options)
                 return concluded(presented(Finished.by(prepared, run, course, source)), prepared.plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
