@@ -1,12 +1,14 @@
 """The first calls of a process: ``python benchmarks/first_calls.py [--write] [--repetitions N]``.
 
-Each in a process of its own, after `import invariode`, which is not counted; the process's CPU clock. Cold: with an
-empty cache of code; warm: what an earlier process has compiled is in it. ``--write`` puts the table into
+Each in a process of its own, after `import invariode`, which is not counted; the process's CPU clock. Modules have
+bytecode, as in an installed package. Cold: with an empty cache of code; warm: what an earlier process has compiled is
+in it. The last line is LLVM alone, which whoever loads machine code has to import. ``--write`` puts the table into
 docs/benchmarks/overhead.md.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -25,6 +27,7 @@ CALLS = {
     "taylor": "iv.solve_ivp(pendulum, (0, 1), [1.0, 0.0], 'taylor')",
     "a fit": "iv.fit(iv.Problem(decay, (0, 2), [1.0], args=(1.0,)), [0.5, 1.0, 2.0], [[0.6, 0.37, 0.14]], "
     "{'rate': (0.1, 10)})",
+    "LLVM alone": "importlib.import_module('llvmlite.binding')",
 }
 
 
@@ -53,21 +56,24 @@ def timed(call: str) -> None:
     print(process_time() - start)
 
 
-def seconds(call: str, cache: str) -> float:
-    given = {**os.environ, "INVARIODE_CACHE": cache}
+def seconds(call: str, cache: str, bytecode: str) -> float:
+    given = {**os.environ, "INVARIODE_CACHE": cache, "PYTHONPYCACHEPREFIX": bytecode}
+    given.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, __file__, call]
     return float(subprocess.run(command, check=True, capture_output=True, text=True, env=given).stdout)
 
 
 def report(repetitions: int) -> str:
     rows = []
-    for call in CALLS:
-        cold, warm = [], []
-        for _ in range(repetitions):
-            with tempfile.TemporaryDirectory() as folder:
-                cold.append(seconds(call, folder))
-                warm.append(seconds(call, folder))
-        rows.append([call, f"{median(cold) / MS:.0f}", f"{median(warm) / MS:.0f}"])
+    with tempfile.TemporaryDirectory() as bytecode:
+        for call in CALLS:
+            seconds(call, "off", bytecode)  # writes the bytecode of the modules that the call imports
+            cold, warm = [], []
+            for _ in range(repetitions):
+                with tempfile.TemporaryDirectory() as folder:
+                    cold.append(seconds(call, folder, bytecode))
+                    warm.append(seconds(call, folder, bytecode))
+            rows.append([call, f"{median(cold) / MS:.0f}", f"{median(warm) / MS:.0f}"])
     return f"{machine('invariode', 'numpy')}.\n\n{table(['first call in a process', 'cold, ms', 'warm, ms'], rows)}"
 
 

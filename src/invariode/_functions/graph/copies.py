@@ -7,6 +7,7 @@ import cmath
 import dis
 import functools
 import math
+import sys
 import types
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -99,7 +100,7 @@ class Copies:
             return _Interpolation(value, self._run) if value.__name__ == "scipy.interpolate" else value
         if is_table(value):
             return TracedTable(value, self._run.decide)
-        if isinstance(value, _POLYNOMIALS):
+        if _is_polynomial(value):
             return _Polynomial(value)
         if isinstance(value, np.ndarray):
             return self._constants(value)
@@ -285,10 +286,13 @@ class _Joined:
         return TracedArray(np.concatenate(cells), self._run.decide)
 
 
-_POLYNOMIALS = (
-    *(np.polynomial.Polynomial, np.polynomial.Chebyshev, np.polynomial.Legendre, np.polynomial.Laguerre),
-    *(np.polynomial.Hermite, np.polynomial.HermiteE),
-)
+_POLYNOMIALS = ("Polynomial", "Chebyshev", "Legendre", "Laguerre", "Hermite", "HermiteE")
+
+
+def _is_polynomial(value: Any) -> bool:
+    """Return whether a value is a polynomial of `numpy.polynomial`, a module that is imported where there is one."""
+    module = sys.modules.get("numpy.polynomial")
+    return module is not None and isinstance(value, tuple(getattr(module, name) for name in _POLYNOMIALS))
 
 
 class _Polynomial:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import random
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -271,10 +272,11 @@ class TracedFunction(OnGraph):
     def _compare(self, found: Traced, shape: Shape, arguments: ArgumentLayout) -> None:
         """The graph with the function itself, at scattered points."""
         formula = Formula(self.__name__, lambda: found.outputs, (shape.size,))
-        rng = np.random.default_rng(_SEED)
+        rng = random.Random(_SEED)  # numpy.random takes longer to import than all of this
         own = arguments.numbers
         for i, size in enumerate(_SIZES):
-            t, y, p = _TIMES[i], size * rng.standard_normal(shape.n), rng.uniform(0.5, 2, len(own))
+            t, y = _TIMES[i], size * np.array([rng.gauss(0, 1) for _ in range(shape.n)])
+            p = np.array([rng.uniform(0.5, 2) for _ in own])
             y = np.abs(y) if _POSITIVE[i] else y
             p = np.where(arguments.known(), own, p) if i % 2 else own
             first = shape.n - shape.second
