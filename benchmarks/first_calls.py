@@ -8,7 +8,6 @@ docs/benchmarks/overhead.md.
 
 from __future__ import annotations
 
-import importlib
 import os
 import subprocess
 import sys
@@ -27,7 +26,7 @@ CALLS = {
     "taylor": "iv.solve_ivp(pendulum, (0, 1), [1.0, 0.0], 'taylor')",
     "a fit": "iv.fit(iv.Problem(decay, (0, 2), [1.0], args=(1.0,)), [0.5, 1.0, 2.0], [[0.6, 0.37, 0.14]], "
     "{'rate': (0.1, 10)})",
-    "LLVM alone": "importlib.import_module('llvmlite.binding')",
+    "LLVM alone": "__import__('llvmlite.binding')",
 }
 
 
