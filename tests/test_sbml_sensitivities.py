@@ -67,7 +67,8 @@ METHODS = {
 
 
 def test_sensitivities_of_random_models_are_differences_of_runs():
-    """One model for each method; models are left out where neighbouring parameters have other events."""
+    """One model for each method; models are left out where neighbouring parameters have other events. Gradients, by
+    runs backwards, are those of the sensitivities."""
     rng, waiting = np.random.default_rng(4), [*METHODS.items()]
     while waiting:
         text, names = random_model(rng)
@@ -79,6 +80,12 @@ def test_sensitivities_of_random_models_are_differences_of_runs():
         sol = problem.replace(sensitivities=names).solve(method, rtol=rtol, atol=rtol / 100)
         error = np.abs(sol.sensitivities[:, :, -1] - expected).max() / np.abs(expected).max()
         assert error < 100 * rtol, (method, text)
+        if method in ("auto", "dop853", "ode15s"):
+            costs = rng.normal(size=len(expected))
+            along = problem.solve(method, rtol=rtol, atol=rtol / 100, adjoint=True)
+            assert along.gradient(costs, wrt=names) == pytest.approx(
+                costs @ expected, rel=100 * rtol, abs=100 * rtol * np.abs(expected).max()
+            )
 
 
 @pytest.mark.parametrize("method", ["ode15s", "dop853"])
@@ -126,8 +133,29 @@ def test_delayed_executions_have_derivatives_of_their_times():
         assert sol.y_end[0] == pytest.approx(3.5)
         np.testing.assert_allclose(sol.sensitivities[0, :, -1], [2 - 1 - 0.5, -1, 1], atol=1e-8)
         np.testing.assert_allclose(sol.sensitivities_t_events[-1], [[1.5, 1, 0]], atol=1e-8)
-    with pytest.raises(ValueError, match=r"gradient: not possible with Roots\(.*use sensitivities="):
-        problem.replace(sensitivities=None).solve("ode45", dense_output=True).gradient(lambda t, y, *a: y)
+    plain = problem.replace(sensitivities=None)
+    found = plain.solve("ode45", rtol=1e-9, dense_output=True).gradient([1.0], wrt=["a", "b", "g"])
+    np.testing.assert_allclose(found, [2 - 1 - 0.5, -1, 1], atol=1e-8)
+    with pytest.raises(ValueError, match=r"gradient: Roots\(.*remember.*use adjoint=True"):
+        plain.solve("ode45", adjoint="checkpoints").gradient([1.0])
+
+
+def test_gradients_of_events_that_the_start_triggers():
+    """Costs at several times of two events that are triggered at the start, with a delay that depends on the state, and
+    values of the trigger's time and of that of the execution."""
+    delay = {"delay": "b * x", "initial": "false"}
+    text = model(
+        "",
+        parameter("x", 1.5, "false") + parameter("a", 1) + parameter("b", 0.5) + parameter("g", 2),
+        f'<rateRule variable="x">{formula("1 - a * x")}</rateRule>',
+        events=event("e", "x >= a", {"x": "g * x^2"}, **delay)
+        + event("f", "x >= a", {"x": "g * x"}, at_trigger="false", **delay),
+    )
+    problem = sbml.load(text).problem((0, 3))
+    names, t, costs = ["a", "b", "g", "y0[x]"], [0.5, 1.0, 3.0], np.array([[1.0, -2.0, 3.0]])
+    S = problem.replace(sensitivities=names).solve("ode45", t_eval=t, rtol=1e-9, atol=1e-11).sensitivities
+    found = problem.solve("ode45", rtol=1e-9, atol=1e-11, adjoint=True).gradient(costs, t=t, wrt=names)
+    np.testing.assert_allclose(found, np.einsum("nt,nkt->k", costs, S[:, :, -len(t) :]), rtol=1e-7)
 
 
 @explicit_and_implicit
@@ -154,6 +182,10 @@ def test_roots_that_remember_nothing_are_events(method):
     np.testing.assert_allclose(one.sensitivities[:, :, -1], two.sensitivities[:, :, -1], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(one.sensitivities_t_events[1], two.sensitivities_t_events[1], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(one.sensitivities_after_events[1], two.sensitivities_after_events[1], atol=1e-6)
+    roots = problem.replace(events=iv.Roots(fun, 3, on_roots, stateless=True), sensitivities=None)
+    along = roots.solve(method, rtol=1e-8, atol=1e-10, adjoint="checkpoints")
+    expected = np.array([1, 2, 3]) @ one.sensitivities[:, :, -1]
+    np.testing.assert_allclose(along.gradient([1, 2, 3], wrt=True), expected, rtol=1e-6)
     with pytest.raises(ValueError, match=r"sensitivities are not possible with Roots\(fun, 3\).*stateless=True"):
         problem.replace(events=iv.Roots(fun, 3, on_roots)).solve(method)
 

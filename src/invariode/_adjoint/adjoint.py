@@ -54,7 +54,7 @@ from .._sensitivity.mass_derivatives import AlgebraicOverTime, MassDerivatives, 
 from .._sensitivity.pairs import AsPairs, event_of_pairs_in_complex, of_pairs, real_form, with_pairs
 from .._sensitivity.variation_sizes import Sizes
 from .._sensitivity.variations import Switching, followed, given_derivatives, require_possible
-from .jumps import Jump, Jumps, Occurrence, at_bounds
+from .jumps import Call, Jump, Jumps, Occurrence, at_bounds, with_records
 from .laws import Laws
 
 #: The method of λ, where that of y takes some f only.
@@ -135,10 +135,11 @@ def gradient(
     names = problem.parameter_names()
     require_possible(problem)
     for roots in roots_among(problem.events):
-        raise ValueError(
-            f"gradient: not possible with {roots!r}, whose action is not known backwards: use sensitivities=, or "
-            "Event(..., action=)"
-        )
+        if not roots.stateless and run.options.get("adjoint") == "checkpoints":
+            raise ValueError(
+                f"gradient: {roots!r} remember what they have done, so that no part of the run can be solved again: "
+                "use adjoint=True, not 'checkpoints'"
+            )
     functional = _functional(run, dG_dy, dG_dp, t, integrand, len(names))
     if problem.y0.dtype.kind == "c":
         return _of_complex(run, problem, functional)
@@ -193,9 +194,13 @@ class _Adjoint:
         self._at = Point(problem.t_span[0], problem.y0)
         fun, given = given_derivatives(problem, names)
         self._slope = self._derivatives(fun, "fun", m=self.n, given=given, moves_t=False)
+        self._calls: list[Call] = []
         conditions = self._conditions()
         self._rests = at_bounds(problem, self._sol, self._y, self._of_y.threshold, self._atol)
-        jumps = Jumps(problem, names, self._derivatives, conditions, self._of_y.threshold, self._atol)
+        jumps = Jumps(
+            problem, names, self._derivatives, conditions, self._of_y.threshold, self._atol, self._calls, self._start.T
+        )
+        self._of_waiting = jumps.of_start
         jumps.follow_landings(self._schedule)
         self._jumps = jumps.of(self._sol, self._y, self._breakpoints, self._rests)
         if not run.solution.success and not jumps.last_was_taken(self._jumps, run.t, self._end_of_run()):
@@ -218,19 +223,22 @@ class _Adjoint:
         return end.view(float) if self._is_complex else end
 
     def _conditions(self) -> list[Switching]:
-        """Conditions at which f jumps; the solution is made again with them as events."""
+        """Return the conditions at which f jumps. With them as events, and with records of the calls of the actions of
+        `Roots`, the solution is made again."""
         with quietly():  # what is not followed is an error
             found = followed(self._slope, self._derivatives, self._problem, [])
+        roots = roots_among(self._problem.events)
         if not found:
             if self._slope.graph is not None and self._slope.graph.switches(self._at):
                 raise ValueError(
                     "gradient: fun jumps where its conditions change, which is not followed with a mass matrix, if "
                     "inputs are compared, or with many conditions"
                 )
-            return []
-        run = self._run
+            if not roots:
+                return []
+        run, record = self._run, self._calls
         events = [event_of_pairs_in_complex(one.event) if self._is_complex else one.event for one in found]
-        located = run.problem.replace(events=[*run.problem.events, *events], sensitivities=None)
+        located = run.problem.replace(events=[*with_records(run.problem.events, record), *events], sensitivities=None)
         sectioned = run.options.get("adjoint") == "checkpoints"
         options: Options = {
             **run.options,
@@ -251,6 +259,7 @@ class _Adjoint:
                 f"gradient: with the conditions of fun as events, the run ended at t = {again.t_end}, not at {run.t}: "
                 f"{again.message}"
             )
+        self._calls = [*record]  # what is solved again in sections is not recorded
         self._follow(again)
         return found
 
@@ -376,7 +385,7 @@ class _Adjoint:
         for jump in reversed([one for one in self._jumps if one.t == t0]):
             mu = self._through(jump.found(), mu)
         mu, beside = self._laws.on_tangent(self._behind(t0), self._at.y, mu, taking=True)
-        return np.asarray(self._total + beside + mu @ self._start)
+        return np.asarray(self._total + beside + mu @ self._start + self._of_waiting())
 
     def _pieces(self, t0: float, tf: float) -> list[_Piece]:
         """The intervals between breakpoints, jumps and discontinuities that the run has found, with the jumps at their

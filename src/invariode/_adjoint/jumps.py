@@ -5,6 +5,10 @@ For an event e(t, y, p) = 0 at τ with the action y⁺ = h(τ, y⁻, p) (of a co
     ∂τ = −(e_y S⁻ + e_p) / (e_t + e_y f⁻),   S⁺ = h_y (S⁻ + f⁻ ∂τ) + h_p + h_t ∂τ − f⁺ ∂τ
 
 and v = h_y f⁻ + h_t − f⁺ follow A = h_y − v e_y / e', B = h_p − v e_p / e'. A breakpoint has v = 0.
+
+Actions of `Roots` may leave numbers w behind, such as the time and values of an execution that is due later. Then
+(S⁺, W⁺) is linear in (S⁻, W⁻): costs of W, which does not change in between, wait backwards for the action that has
+left it.
 """
 
 from __future__ import annotations
@@ -13,18 +17,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._base.arguments import EPS, Array
 from .._functions.derivatives import Derivative
 from .._problem.breakpoints import Breakpoint
-from .._problem.events import Event, titled
+from .._problem.events import Event, RootOf, Roots, titled
 from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 from .._results.result import DenseSolution, Result
-from .._sensitivity.actions import Rate, is_at_root, of_event, restoration
+from .._sensitivity.actions import AlongAction, OfRoots, Rate, is_at_root, of_event, of_roots, restoration
 from .._sensitivity.algebraic import Algebraic, dense_mass
 from .._sensitivity.landings import LandingJump, Schedule, landing_jump
 from .._sensitivity.variations import Crossing, Switching, given_derivatives
@@ -68,6 +72,89 @@ class Jump:
         """Aᵀ μ and Bᵀ μ, with the cost of ∂τ added."""
         state = self.A.T @ mu + cost_of_time * self.time_of_state
         return state, self.B.T @ mu + cost_of_time * self.time_of_parameters
+
+
+@dataclass
+class JumpOfRoots(Jump):
+    """Effect of actions of `Roots` at one time.
+
+    Attributes
+    ----------
+    times, moved : ndarray, (c,) and (c, n)
+        ∂τ and S⁺ along directions: those of S⁻, of the parameters, and of everything that has waited.
+    left : list of (object, ndarray)
+        What they leave behind, and its derivatives along the directions, (c, w).
+    used : list of (object, slice, AlongAction)
+        What has waited, its directions, and the action that has used it.
+    costs : dict
+        The costs of everything that waits, (w,), by its id, with the object and its action.
+    """
+
+    times: Array
+    moved: Array
+    left: list[tuple[Any, Array]]
+    used: list[tuple[Any, slice, AlongAction]]
+    costs: dict[int, tuple[Any, AlongAction, Array]]
+
+    def transposed(self, mu: Array, cost_of_time: float) -> tuple[Array, Array]:
+        """See `Jump.transposed`; costs of what has waited are added to `costs`."""
+        along = self.moved @ mu + cost_of_time * self.times
+        for one, slopes in self.left:
+            if id(one) in self.costs:
+                along = along + slopes @ self.costs.pop(id(one))[-1]
+        for one, where, action in self.used:
+            before = self.costs[id(one)][-1] if id(one) in self.costs else 0.0
+            self.costs[id(one)] = one, action, before + along[where]
+        n = len(mu)
+        return along[:n], along[n : n + self.B.shape[1]]
+
+
+class Call(NamedTuple):
+    """A call of the action of a `Roots` in a run.
+
+    Attributes
+    ----------
+    t : float
+        Time of the call.
+    before, after : ndarray, (n,)
+        State that it got and that it returned.
+    roots : Roots
+        The functions.
+    which, directions : ndarray
+        As in `Roots`.
+    remembered : object
+        What its derivatives need besides.
+    """
+
+    t: float
+    before: Array
+    after: Array
+    roots: Roots
+    which: Array
+    directions: Array
+    remembered: Any
+
+
+class RecordedRoots(Roots):
+    """`Roots` that record the calls of their action, until `record` is None."""
+
+    def __init__(self, roots: Roots, record: list[Call]) -> None:
+        about: dict[str, Any] = {"rehold": roots.rehold, "names": roots.names, "stateless": roots.stateless}
+        super().__init__(roots.fun, roots.count, self._recorded, **about)
+        self._roots, self.record = roots, record
+
+    def _recorded(self, t: float, y: Array, which: Array, directions: Array, *args: Any) -> Any:
+        before = np.array(y)
+        after = self._roots.on_roots(t, y, which, directions, *args)
+        state = np.array(after, dtype=float)
+        self.record.append(Call(t, before, state, self._roots, which, directions, self._roots.remembered()))
+        return after
+
+
+def with_records(events: Sequence[Event], record: list[Call]) -> list[Any]:
+    """Return the events with `Roots` that record their calls."""
+    first = [one for one in events if not isinstance(one, RootOf) or one.number == 0]
+    return [RecordedRoots(one.roots, record) if isinstance(one, RootOf) else one for one in first]
 
 
 class Partials(NamedTuple):
@@ -166,6 +253,10 @@ class Jumps:
         Conditions of f that are followed; they are the last events of the solution.
     threshold : float or ndarray, (n,)
         atol / rtol of the run.
+    calls : list of Call
+        The calls of the actions of `Roots`.
+    start : ndarray, (k, n), or None
+        S at the start, for these.
     """
 
     def __init__(
@@ -176,9 +267,13 @@ class Jumps:
         conditions: Sequence[Switching],
         threshold: float | Array,
         atol: float | Array,
+        calls: Sequence[Call] = (),
+        start: Array | None = None,
     ) -> None:
         fun, given = given_derivatives(problem, names)
         n = len(problem.y0)
+        self._calls, self._start, self._of_roots = calls, start, dict[int, OfRoots]()
+        self._costs: dict[int, tuple[Any, AlongAction, Array]] = {}
         self._rate = Rate(problem, atol, lambda: derivatives(fun, "fun", m=n, given=given, moves_t=True))
         self._problem, self._names = problem, names
         self._landing: LandingJump | None = None
@@ -222,6 +317,9 @@ class Jumps:
             for part in parts:
                 found.append(Occurrence(t, partial(self._jump, part, before)))
                 before = partial(_behind, found[-1])
+        for t, calls in groupby(self._calls, key=lambda one: one.t):
+            self._require(all(t != one.t for one in found), t, "with one of Roots")
+            found.append(Occurrence(t, partial(self._of_calls, [*calls])))
         conditions = [one for i in range(len(self._conditions)) for one in self._of_condition(sol, i)]
         for one in conditions:
             self._require(all(one.t != action.t for action in found), one.t, "where fun jumps too")
@@ -333,6 +431,57 @@ class Jumps:
         alike = all(np.allclose(np.concatenate(found[0]), np.concatenate(one), rtol=_ALIKE) for one in found)
         self._require(alike, t, "together with that of another event, which has another time for other parameters")
         return found[0]
+
+    def _of_calls(self, calls: list[Call]) -> Jump:
+        """Return the joint jump of the actions of `Roots` at one time, which follow one another."""
+        t, before, n, k = calls[0].t, calls[0].before, self._n, self._k
+        left: list[tuple[Any, AlongAction]] = []
+        used: dict[int, tuple[Any, AlongAction]] = {}
+        for one in calls:
+            action = self._recalled(one).action
+            made, waited = action.waits()
+            new = {id(each) for each, _ in left}
+            used.update((id(each), (each, action)) for each in waited if id(each) not in new)
+            left += [(each, action) for each in made]
+        along = np.eye(n + k + sum(action.width(each) for each, action in used.values()))
+        dy, dp = np.ascontiguousarray(along[:, :n]), np.ascontiguousarray(along[:, n : n + k])
+        places, end = [], n + k
+        for each, action in used.values():
+            where = slice(end, end + action.width(each))
+            action.give(each, along[:, where])
+            places.append((each, where, action))
+            end = where.stop
+        f = self._rate(t, before)
+        times = self._recalled(calls[0]).times(t, before, f, int(calls[0].which[0]), dy, dp)
+        moved = dy + np.outer(times, f)
+        for one in calls:
+            moved = self._recalled(one).action.columns(t, one.before, times, moved, dp)
+        after, reholds = calls[-1].after, all(one.roots.rehold for one in calls)
+        if self._restored is not None and reholds:
+            moved, after = self._restored.columns(t, after, times, moved, dp), self._restored.value(t, after)
+        if self._rate.is_singular:  # as in `_jump`
+            after = np.asarray(self._behind(t))
+        moved = moved - np.outer(times, self._rate(t, after))
+        A, B, both = moved[:n].T, moved[n : n + k].T, (times[:n], times[n : n + k])
+        rows = [(each, action.of_waiting(each)) for each, action in left]
+        return JumpOfRoots(t, before, after, A, B, *both, reholds, True, times, moved, rows, places, self._costs)
+
+    def _recalled(self, one: Call) -> OfRoots:
+        """Return the derivatives of the functions and of the action of a `Roots`, with this call as the latest."""
+        key = id(one.roots)
+        if key not in self._of_roots:
+            assert self._start is not None
+            self._of_roots[key] = of_roots(one.roots, self._derivatives, self._start)
+        one.roots.recall(one.which, one.directions, one.remembered)
+        return self._of_roots[key]
+
+    def of_start(self) -> Array:
+        """Return the derivatives, (k,), by what waits from the start on, whose costs have come there."""
+        total: Array = np.zeros(self._k)
+        for one, action, cost in self._costs.values():
+            action.give(one, None)
+            total = total + cost @ action.of_waiting(one).T
+        return total
 
     def _of_condition(self, sol: Result, i: int) -> list[Occurrence]:
         condition = self._conditions[i]

@@ -159,7 +159,7 @@ class Roots:
     -----
     Unless they are `stateless`, `fun` may use what `on_roots` remembers, such as ``t - due`` with the time at which a
     delayed action is due: it is evaluated again after each call. What they remember belongs to one run: give each run
-    functions of its own. Sensitivities need `stateless`; `gradient` needs `Event`.
+    functions of its own. Sensitivities and gradients need `stateless`.
 
     The form is that of the root functions of SUNDIALS (Hindmarsh and Shampine, SAND 80-0180, 1980).
 
@@ -213,6 +213,14 @@ class Roots:
         remember something; None if they do not. `of` makes the derivatives of a function; `start` is S at the start,
         (k, n)."""
         return None
+
+    def remembered(self) -> Any:
+        """Return what the derivatives of the latest action need besides its roots."""
+        return None
+
+    def recall(self, which: Array, directions: Array, remembered: Any) -> None:
+        """Make the action at these roots the latest one again, for its derivatives."""
+        self.latest = which, directions
 
     def events(self) -> list[Event]:
         """Return one event for each function."""

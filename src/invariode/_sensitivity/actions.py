@@ -133,6 +133,25 @@ class Along(Protocol):
         """Return the values, (m,)."""
 
 
+class AlongAction(Along, Protocol):
+    """The derivatives of an action that may leave something behind that waits, for a further action.
+
+    Whatever waits has w numbers, such as the time of its execution, whose derivatives wait with it.
+    """
+
+    def waits(self) -> tuple[list[Any], list[Any]]:
+        """Return what the latest action has left behind, and what it has used of what waited before it."""
+
+    def width(self, waiting: Any) -> int:
+        """Return w."""
+
+    def give(self, waiting: Any, columns: Array | None) -> None:
+        """Set the derivatives of what waits, along c directions: (c, w); None: they follow from the start."""
+
+    def of_waiting(self, waiting: Any) -> Array:
+        """Return the derivatives of what waits, (c, w); of what waits from the start on, those for parameters."""
+
+
 class OfRoots(NamedTuple):
     """Derivatives of the functions of a `Roots`, and of its action, which has just been taken.
 
@@ -145,8 +164,15 @@ class OfRoots(NamedTuple):
     """
 
     fun: Along
-    action: Along
+    action: AlongAction
     is_known: bool = True
+
+    def times(self, t: float, y: Array, f: Array, number: int, dy: Array, dp: Array) -> Array:
+        """Return the derivatives of the time of a root along c directions, (c,), with f for y' before it."""
+        c, k = dp.shape
+        dt, start = np.append(1.0, np.zeros(c)), np.vstack([f, dy])
+        rates = self.fun.columns(t, y, dt, start, np.vstack([np.zeros(k), dp]))[:, number]
+        return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(c)
 
 
 def of_roots(roots: Roots, derivatives: Callable[..., Derivative], start: Array) -> OfRoots:
@@ -198,6 +224,21 @@ class _ActionOfRoots:
     def value(self, t: float, y: Array) -> Array:
         """Return the state after the action, (n,)."""
         return self._of_latest(y).value(t, y)
+
+    def waits(self) -> tuple[list[Any], list[Any]]:
+        """Return that nothing waits."""
+        return [], []
+
+    def width(self, waiting: Any) -> int:
+        """See `AlongAction`: nothing waits."""
+        return 0
+
+    def give(self, waiting: Any, columns: Array | None) -> None:
+        """See `AlongAction`: nothing waits."""
+
+    def of_waiting(self, waiting: Any) -> Array:
+        """See `AlongAction`: nothing waits."""
+        return np.zeros((self.k, 0))
 
 
 class _Row:

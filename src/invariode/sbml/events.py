@@ -453,7 +453,26 @@ class Machine:
 # Derivatives
 
 
-class _Comparisons(Roots):
+class _OfMachine(Roots):
+    """Root functions of a machine."""
+
+    _machine: Machine
+
+    @property
+    def is_differentiable(self) -> bool:
+        return self._machine.is_differentiable
+
+    def remembered(self) -> Any:
+        """See `Roots.remembered`."""
+        return [*self._machine.taken], self._machine.first_due
+
+    def recall(self, which: Array, directions: Array, remembered: Any) -> None:
+        """See `Roots.recall`."""
+        taken, self._machine.first_due = remembered
+        self._machine.taken = [*taken]
+
+
+class _Comparisons(_OfMachine):
     """The comparisons of all triggers."""
 
     def __init__(self, machine: Machine, compiled: Any, count: int) -> None:
@@ -461,31 +480,32 @@ class _Comparisons(Roots):
         super().__init__(compiled, count, machine.on_roots, names=names)
         self._machine = machine
 
-    @property
-    def is_differentiable(self) -> bool:
-        return self._machine.is_differentiable
-
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""
         fun = of(self.fun, "the triggers", m=self.count, moves_t=True)
         return OfRoots(fun, self._machine.derivatives(of, start))
 
 
-class _Due(Roots):
+class _Due(_OfMachine):
     """The time since the next execution of a delayed event was due."""
 
     def __init__(self, machine: Machine) -> None:
         super().__init__(machine.due, 1, machine.on_due, names=["execution"])
         self._machine = machine
 
-    @property
-    def is_differentiable(self) -> bool:
-        return self._machine.is_differentiable
-
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""
         made = self._machine.derivatives(of, start)
-        return OfRoots(made.due, made)
+        return _OfDue(made.due, made)
+
+
+class _OfDue(OfRoots):
+    """Derivatives of the times at which executions are due, and of these."""
+
+    def times(self, t: float, y: Array, f: Array, number: int, dy: Array, dp: Array) -> Array:
+        """Return the derivatives of the time of the execution, which wait with it, (c,)."""
+        assert isinstance(self.action, MachineDerivatives)
+        return self.action.of_first_due()
 
 
 class MachineDerivatives:
@@ -523,6 +543,24 @@ class MachineDerivatives:
         """Return the state after the action, (n,)."""
         after = [one.after for one in self._machine.taken if one.after is not None]
         return after[-1] if after else y
+
+    def waits(self) -> tuple[list[Any], list[Any]]:
+        """Return the events that the latest action has triggered, and those triggered before that it has executed."""
+        made = [one.waiting for one in self._machine.taken if one.after is None]
+        used = [one.waiting for one in self._machine.taken if one.after is not None]
+        return made, [one for one in used if one not in made]
+
+    def width(self, waiting: Waiting) -> int:
+        """Return how many numbers wait: the time of the execution, and perhaps values."""
+        return 1 if waiting.values is None else 1 + len(waiting.values)
+
+    def give(self, waiting: Waiting, columns: Array | None) -> None:
+        """See `AlongAction`: the derivatives of the time and of the values of an event that waits."""
+        waiting.slopes = None if columns is None else (columns[:, 0], columns[:, 1:])
+
+    def of_waiting(self, waiting: Waiting) -> Array:
+        """Return the derivatives of the time and of the values of an event that waits, (c, w)."""
+        return np.column_stack(self.slopes(waiting))
 
     def _triggered(self, waiting: Waiting, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> tuple[Array, Array]:
         """Return the derivatives of the time of the execution, (k,), and of the values, (k, m)."""
@@ -566,6 +604,12 @@ class MachineDerivatives:
         off = rules.columns(t, y, dt, moved, dp)
         moved[:, places] = -np.linalg.lstsq(rules.jacobian(t, y)[:, places], off.T, rcond=None)[0].T
         return moved
+
+    def of_first_due(self) -> Array:
+        """Return the derivatives of the time of the execution that was due first when the latest action began."""
+        first = self._machine.first_due
+        assert first is not None
+        return self.slopes(first)[0]
 
     def time_of(self, t: float) -> Array:
         """Return the derivatives of the time of the execution that is due at t, or next, (k,)."""
