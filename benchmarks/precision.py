@@ -1,7 +1,8 @@
 """What projection gains and costs on orbits: ``python benchmarks/precision.py [--write]``, or ``make bench``.
 
 The error in position at the end of ten periods of Kepler's problem (e = 0.6) and of one period of the restricted
-three-body orbit, by all codes, plain and projected. ``--write`` puts the tables into docs/benchmarks.
+three-body orbit, by four codes of the MATLAB ODE Suite, plain and projected. ``--write`` puts the tables into
+docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from statistics import median
+from time import process_time
 
 import numpy as np
 from measure import folded, interleaved, machine, run, table
@@ -21,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from problems import PROBLEMS, TestProblem
 
 RTOLS = tuple(10.0**-k for k in range(3, 11))
+CODES = ("ode23", "ode45", "ode113", "ode15s")
 SHOWN = "1e-06"  # the tolerance of the tables that are not folded
 WAYS = {"plain": None, "projected": "always", "where needed": "needed"}
 
@@ -37,7 +40,7 @@ def compare(p: TestProblem, y0: list[float], tf: float, method: str, repetitions
     for rtol in RTOLS:
         runs = {way: partial(solve, p, y0, tf, method, rtol, when) for way, when in WAYS.items()}
         solutions = {way: run() for way, run in runs.items()}
-        times = interleaved(runs, repetitions)
+        times = interleaved(runs, repetitions, process_time)
         errors = [f"{np.hypot(*(sol.y[:2, -1] - y0[:2])):.1e}" for sol in solutions.values()]
         counts = [str(sol.nfev) for sol in solutions.values()]
         rows.append([method, f"{rtol:.0e}", *errors, *counts, *(f"{1e3 * median(times[way]):.2f}" for way in WAYS)])
@@ -49,9 +52,10 @@ def report(repetitions: int) -> str:
         "Kepler, ten periods": (PROBLEMS["Kepler"], problems.kepler(0.6).y0.tolist(), 20 * np.pi),
         "Three bodies, one period": (PROBLEMS["three-body"], list(problems.START), problems.PERIOD),
     }
-    parts = [f"{machine('invariode', 'numpy')}. Invariants and Jacobians in Python, given; atol = rtol / 1000."]
+    about = "Invariants and Jacobians in Python, given; atol = rtol / 1000; milliseconds of the processor"
+    parts = [f"{machine('invariode', 'numpy')}. {about}."]
     for title, (p, y0, tf) in orbits.items():
-        rows = [row for method in iv.METHODS for row in compare(p, y0, tf, method, repetitions)]
+        rows = [row for method in CODES for row in compare(p, y0, tf, method, repetitions)]
         columns = [f"{what}: {way}" if way == "plain" else way for what in ("error", "f", "ms") for way in WAYS]
         shown = [row for row in rows if row[1] == SHOWN]
         header = [title, "rtol", *columns]

@@ -150,6 +150,15 @@ def test_every_public_name_is_documented():
         assert name == "METHODS" or getattr(invariode, name).__doc__, name
 
 
+def test_pages_of_benchmarks_say_when_their_figures_are_older_than_the_package():
+    """And only then. The version stands beside the machine, under the figures."""
+    remark, now = "**Measured with an earlier version**", metadata.version("invariode")
+    for page in sorted((ROOT / "docs/benchmarks").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        older = {*re.findall(r"; Python [\d.]+, invariode ([\d.]+)", text)} - {now}
+        assert (remark in text) == bool(older), (page.name, older)
+
+
 #: Lists of what a standard asks for, or of guides, which are no how-tos.
 NO_HOWTO = {"index", "sbml-conformance"}
 
