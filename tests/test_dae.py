@@ -35,12 +35,12 @@ def off_constraints(sol: iv.Solution) -> float:
     for level in origin.reduction.levels:
         rows = jacobian(level.in_states, [origin.reduction.graph.y(k) for k in range(len(origin.reduction.states))])
         entries = [(i, k, node) for i, row in enumerate(rows) for k, node in row.items()]
-        values, slopes = Values(level.in_states, p), Values([node for *_, node in entries], p)
+        values, slopes = Values(level.in_states), Values([node for *_, node in entries])
         for t, state in zip(sol.t.tolist(), origin.reduced.y.T, strict=True):
             error = np.array(bounds(level.in_states, t, state.tolist(), p.tolist())) + 1e-30
-            for (i, k, _), slope in zip(entries, slopes(t, state), strict=True):
+            for (i, k, _), slope in zip(entries, slopes(t, state, p), strict=True):
                 error[i] += EPS * abs(slope * state[k])
-            worst = max(worst, float((np.abs(values(t, state)) / error).max()))
+            worst = max(worst, float((np.abs(values(t, state, p)) / error).max()))
     return worst
 
 
@@ -355,6 +355,36 @@ def test_sensitivities_are_those_of_the_unknowns():
     step = 1e-5
     more, less = (swung(args=(GRAVITY + d, 1.0), rtol=1e-12, atol=1e-14).y[:, -1] for d in (step, -step))
     np.testing.assert_allclose(sol.sensitivities[:, 0, -1], (more - less) / (2 * step), rtol=1e-6)
+
+
+def test_the_start_follows_parameters_of_constraints():
+    """a + b + c = 1, b = K a, (a + b)' = -k a with c = 0 fixed at the start: a(0) = 1 / (1 + K), in sensitivities,
+    ensembles, prepared runs and fits."""
+
+    def equilibrium(t, y, yp, K, k):
+        a, b, c = y
+        return [b - K * a, yp[0] + yp[1] + k * a, a + b + c - 1]
+
+    def exact(t, K, k):
+        return np.exp(-k * t / (1 + K)) / (1 + K)
+
+    at, step, run = (2.0, 0.5), 1e-6, {"method": "dop853", "rtol": 1e-10, "atol": 1e-12}
+    dae = iv.Dae(equilibrium, 0, [0.3, 0.7, 0], names=["a", "b", "c"], args=at)
+    problem = dae.problem((0, 3), fixed=["c"])
+    for method in ("dop853", "radau"):
+        sol = dae.solve((0, 3), fixed=["c"], sensitivities=True, **(run | {"method": method}))
+        wanted = [
+            (exact(sol.t, 2 + d, 0.5 + e) - exact(sol.t, 2 - d, 0.5 - e)) / 2e-6 for d, e in ((step, 0), (0, step))
+        ]
+        np.testing.assert_allclose(sol.sensitivities[0], wanted, atol=1e-8)
+        np.testing.assert_allclose(sol.sensitivities.sum(axis=0), 0, atol=1e-11)
+    rows = [at, (1.0, 0.8)]
+    for args, y in zip(rows, problem.solve_ensemble(args=rows, **run).y, strict=True):
+        assert np.ravel(y[0])[-1] == pytest.approx(exact(3, *args), rel=1e-8)
+    assert problem.prepare(**run)(args=rows[1]).y_end == pytest.approx(problem.replace(args=rows[1]).solve(**run).y_end)
+    t = np.linspace(0.3, 3, 7)
+    found = iv.fit(problem, t, exact(t, 1.0, 0.8), {"K": (0, 5), "k": (0, 5)}, observe=lambda t, y, K, k: y[0])
+    np.testing.assert_allclose([*found.parameters.values()], [1.0, 0.8], rtol=1e-5)
 
 
 def test_times_of_events_have_derivatives():

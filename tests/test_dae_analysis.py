@@ -231,6 +231,19 @@ def test_wrong_equations_are_named():
         assert re.search(message, str(raised.value)), name
 
 
+def test_an_equation_that_stops_to_determine_its_unknown_is_named():
+    """Where a branch that a state selects has none of it, unknowns become infinite, and F = 0 does not hold."""
+    for method in ("auto", "dop853"):
+        with pytest.raises((iv.InvariantError, iv.SolveError), match=r"F\[1\]"):
+            iv.solve_dae(
+                lambda t, y, yp: [yp[0] + 1, np.where(y[0] > 0.5, y[1] - y[0], y[0] - 0.2)],
+                (0, 2),
+                [1, 1],
+                method=method,
+                on_failure="raise",
+            )
+
+
 def test_what_solve_dae_does_not_take_is_named():
     """Options of other problems say what to do instead; F that returns something else says what it returned."""
 

@@ -28,6 +28,7 @@ _NEAR, _STAYS, _ROUNDOFFS = 1e-7, 0.5, 64.0
 _SINGULAR = 1e-5
 
 
+@np.errstate(invalid="ignore")  # unknowns may be infinite where the equations end to determine them
 def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -> str:
     """Return which of the given equations an output violates, with all derivatives of the reduced problem; or ''."""
     if not len(sol.t):
@@ -41,15 +42,14 @@ def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array)
     for _ in range(_TIMES):
         moved = arguments + amounts * rng.standard_normal(amounts.shape)
         allowed = np.fmax(allowed, np.abs(unknowns.equations(sol.t, moved, p) - residuals))
-    with np.errstate(invalid="ignore"):
-        off = np.abs(residuals) > allowed + np.finfo(float).tiny
+    off = np.abs(residuals) > allowed + np.finfo(float).tiny
     for k in np.flatnonzero(off.any(axis=0)).tolist():  # roundoff of terms that cancel can be larger than `allowed`
         state, at = sol.y[:, k], float(sol.t[k])
         errors = np.array(bounds(unknowns.arguments.nodes, at, state.tolist(), p.tolist()))
         for _ in range(_TIMES):
             moved = arguments[:, k : k + 1] + (amounts[:, k] + errors)[:, None] * rng.standard_normal((len(errors), 1))
-            change = np.abs(unknowns.equations(sol.t[k : k + 1], moved, p)[:, 0] - residuals[:, k])
-            allowed[:, k] = np.where(np.isnan(change), np.inf, np.maximum(allowed[:, k], change))
+            by = np.abs(unknowns.equations(sol.t[k : k + 1], moved, p)[:, 0] - residuals[:, k])
+            allowed[:, k] = np.where(np.isnan(by), np.inf, np.maximum(allowed[:, k], by))
         off[:, k] = np.abs(residuals[:, k]) > allowed[:, k]
     if not off.any():
         return ""
@@ -119,8 +119,8 @@ def _jumping(
 ) -> tuple[str, float] | None:
     """Return the first constraint that jumps at t, and by how much, from its changes over two intervals."""
     for level in reduction.levels:
-        values = Values(level.in_states, p)
-        over_wide, over_close = (np.abs(values(b, state) - values(a, state)) for a, b in (wide, close))
+        values = Values(level.in_states)
+        over_wide, over_close = (np.abs(values(b, state, p) - values(a, state, p)) for a, b in (wide, close))
         errors = np.array(bounds(level.in_states, t, state.tolist(), p.tolist()))
         noise = _ROUNDOFFS * np.where(np.isfinite(errors), errors, 0)
         found = np.flatnonzero((over_close > _STAYS * over_wide) & (over_close > noise))
@@ -133,19 +133,19 @@ def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:
     """Return the x_j^(l), l <= d_j, at a state."""
     n, d = reduction.n, reduction.arrangement.offsets.d
     variables = [(order, j) for j in range(n) for order in range(int(d[j]) + 1)]
-    values = Values(reduction.of(variables), p)(t, state)
+    values = Values(reduction.of(variables))(t, state, p)
     x = np.zeros((int(d.max(initial=0)) + 1, n))
     for (order, j), value in zip(variables, values, strict=True):
         x[order, j] = value
-    return Point(t, x)
+    return Point(t, x, p)
 
 
 def impasse(sol: Solution, reduction: Reduction, p: Array) -> str:
     """Return why a run could not go on, if the equations no longer determine an unknown where it ended; else ''."""
     if sol._origin is None or not len(sol.t):
         return ""
-    now = conditions(reduction, point_of(reduction, float(sol.t_end), np.asarray(sol._origin.y), p), p)
-    at_start = conditions(reduction, point_of(reduction, float(sol.t[0]), sol.y[:, 0], p), p)
+    now = conditions(reduction, point_of(reduction, float(sol.t_end), np.asarray(sol._origin.y), p))
+    at_start = conditions(reduction, point_of(reduction, float(sol.t[0]), sol.y[:, 0], p))
     for one, before in zip(now, at_start, strict=True):
         if one.is_singular or not one.quality > _SINGULAR * before.quality:
             return (

@@ -46,7 +46,7 @@ from .._results.solution import Solution
 from .._run.run import concluded
 from .checks import impasse, jump, point_of, require_no_jump, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
-from .reduction import Given, Reduction
+from .reduction import Given, Reduction, Variable
 from .solution import Unknowns, in_unknowns
 from .start import Point, Starts
 from .structure import GenericPoints, Structure
@@ -88,6 +88,32 @@ class Start:
     y: Array
     yp: Array
     moved: dict[str, float]
+
+
+class _StartOfArgs:
+    """The consistent initial state as a function of the arguments: constraints with parameters move it.
+
+    Parameters
+    ----------
+    nearest : callable
+        ``nearest(p)`` returns the consistent x_j^(l).
+    states : sequence of Variable
+        The variables that are states.
+    p, y0 : ndarray
+        The numbers of some arguments, and the state for them.
+    """
+
+    solves_equations = True
+
+    def __init__(self, nearest: Callable[[Array], Array], states: Sequence[Variable], p: Array, y0: Array) -> None:
+        self._nearest, self._states, self._p, self._y0 = nearest, states, p, y0
+
+    def __call__(self, *args: Any) -> Array:
+        p = layout_of(args).numbers
+        if np.array_equal(p, self._p):
+            return self._y0
+        x = self._nearest(p)
+        return np.array([x[one] for one in self._states])
 
 
 class UntracedError(TypeError):
@@ -351,7 +377,7 @@ class Dae:
         at = self.t0 if t is None else number("t", t)
         values = self.y0 if y is None else _real_state("y", y, len(self.y0))
         slopes = self.yp0 if yp is None else _real_state("yp", yp, len(self.y0))
-        x = self._start(starts, at, fixed, values, slopes)
+        x = self._start(starts, at, fixed, values, slopes, self._p)
         states, times = np.array([[x[one]] for one in reduction.states]).reshape(-1, 1), np.array([at])
         unknowns = self._functions(reduction).unknowns
         new = [of(times, states, self._p)[:, 0] for of in (unknowns.y, unknowns.yp)]
@@ -364,13 +390,15 @@ class Dae:
                     moved[primed(name, order)] = after - before
         return Start(at, new[0], new[1], moved)
 
-    def _start(self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None) -> Array:
+    def _start(
+        self, starts: Starts, t: float, fixed: Iterable[str | int], y: Array, yp: Array | None, p: Array
+    ) -> Array:
         """Return the consistent x_j^(l), l <= d_j, nearest to y and yp."""
         stay = [self._variable(one) for one in fixed]
         guess, known = self._guess(y, yp, {u for order, u in stay if order == 0})
-        guess, levels = self._structure.completed(t, guess), self._structure.known(np.full(len(self._kept), known))
+        guess, levels = self._structure.completed(t, guess, p), self._structure.known(np.full(len(self._kept), known))
         held = {(order + self._of[u].order, self._of[u].j) for order, u in stay}
-        return starts.nearest(Point(t, guess), levels, held)
+        return starts.nearest(Point(t, guess, p), levels, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
         """Return the order and the number of an unknown that is named with primes, or given by its index."""
@@ -430,24 +458,30 @@ class Dae:
         UserWarning
             Given values were changed by more than roundoff.
         """
-        span = interval(t_span)
+        span, fixed = interval(t_span), list(fixed)
         choice("nonlinear", nonlinear, ("raise", "algebraic"))
         reduction, starts = self._reduced(nonlinear)
-        x = self._start(starts, span[0], fixed, self.y0, self.yp0)
+        x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
         self._tell_move(x)
-        return self._problem(reduction, x, span, bounds=self._bounds(reduction, nonnegative, bounds))
+        return self._problem(reduction, starts, x, fixed, span, bounds=self._bounds(reduction, nonnegative, bounds))
 
     def _problem(
         self,
         reduction: Reduction,
+        starts: Starts,
         x: Array,
+        fixed: Sequence[str | int],
         span: tuple[float, float],
         atol: Array | None = None,
         **describing: Any,
     ) -> Problem:
-        y0, structure = np.array([x[one] for one in reduction.states]), reduction.structure
+        y0: Any = np.array([x[one] for one in reduction.states])
+        structure = reduction.structure
         labels = [primed(structure.unknowns[j], order) for order, j in reduction.states]
-        if not len(y0):  # all unknowns follow from t: the time itself is the state
+        if starts.depend_on_parameters:
+            nearest = partial(self._start, starts, span[0], fixed, self.y0, self.yp0)
+            y0 = _StartOfArgs(nearest, reduction.states, self._p, y0)
+        if not labels:  # all unknowns follow from t: the time itself is the state
             y0, labels = np.array([span[0]]), ["t"]
         mass = reduction.mass()
         return Problem(
@@ -511,8 +545,8 @@ class Dae:
             reduction = Reduction(self._structure, nonlinear)
             if reduction.algebraic == len(reduction.states) > 0:  # an ODE is needed for the steps
                 return self._reduced("raise")
-            first = Starts(Reduction(self._structure, "algebraic"), self._p) if reduction.is_raised else None
-            made = reduction, Starts(reduction, self._p, first)
+            first = Starts(Reduction(self._structure, "algebraic")) if reduction.is_raised else None
+            made = reduction, Starts(reduction, first)
             self._reductions[nonlinear] = made
             if not reduction.is_nonlinear:  # there is only one
                 self._reductions["raise"] = self._reductions["algebraic"] = made
@@ -571,12 +605,12 @@ class Dae:
         Solution
             See `solve_dae`.
         """
-        span = interval(t_span)
+        span, fixed = interval(t_span), list(fixed)
         takes_mass = find_method(method)[0].mass == "any"
         reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
         if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
             method = "radau"
-        x = self._start(starts, span[0], fixed, self.y0, self.yp0)
+        x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
         self._tell_move(x)
         unknowns = self._functions(reduction).unknowns
         through = Through(unknowns, partial(self._after_action, reduction, starts), self._p)
@@ -595,7 +629,7 @@ class Dae:
         }
         if events is not None:
             describing["events"] = [through.event(one) for one in to_events(events)]
-        problem = self._problem(reduction, x, span, atol, **describing)
+        problem = self._problem(reduction, starts, x, fixed, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
 
     def _after_action(
@@ -615,7 +649,7 @@ class Dae:
         levels = min(len(x), len(after))
         x[:levels, : len(self._kept)] += after[:levels] - before[:levels]
         x = self._structure.completed(t, x, p)
-        found = starts.nearest(Point(t, x), np.full(x.shape[1], len(x)), ())
+        found = starts.nearest(Point(t, x, p), np.full(x.shape[1], len(x)), ())
         return np.array([found[one] for one in reduction.states])
 
     def _atol(self, reduction: Reduction, options: Options) -> Array | None:

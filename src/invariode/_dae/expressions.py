@@ -191,18 +191,17 @@ def row_of(node: Node, variables: Sequence[int]) -> dict[int, Node]:
 
 
 class Values:
-    """Nodes as a function of (t, y), for given parameters."""
+    """Nodes as a function of (t, y, p)."""
 
-    def __init__(self, nodes: Sequence[Node], parameters: Array) -> None:
+    def __init__(self, nodes: Sequence[Node]) -> None:
         self._formula = Formula("values", lambda: nodes, (len(nodes),))
-        self._p = [parameters] if len(parameters) else []
         self._empty = not nodes
 
-    def __call__(self, t: float, y: Array) -> Array:
+    def __call__(self, t: float, y: Array, p: Array) -> Array:
         """Return the values; NaN where one cannot be evaluated."""
         if self._empty:
             return np.zeros(0)
-        return np.array(self._formula(t, y, *self._p), dtype=float)
+        return np.array(self._formula(t, y, *([p] if len(p) else [])), dtype=float)
 
 
 def primed(name: str, order: int) -> str:

@@ -7,6 +7,7 @@ is regular, and earlier stages stay solved. In weights w the smallest change is 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.failures import InvariantError
 from .._functions.graph.derivatives import jacobian
-from .._functions.graph.nodes import Node
+from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.rounding import bounds
 from .._linear.least_norm import Ended, newton
 from .expressions import Values, is_zero, leaves, primed, substituted
@@ -58,10 +59,13 @@ class Point(NamedTuple):
         The time.
     x : ndarray, (levels, n)
         x_j^(l).
+    p : ndarray
+        The parameters.
     """
 
     t: float
     x: Array
+    p: Array
 
 
 class Starts:
@@ -71,22 +75,27 @@ class Starts:
     ----------
     reduction : Reduction
         The equations.
-    parameters : ndarray
-        The values of the parameters.
     first : Starts, optional
         Those of the reduction in which no block is raised: what an equation determines then gives way to what it
         contains besides, whatever the method.
     """
 
-    def __init__(self, reduction: Reduction, parameters: Array, first: Starts | None = None) -> None:
-        self._reduction, self._parameters, self._first = reduction, parameters, first
+    def __init__(self, reduction: Reduction, first: Starts | None = None) -> None:
+        self._reduction, self._first = reduction, first
         structure = reduction.structure
         c, d, _ = reduction.arrangement.offsets
         last = [structure.derivative(structure.equations[i], int(c[i])) for i in range(reduction.n)]
         names = [primed(structure.names[i], int(c[i])) for i in range(reduction.n)]
         stages = [(level.equations, level.moves, level.names) for level in reduction.levels]
         stages.append((last, [(int(d[j]), j) for j in range(reduction.n)], names))
-        self._stages = [_Stage(*one, reduction.n, parameters) for one in stages]
+        self._stages = [_Stage(*one, reduction.n) for one in stages]
+
+    @cached_property
+    def depend_on_parameters(self) -> bool:
+        """True if the states of the reduced problem change with the parameters."""
+        reduction = self._reduction
+        nodes = [one for stage in self._stages[: None if reduction.algebraic else -1] for one in stage.equations]
+        return any(node.op == "p" for node in in_order([*nodes, *reduction.structure.definitions]))
 
     def nearest(self, guess: Point, known: Array, fixed: Collection[Variable]) -> Array:
         """Return the consistent x_j^(l), l <= d_j, (levels, n), nearest to a guess.
@@ -107,7 +116,7 @@ class Starts:
             determined.
         """
         if self._first is not None:
-            guess = Point(guess.t, self._first.nearest(guess, known, fixed))
+            guess = guess._replace(x=self._first.nearest(guess, known, fixed))
             known = np.full(len(known), len(guess.x))
         n, top = self._reduction.n, int(self._reduction.arrangement.offsets.d.max(initial=0))
         x = np.zeros((top + 1, n))
@@ -117,35 +126,34 @@ class Starts:
         is_guess = np.arange(top + 1)[:, None] >= known
         w[is_guess] = np.maximum(w[is_guess], _UNKNOWN)
         try:
-            found = x.copy()
+            found = guess._replace(x=x.copy())
             for stage in self._stages:
-                stage.solve(guess.t, found, w, fixed)
+                stage.solve(found, w, fixed)
         except _UnsolvableError as error:
             if not fixed or not set(fixed) & {one for stage in self._stages for one in stage.moves}:
                 raise InvariantError(str(error)) from None
-            found = self._together(guess.t, x, w, fixed)
-        self._require_regular(guess.t, found)
-        return found
+            found = self._together(guess._replace(x=x.copy()), w, fixed)
+        self._require_regular(found)
+        return found.x
 
-    def _together(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> Array:
+    def _together(self, found: Point, w: Array, fixed: Collection[Variable]) -> Point:
         """Solve all stages at once: values of an early stage give way to fixed ones of a later one."""
         n, d = self._reduction.n, self._reduction.arrangement.offsets.d
         equations = [one for stage in self._stages for one in stage.equations]
         names = [one for stage in self._stages for one in stage.names]
         moves = [(order, j) for j in range(n) for order in range(int(d[j]) + 1)]
-        stage = _Stage(equations, moves, names, n, self._parameters)
-        found = x.copy()
+        stage = _Stage(equations, moves, names, n)
         try:
-            stage.solve(t, found, w, fixed)
+            stage.solve(found, w, fixed)
         except _UnsolvableError as error:
-            text = self._overdetermined(stage, t, found, fixed) if error.is_deficient else ""
+            text = self._overdetermined(stage, found, fixed) if error.is_deficient else ""
             raise InvariantError(text or str(error)) from None
         return found
 
-    def _overdetermined(self, stage: _Stage, t: float, x: Array, fixed: Collection[Variable]) -> str:
+    def _overdetermined(self, stage: _Stage, at: Point, fixed: Collection[Variable]) -> str:
         """Return which fixed values follow from others, and by which equations: rows u with uᵀ A = 0 on what is
         free."""
-        _, A = stage.evaluate(t, x)
+        _, A = stage.evaluate(at)
         free = [k for k, one in enumerate(stage.moves) if one not in fixed]
         held = [k for k, one in enumerate(stage.moves) if one in fixed]
         scale = np.maximum(np.abs(A).max(axis=1, keepdims=True), 1e-300)
@@ -163,14 +171,14 @@ class Starts:
         names = sorted(primed(structure.unknowns[j], order) for order, j in (stage.moves[k] for k in columns))
         several = len(names) > 1
         return (
-            f"too many values are fixed at t = {t:.6g}: {', '.join(stage.names[i] for i in sorted(rows))} "
+            f"too many values are fixed at t = {at.t:.6g}: {', '.join(stage.names[i] for i in sorted(rows))} "
             f"{'relate' if len(rows) > 1 else 'relates'} {', '.join(names)}, "
             + ("all of which are fixed, and their values contradict that" if several else "which has another value")
             + f". The equations leave {free_values} value{'s' * (free_values != 1)} free: fix fewer, or correct them"
         )
 
-    def _require_regular(self, t: float, x: Array) -> None:
-        for one in conditions(self._reduction, Point(t, x), self._parameters):
+    def _require_regular(self, at: Point) -> None:
+        for one in conditions(self._reduction, at):
             if one.is_singular:
                 text = f"the start is a singular point: {one.in_words()}. Start elsewhere"
                 raise InvariantError(text)
@@ -219,7 +227,7 @@ class BlockCondition(NamedTuple):
         )
 
 
-def conditions(reduction: Reduction, at: Point, parameters: Array) -> list[BlockCondition]:
+def conditions(reduction: Reduction, at: Point) -> list[BlockCondition]:
     """Return how well each block of J determines its unknowns at a point."""
     found = []
     for block in reduction.arrangement.blocks:
@@ -229,10 +237,10 @@ def conditions(reduction: Reduction, at: Point, parameters: Array) -> list[Block
         x = np.zeros((max(levels, len(at.x)), reduction.n))
         x[: len(at.x)] = at.x
         y = x[:levels].ravel()
-        A = filled(part, len(block.rows), Values(nodes, parameters)(at.t, y))
+        A = filled(part, len(block.rows), Values(nodes)(at.t, y, at.p))
         if len(A) == 1:
             quality = float(abs(A[0, 0]))
-            error = bounds(nodes, at.t, y.tolist(), parameters.tolist())[0]
+            error = bounds(nodes, at.t, y.tolist(), at.p.tolist())[0]
             singular = not quality > _ROUNDOFFS * error
         else:
             quality = condition(A)
@@ -244,11 +252,8 @@ def conditions(reduction: Reduction, at: Point, parameters: Array) -> list[Block
 class _Stage:
     """Equations, and the variables that they determine."""
 
-    def __init__(
-        self, equations: Sequence[Node], moves: Sequence[Variable], names: Sequence[str], n: int, parameters: Array
-    ) -> None:
+    def __init__(self, equations: Sequence[Node], moves: Sequence[Variable], names: Sequence[str], n: int) -> None:
         self.equations, self.moves, self.names, self._n = list(equations), list(moves), list(names), n
-        self._parameters = parameters
         self._made: tuple[list[tuple[int, int]], Values, int] | None = None
 
     def _code(self) -> tuple[list[tuple[int, int]], Values, int]:
@@ -260,15 +265,15 @@ class _Stage:
             kept = [(place, slope) for place, slope in zip(places, slopes, strict=True) if not is_zero(slope)]
             nodes = [*self.equations, *(slope for _, slope in kept)]
             levels = 1 + max(leaves(nodes), default=0) // n
-            self._made = [place for place, _ in kept], Values(nodes, self._parameters), levels
+            self._made = [place for place, _ in kept], Values(nodes), levels
         return self._made
 
-    def evaluate(self, t: float, x: Array) -> tuple[Array, Array]:
+    def evaluate(self, at: Point) -> tuple[Array, Array]:
         """Return the residuals and their derivatives with respect to all that the stage may move."""
         places, values, levels = self._code()
-        room = np.zeros((max(levels, len(x)), self._n))
-        room[: len(x)] = x
-        found = values(t, room[:levels].ravel())
+        room = np.zeros((max(levels, len(at.x)), self._n))
+        room[: len(at.x)] = at.x
+        found = values(at.t, room[:levels].ravel(), at.p)
         m = len(self.equations)
         A = np.zeros((m, len(self.moves)))
         if places:
@@ -276,8 +281,10 @@ class _Stage:
             A[rows, columns] = found[m:]
         return found[:m], A
 
-    def solve(self, t: float, x: Array, w: Array, fixed: Collection[Variable]) -> None:
-        """Move x onto the equations, by the smallest change in the weights, without moving what is fixed."""
+    def solve(self, at: Point, w: Array, fixed: Collection[Variable]) -> None:
+        """Move the x of a point onto the equations, by the smallest change in the weights, without moving what is
+        fixed."""
+        t, x, _ = at
         free = [k for k, one in enumerate(self.moves) if one not in fixed]
         where = tuple(np.array([self.moves[k] for k in free], dtype=int).reshape(-1, 2).T)
 
@@ -285,7 +292,7 @@ class _Stage:
 
         def residual(values: Array) -> Array:
             x[where] = values
-            r, rows[:] = self.evaluate(t, x)  # by one function
+            r, rows[:] = self.evaluate(at)  # by one function
             return r if np.isfinite(rows).all() else np.where(np.isfinite(rows).all(axis=1), r, np.nan)
 
         def slopes(values: Array) -> tuple[Array, Array]:

@@ -80,9 +80,10 @@ class GenericPoints:
 
     def values(self, nodes: Sequence[Node], parameters: Array, which: Iterable[int] | None = None) -> list[Array]:
         """Return the values of nodes at these points, by default at all."""
-        evaluate = Values(nodes, parameters)
+        evaluate = Values(nodes)
         levels = 1 + max(leaves(nodes), default=0) // self.n
-        return [evaluate(self.t[k], self.y(k, levels)) for k in (range(len(self)) if which is None else which)]
+        points = range(len(self)) if which is None else which
+        return [evaluate(self.t[k], self.y(k, levels), parameters) for k in points]
 
 
 class Arrangement(NamedTuple):
@@ -245,10 +246,10 @@ class Structure:
         """Return the values of a block at the generic points."""
         part = self.arrangement.part(block.rows, block.columns)
         nodes = [node for *_, node in part]
-        evaluate = Values(nodes, self.parameters)
+        evaluate = Values(nodes)
         levels = 1 + max(leaves(nodes), default=0) // self.n
         for k in range(len(self.points)):
-            yield filled(part, len(block.rows), evaluate(self.points.t[k], self.points.y(k, levels)))
+            yield filled(part, len(block.rows), evaluate(self.points.t[k], self.points.y(k, levels), self.parameters))
 
     # ------------------------------------------------------------------------------------------------------------------
     # Repairs
@@ -340,7 +341,7 @@ class Structure:
                 for j, one in zip(others, whole, strict=True)
             }
             self.equations[i] = self._sums.everywhere(substituted([self.equations[i]], by)[0])
-        self.points = GenericPoints(self.points.t0, self.completed(self.points.t0, self.points.guess))
+        self.points = GenericPoints(self.points.t0, self.completed(self.points.t0, self.points.guess, self.parameters))
         self.sigma = np.full((self.n, self.n), ABSENT)
         self._slopes = [{} for _ in range(self.n)]
         for i in range(self.n):
@@ -354,7 +355,7 @@ class Structure:
         size = "" if abs(factor.value) == 1 else f"{abs(factor.value):.6g} "
         return f"{one} {'+' if factor.value < 0 else '-'} {size}{other}"
 
-    def completed(self, t: float, x: Array, parameters: Array | None = None) -> Array:
+    def completed(self, t: float, x: Array, parameters: Array) -> Array:
         """Return the values x_j^(l), (levels, n), with the values of the unknowns that substitutions introduced."""
         levels, first = len(x), self.n - len(self.definitions)
         found = np.zeros((levels, self.n))
@@ -364,7 +365,7 @@ class Structure:
             room = np.zeros((1 + max(leaves(nodes), default=0) // self.n, self.n))
             known = min(len(room), levels)
             room[:known] = found[:known]
-            values = Values(nodes, self.parameters if parameters is None else parameters)(t, room.ravel())
+            values = Values(nodes)(t, room.ravel(), parameters)
             found[:, j] = np.where(np.isfinite(values), values, 0.0)
         return found
 

@@ -31,7 +31,14 @@ class SlopesOfStart:
 def of_t_and_y(start: Callable[..., Any]) -> Any:
     """Return y0(\\*args) as a function of (t, y, \\*args), whose graph is known if y0 is a formula."""
     formula = getattr(start, "formula", None)
-    return formula if isinstance(formula, Formula) else lambda t, y, *args: start(*args)
+    if isinstance(formula, Formula):
+        return formula
+
+    def of(t: float, y: Array, *args: Any) -> Any:
+        return start(*args)
+
+    of.solves_equations = getattr(start, "solves_equations", False)  # type: ignore[attr-defined]
+    return of
 
 
 def follow_start(

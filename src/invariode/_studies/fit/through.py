@@ -114,7 +114,8 @@ class Through:
 
         whole = np.concatenate([at.y, guesses])
         self._derivatives = derivative_of(together, (None, len(whole)), at=Point(at.t, whole), called=called)
-        _tell(self._derivatives)
+        if not getattr(functions[0], "solves_equations", False):  # of which users have no code
+            _tell(self._derivatives)
         if (graph := self._derivatives.graph) is not None:
             try:
                 self._fast = _OnGraph(graph.outputs, n, "y", {n + j: j for j in range(len(names))})
