@@ -54,8 +54,8 @@ def test_fits_of_models_follow_initial_assignments_and_events():
 
 
 def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_path):
-    """A dose with a lag: `extend` finds what waits, unless another run has begun, or the run comes from a file; a dose
-    at the start depends on its parameter; problems can be pickled after runs with sensitivities."""
+    """A dose with a lag: `extend` finds what waits, whatever other runs have begun, unless the run comes from a file; a
+    dose at the start depends on its parameter; problems can be pickled after runs with sensitivities."""
     text = model(
         species("D", 0),
         parameter("dose", 5) + parameter("lag", 0.7),
@@ -73,7 +73,13 @@ def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_pat
     assert problem.replace(parameters={"dose": 2.0}).y0[0] == 2
     first = problem.solve(**run)
     first.save(tmp_path / "run.npz")
-    problem.replace(parameters={"dose": 2.0}).solve(**run)
-    for one in (first, iv.load(tmp_path / "run.npz", sbml.load(text).problem((0, 1)))):
-        with pytest.raises(ValueError, match="can be extended only before another one begins"):
-            one.extend(4)
+    other = problem.replace(parameters={"dose": 2.0}).solve(**run).extend(2)
+    early = problem.replace(t_span=(0, 0.3)).solve(**run)
+    problem.solve(**run, adjoint=True).gradient([1.0])
+    for _ in range(2):  # an extension is no part of the run either
+        for one, dose in ((first, 5), (other, 2), (early, 5)):
+            expected = dose * (np.exp(-4) + np.exp(-2.8))
+            np.testing.assert_allclose(one.extend(4).y_end[0], expected, rtol=1e-8)
+    for known in (problem, sbml.load(text).problem((0, 1))):
+        with pytest.raises(ValueError, match="cannot be extended from a file"):
+            iv.load(tmp_path / "run.npz", known).extend(4)

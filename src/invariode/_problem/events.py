@@ -222,6 +222,13 @@ class Roots:
         """Make the action at these roots the latest one again, for its derivatives."""
         self.latest = which, directions
 
+    def state(self) -> Any:
+        """Return what the functions remember of a run that has ended, for its extension."""
+        return None
+
+    def restore(self, state: Any) -> None:
+        """Remember a run again, whose extension begins; None: nothing is known of it."""
+
     def events(self) -> list[Event]:
         """Return one event for each function."""
         return [RootOf(self, k) for k in range(self.count)]

@@ -7,6 +7,7 @@ assignment all triggers are evaluated again, at the same time.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import random
 from collections.abc import Callable, Sequence
@@ -39,6 +40,9 @@ _HOLDS: dict[str, Callable[[int], bool]] = {
 
 #: Events at one time beyond which they are taken to trigger each other without end.
 _MOST_AT_ONCE = 3000
+
+#: What a machine remembers of a run, besides events that wait.
+_OF_RUN = ("_holds", "_is_fresh", "_is_running", "_signs", "_t0", "_truths", "_y0", "_zeros", "executed", "p")
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derive = Callable[..., Derivative]
@@ -315,6 +319,22 @@ class Machine:
             known = self._derivatives = start, MachineDerivatives(self, of, start)
         return known[1]
 
+    def state(self) -> dict[str, Any]:
+        """Return a copy of what belongs to the run that has ended."""
+        copies = {name: copy.copy(getattr(self, name)) for name in _OF_RUN}
+        return copies | {"queue": [copy.copy(one) for one in self.queue], "_random": self._random.getstate()}
+
+    def restore(self, state: dict[str, Any] | None) -> None:
+        """Continue the run of this state; None: it is not known, so that no run continues."""
+        if state is None:
+            self._is_running = False
+            return
+        for name in _OF_RUN:
+            setattr(self, name, copy.copy(state[name]))
+        self.queue = [copy.copy(one) for one in state["queue"]]
+        self._random = random.Random()
+        self._random.setstate(state["_random"])
+
     def functions(self, compiled: Any, once: bool) -> list[Roots]:
         """Return the root functions of a run: the differences of all comparisons, and how long an execution has been
         due. The latter also begins further runs, unless there is only one."""
@@ -331,8 +351,8 @@ class Machine:
             self._is_running = True
         elif args and not (self._is_running and np.array_equal(args[0], self.p[: len(args[0])])):
             raise ValueError(
-                "a run of a model with events can be extended only before another one begins, and not from a file: "
-                "events that wait for their execution are not stored with it. Solve the longer interval"
+                "a run of a model with events cannot be extended from a file: events that wait for their execution are "
+                "not stored with it. Solve the longer interval"
             )
         return [t - self._due if self.queue else -1.0]
 
@@ -465,6 +485,14 @@ class _OfMachine(Roots):
     def remembered(self) -> Any:
         """See `Roots.remembered`."""
         return [*self._machine.taken], self._machine.first_due
+
+    def state(self) -> Any:
+        """See `Roots.state`."""
+        return self._machine.state()
+
+    def restore(self, state: Any) -> None:
+        """See `Roots.restore`."""
+        self._machine.restore(state)
 
     def recall(self, which: Array, directions: Array, remembered: Any) -> None:
         """See `Roots.recall`."""
