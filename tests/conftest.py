@@ -14,7 +14,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
-os.environ["INVARIODE_CACHE"] = "off"  # what tests compile is compiled now, and nothing is left behind
+os.environ.setdefault("INVARIODE_CACHE", "off")  # nothing is left behind; `make` names a folder of the build's
 
 import invariode as iv
 from cases import ALGEBRAIC, IMPLICIT, METHODS

@@ -268,8 +268,10 @@ def endless(native):
     return iv.Problem(rate, (0, 1e12), [0.0], args=(1.0,), events=event), [(1.0,), (0.0,)] * 10
 
 
-@pytest.mark.parametrize(("native", "workers"), [(True, 2), (False, 1), (False, 2)])
-@pytest.mark.parametrize("from_iterator", [False, True])
+@pytest.mark.parametrize(
+    ("native", "workers", "from_iterator"),
+    [(True, 2, False), (True, 2, True), (False, 1, True), (False, 2, False)],
+)
 def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, from_iterator):
     """The finished ones are those of an ensemble without the others; the others have status -128 and are NaN."""
     problem, args = endless(native)

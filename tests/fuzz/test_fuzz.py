@@ -19,7 +19,7 @@ CASES = {
     "exceptions": 100,
     "networks": 10,
     "patterns": 30,
-    "seams": 60,
+    "seams": 20,
 }
 SEED = 2026
 

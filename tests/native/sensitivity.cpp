@@ -1,12 +1,12 @@
 // Sensitivities are moved to the tangent of the manifold along the directions in which the state is, and no farther.
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <limits>
 #include <random>
 #include <vector>
 
 #include "check.hpp"
+#include "decompositions.hpp"
 #include "problems.hpp"
 #include "sensitivity/tangent.hpp"
 #include "sensitivity/variations.hpp"
@@ -79,9 +79,7 @@ TEST(the_correction_is_the_least_one_to_the_tangent) {
       const auto w = one.projector.linearization().weights;
       const RowMajor scaled = one.G * Eigen::Map<const Vector>(w.data(), one.G.cols()).asDiagonal();
       for (int j = 0; j < Case::k; ++j) {
-        const Vector least =
-            scaled.transpose() *
-            (scaled * scaled.transpose()).fullPivHouseholderQr().solve(one.G * Vector(before.row(1 + j)));
+        const Vector least = smallest_solution(scaled, one.G * Vector(before.row(1 + j)));
         const Vector moved = Vector(before.row(1 + j)) - one.S(j);
         for (Eigen::Index i = 0; i < moved.size(); ++i) {
           const double unit = w[static_cast<std::size_t>(i)], roundoff = 4 * eps * std::abs(before(1 + j, i)) / unit;
