@@ -1,5 +1,6 @@
 // The projection is the minimum-norm Newton correction in the norm of the weights, whatever the units and rank of g.
 
+#include <Eigen/QR>
 #include <algorithm>
 #include <complex>
 #include <random>
