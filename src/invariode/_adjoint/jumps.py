@@ -31,7 +31,7 @@ from .._results.result import DenseSolution, Result
 from .._sensitivity.actions import AlongAction, OfRoots, Rate, is_at_root, of_event, of_roots, restoration
 from .._sensitivity.algebraic import Algebraic, dense_mass
 from .._sensitivity.landings import LandingJump, Schedule, landing_jump
-from .._sensitivity.variations import Crossing, Switching, given_derivatives
+from .._sensitivity.variations import SwitchCrossing, Switching, given_derivatives
 from .sections import SectionedSolution
 
 #: (fun, name in messages, ...) -> its derivatives.
@@ -510,7 +510,7 @@ class Jumps:
         none = np.zeros(self._n)
         return Jump(t, y, y, np.eye(self._n), np.outer(before - after, rates), none, rates, reholds=False, moves=False)
 
-    def _of_crossing(self, condition: Switching, crossing: Crossing, t: float, y: Array) -> Jump:
+    def _of_crossing(self, condition: Switching, crossing: SwitchCrossing, t: float, y: Array) -> Jump:
         e = Partials.at(condition.difference, t, y)
         moved = crossing.before - crossing.after
         of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate

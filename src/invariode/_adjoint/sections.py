@@ -135,23 +135,19 @@ class SectionedSolution:
         if found is None:
             while len(self._solved) >= _IN_MEMORY:
                 del self._solved[next(iter(self._solved))]
-            found = self._solved_again(place)
+            dense, g = self._sections[place].solved(), self._sol._invariants
+            ts = dense.knots()
+            ends = DenseSolution(dense, self._y.dtype, g)(ts[[0, -1]])
+            behind = self._sections[place + 1] if place + 1 < len(self._sections) else None
+            t_end, y_end = (self._sol.t_end, self._y) if behind is None else (behind.t, self._starts.get(place + 1))
+            if behind is not None and behind.plan is not self._sections[place].plan:
+                y_end = None  # an extension may start beside it, on algebraic equations
+            if ts[-1] != t_end or (y_end is not None and (ends[:, 1] != y_end).any()):
+                raise _not_the_same(float(ts[-1]))
+            self._starts[place] = ends[:, 0]
+            found = DenseSolution(dense, self._y.dtype, g, self._imposed)
         self._solved[place] = found
         return found
-
-    def _solved_again(self, place: int) -> DenseSolution:
-        """A section, which leads from its beginning to that of the next one, as far as that is known."""
-        dense, g = self._sections[place].solved(), self._sol._invariants
-        ts = dense.knots()
-        ends = DenseSolution(dense, self._y.dtype, g)(ts[[0, -1]])
-        behind = self._sections[place + 1] if place + 1 < len(self._sections) else None
-        t_end, y_end = (self._sol.t_end, self._y) if behind is None else (behind.t, self._starts.get(place + 1))
-        if behind is not None and behind.plan is not self._sections[place].plan:
-            y_end = None  # an extension may start beside it, on algebraic equations
-        if ts[-1] != t_end or (y_end is not None and (ends[:, 1] != y_end).any()):
-            raise _not_the_same(float(ts[-1]))
-        self._starts[place] = ends[:, 0]
-        return DenseSolution(dense, self._y.dtype, g, self._imposed)
 
 
 def _sections(run: Sectioned) -> Iterator[_Section]:

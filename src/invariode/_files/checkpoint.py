@@ -136,12 +136,24 @@ class RunFiles:
                 f"checkpoint: {self._path} is written by the process that began the run, and this one was forked from "
                 "it within the run: end it with os._exit, or let it solve a problem of its own"
             )
-        self._require_untouched()
+        now = _about(self._path)
+        if now is None:  # somebody has deleted it
+            self._left = None
+        elif self._left is None or any(now[name] != self._left[name] for name in ("token", "sequence", "writer")):
+            raise ValueError(
+                f"checkpoint: another process has written {self._path} while this run went on, which stops here: give "
+                "each run a name of its own"
+            )
         if self._begin is None:
             data = self._packed(_PART, part)
         else:
             data = self._packed(_FIRST_PART, self._begin(part))  # before there is a file: it may raise
-            self._create()
+            mode = 0o666 if self._left is None else 0o600  # the file of a former run may be private: from the beginning
+            with open(self._output, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as file:
+                if self._left is not None:
+                    take_mode(file.fileno(), os.stat(self._path))
+                file.write(_head_of(self._token))
+                self._length = file.tell()
             self._begin = None
         self._append(data)
         self._sequence += 1
@@ -151,25 +163,6 @@ class RunFiles:
         replaced, self._left = self._left, own
         if replaced is None or replaced["token"] != self._token:
             self._remove_remains()
-
-    def _require_untouched(self) -> None:
-        """Raise an error if another process has written the state file, as may happen where there are no locks."""
-        now = _about(self._path)
-        if now is None:  # somebody has deleted it
-            self._left = None
-        elif self._left is None or any(now[name] != self._left[name] for name in ("token", "sequence", "writer")):
-            raise ValueError(
-                f"checkpoint: another process has written {self._path} while this run went on, which stops here: give "
-                "each run a name of its own"
-            )
-
-    def _create(self) -> None:
-        mode = 0o666 if self._left is None else 0o600  # the file of a former run may be private: from the beginning
-        with open(self._output, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as file:
-            if self._left is not None:
-                take_mode(file.fileno(), os.stat(self._path))
-            file.write(_head_of(self._token))
-            self._length = file.tell()
 
     def _remove_remains(self) -> None:
         """The output of runs whose state file is gone, and what killed processes have left half written."""

@@ -110,7 +110,7 @@ def _matrix(
     """Return the value of a matrix that a user gives as a constant, a function or machine code."""
     shape = shape if bands is None else (sum(bands) + 1, shape[1])
     if is_native(given):
-        values = _Evaluation(given, args, (), shape[0] * shape[1], name, event=False)(t, y)
+        values = _WithArguments(given, args, (), shape[0] * shape[1], name, event=False)(t, y)
         return as_matrix(name, values.reshape(shape) if values.size == shape[0] * shape[1] else values, shape, at=t)
     found = given(t, y.copy(), *args) if callable(given) else given
     return as_matrix(name, found, shape, banded=bands is not None, at=t)
@@ -171,7 +171,7 @@ def derivative_of(
     TypeError
         A parameter is an integer, and F takes no other number in its place.
     """
-    evaluate = _Evaluation(function, args, names, shape[0], called or call_name(function, "fun"), event)
+    evaluate = _WithArguments(function, args, names, shape[0], called or call_name(function, "fun"), event)
     if evaluate.m is None:
         evaluate.m = len(evaluate(at.t, at.y))
     graph = OfGraph.of(function, evaluate, shape[1], unnoticed=traces == "unnoticed") if traces else None
@@ -191,7 +191,7 @@ class Derivative:
         As given to `derivative_of`.
     """
 
-    def __init__(self, evaluate: _Evaluation, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
+    def __init__(self, evaluate: _WithArguments, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
         self.n, self.m, self.k = len(at.y), evaluate.size, len(evaluate.names)
         self.args, self.names, self.called = evaluate.args, evaluate.names, evaluate.called
         self._evaluate, self._at, self._moves_t, self.graph = evaluate, at, moves_t, graph
@@ -200,12 +200,12 @@ class Derivative:
             evaluate.require_numbers(at)
 
     @cached_property
-    def _steps(self) -> _Steps | None:
+    def _steps(self) -> _ByIncrements | None:
         """Complex steps or differences; None: they are not needed."""
         given = self._given
         if self.graph is not None or not (given.jac is None or (given.dfdp is None and self.k) or self._moves_t):
             return None
-        return _Steps(self._evaluate, self._at, self._moves_t)
+        return _ByIncrements(self._evaluate, self._at, self._moves_t)
 
     @cached_property
     def how(self) -> str:
@@ -231,7 +231,7 @@ class Derivative:
         if self._steps is None or self._steps.how != "complex step":
             return True
         try:
-            return _Steps(self._evaluate, at, self._moves_t).how == "complex step"
+            return _ByIncrements(self._evaluate, at, self._moves_t).how == "complex step"
         except NOT_COMPLEX:
             return True  # F is not defined there, whatever the numbers
 
@@ -412,7 +412,7 @@ class OfGraph:
         self._codes: dict[str, Callable[[float, Array, Array], Array]] = {}
 
     @classmethod
-    def of(cls, fun: Any, evaluate: _Evaluation, n: int, *, unnoticed: bool) -> OfGraph | None:
+    def of(cls, fun: Any, evaluate: _WithArguments, n: int, *, unnoticed: bool) -> OfGraph | None:
         """Return the derivatives of a function from its graph; None: it has none, or a parameter is a constant of it,
         such as the count of a loop."""
         args, names, m = evaluate.args, evaluate.names, evaluate.size
@@ -580,7 +580,7 @@ def has_llvm() -> bool:
     return find_spec("llvmlite") is not None
 
 
-class _Evaluation:
+class _WithArguments:
     """Function (t, y) -> F with its arguments, or with other values of the parameters."""
 
     def __init__(
@@ -606,9 +606,9 @@ class _Evaluation:
             raise ValueError(f"{self.called} fills an array: say how many values it has")
         return self.m
 
-    def of_args(self, args: tuple[Any, ...]) -> _Evaluation:
+    def of_args(self, args: tuple[Any, ...]) -> _WithArguments:
         """Return F with other arguments."""
-        return _Evaluation(self._fun, args, self.names, self.m, self.called, self._event)
+        return _WithArguments(self._fun, args, self.names, self.m, self.called, self._event)
 
     def with_args(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
         """The values with other arguments."""
@@ -676,7 +676,7 @@ class _Sides:
     """Derivatives from one side, along a direction, by differences of three values: where a function is singular on
     one side, or its formula is."""
 
-    def __init__(self, evaluate: _Evaluation, n: int) -> None:
+    def __init__(self, evaluate: _WithArguments, n: int) -> None:
         self._evaluate, self._n = evaluate, n
 
     def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
@@ -709,10 +709,10 @@ class _Sides:
         return self._evaluate(float(x[0]), x[1 : 1 + self._n], x[1 + self._n :]).astype(float)
 
 
-class _Steps:
+class _ByIncrements:
     """Derivatives by complex steps, if these give what differences give; else by central differences."""
 
-    def __init__(self, evaluate: _Evaluation, at: Point, moves_t: bool) -> None:
+    def __init__(self, evaluate: _WithArguments, at: Point, moves_t: bool) -> None:
         self._evaluate, self._n = evaluate, len(at.y)
         p, self._size_of_p = evaluate.p, _sizes_of(evaluate.p)
         direction = np.concatenate(
@@ -723,7 +723,7 @@ class _Steps:
         works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
         self.how = "complex step" if works else "differences"
 
-    def of(self, evaluate: _Evaluation) -> _Steps:
+    def of(self, evaluate: _WithArguments) -> _ByIncrements:
         """Return these steps through F with other arguments."""
         made = copy(self)
         made._evaluate, made._size_of_p = evaluate, _sizes_of(evaluate.p)

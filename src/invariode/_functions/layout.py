@@ -68,10 +68,6 @@ class Numbers:
     def __reduce__(self) -> tuple[type[Numbers], tuple[Any, ...]]:
         return Numbers, (self.value, self.fixed, self.rank == _VARYING)
 
-    def as_constant(self, fixed: bool) -> Numbers:
-        """Return these numbers as a constant, or as parameters."""
-        return Numbers(self.value, fixed, self.rank == _VARYING)
-
 
 class Listed:
     """A list, tuple or record of entries; `kind` makes it of its values."""
@@ -153,7 +149,7 @@ class ArgumentLayout:
 
         def of(entry: Entry) -> Entry:
             if isinstance(entry, Numbers):
-                return entry.as_constant(entry.rank <= most)
+                return Numbers(entry.value, entry.rank <= most, entry.rank == _VARYING)
             return Listed(entry.kind, tuple(map(of, entry.entries))) if isinstance(entry, Listed) else entry
 
         return ArgumentLayout(tuple(map(of, self.entries)))

@@ -72,7 +72,7 @@ class InvariantSpec(NamedTuple):
     columns: Sequence[int] = ()  # the components to which these entries belong
 
 
-class Jump(NamedTuple):
+class ValueJump(NamedTuple):
     """New values of invariants, from an action or from a breakpoint where they jump."""
 
     row: int  # of the output, the first at which they hold
@@ -103,7 +103,7 @@ class BoundInvariants:
     evaluations: int = 0  # of the functions, so far
 
     tangents: Sequence[Any] = ()  # with sensitivities (t, Y) -> G S_j + g_pj of each spec
-    jumps: tuple[Jump, ...] = ()
+    jumps: tuple[ValueJump, ...] = ()
     forward: float = 1.0
 
     def __len__(self) -> int:
@@ -159,7 +159,7 @@ class BoundInvariants:
 
     def jumped(self, jumps: Iterable[tuple[int, float, Array]]) -> BoundInvariants:
         """Return these invariants with the jumps of a run."""
-        return replace(self, jumps=tuple(Jump(*jump) for jump in jumps))
+        return replace(self, jumps=tuple(ValueJump(*jump) for jump in jumps))
 
     def pieces_of_output(self, size: int) -> Array:
         """Return for each of `size` points of the output the number of jumps before it."""

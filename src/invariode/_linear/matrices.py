@@ -96,7 +96,7 @@ class _Jacobian(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Start:
+class FunctionAtStart:
     """f, as users write it, with what it is called with at the start.
 
     `traced`: the same function with a graph, if Jacobians are made of that. `complex_by_default`: complex steps are the
@@ -130,7 +130,7 @@ class Start:
         return native(made, self.traced, vectors * len(self.y), size, self.parameters.size)
 
 
-def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
+def prepare(given: Matrices, start: FunctionAtStart, matrix_free: Krylov | None = None) -> _core.Linear:
     """Return a problem's matrices for the core. A Jacobian function is called once, at (t0, y0), to see what it
     returns.
 
@@ -165,7 +165,7 @@ def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
     return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
 
 
-def _jacobian(given: Matrices, start: Start) -> _Jacobian:
+def _jacobian(given: Matrices, start: FunctionAtStart) -> _Jacobian:
     """Return the storage of the Jacobian, its kind, and its values or its function."""
     y0, args = start.y, start.args
     n, is_complex = len(y0), np.iscomplexobj(y0)
@@ -190,7 +190,7 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
     return _Jacobian(held, "constant", held.values("jac", given.jac))
 
 
-def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _Jacobian:
+def _computed(given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart) -> _Jacobian:
     """Return a Jacobian computed from f, by complex steps or finite differences, in a structure that is given or
     found."""
     y0, found, pattern = start.y, 0, None
@@ -219,7 +219,9 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     return _Jacobian(held, "complex-step", (at_complex, pattern), found)
 
 
-def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start, exact: Derived) -> _Jacobian:
+def _exact_jacobian(
+    given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart, exact: Derived
+) -> _Jacobian:
     """Return the Jacobian from the graph of f: in bands if these are given, sparse if that is chosen or pays. Its
     pattern is that of the graph, whatever was given."""
     n, pattern = len(start.y), None
@@ -251,7 +253,7 @@ def _is_sparse(given: Matrices, entries: int, n: int) -> bool:
     return not isinstance(way, str) or way == "detect"
 
 
-def _rate(given: Matrices, start: Start) -> Any:
+def _rate(given: Matrices, start: FunctionAtStart) -> Any:
     """∂f/∂t, if f has a graph and no inputs, whose rates are not known."""
     exact = start.exact
     differences = isinstance(given.jac, str) and given.jac == "differences"
@@ -260,7 +262,7 @@ def _rate(given: Matrices, start: Start) -> Any:
     return start.derivative(exact.rate(), len(start.y))
 
 
-def _complex_steps(jac: str | None, start: Start) -> Any:
+def _complex_steps(jac: str | None, start: FunctionAtStart) -> Any:
     """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
     if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
         return None

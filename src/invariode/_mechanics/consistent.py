@@ -13,7 +13,7 @@ from .._base.failures import InvariantError
 from .._base.matrices import as_dense
 from .._functions.increments import sizes, somewhere
 from .._linear.least_norm import by_factors
-from .motion import DEPENDENT, MANY_COLUMNS, Motion, Point, lengths, vanishing
+from .motion import DEPENDENT, MANY_COLUMNS, Motion, MotionPoint, lengths, vanishing
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
 _ITERATIONS = 50
@@ -31,7 +31,7 @@ _REDUNDANT = 1e-8
 _FAR = 1e-4
 
 
-def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
+def consistent_state(motion: Motion, start: MotionPoint, names: list[str]) -> MotionPoint:
     """Return the state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
 
     q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
@@ -66,7 +66,7 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     return after
 
 
-def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
+def _consistent_positions(motion: Motion, start: MotionPoint, names: list[str], nearest: bool = True) -> Array:
     """Return the q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
@@ -139,7 +139,7 @@ def _entries(matrix: Any) -> Array:
     return np.asarray(matrix.data if hasattr(matrix, "toarray") else matrix)
 
 
-def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
+def nearby_state(motion: Motion, at: MotionPoint, names: list[str]) -> MotionPoint:
     """Return a consistent state beside a consistent one, where nothing is singular by chance; that one, if none is
     found."""
     direction = somewhere(at.q)

@@ -42,7 +42,7 @@ _STATE = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for n
 Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
 
 
-class Point(NamedTuple):
+class MotionPoint(NamedTuple):
     """A state of the system, and the extra arguments of its functions."""
 
     t: float
@@ -83,7 +83,7 @@ class Motion:
     ----------
     functions : Functions
         The user's.
-    start : Point
+    start : MotionPoint
         A point at which the functions are tried.
 
     Attributes
@@ -96,7 +96,7 @@ class Motion:
         How the derivatives of each function are formed.
     """
 
-    def __init__(self, functions: Functions, start: Point) -> None:
+    def __init__(self, functions: Functions, start: MotionPoint) -> None:
         self.n_q, self.n_v = len(start.q), len(start.v)
         called = [one for one in functions[:-1] if one is not None]
         self.native = any(map(is_native, called))
@@ -146,7 +146,7 @@ class Motion:
     # The user's functions
 
     def _differentiate(
-        self, name: str, signature: str, functions: Functions, start: Point, parts: tuple[Array, ...]
+        self, name: str, signature: str, functions: Functions, start: MotionPoint, parts: tuple[Array, ...]
     ) -> int:
         """Store the function with its derivatives; return the number of its values."""
         function = getattr(functions, name)
@@ -160,7 +160,7 @@ class Motion:
         self.derivatives[name] = of.how
         return of.m
 
-    def _choose_mass(self, mass: Any, start: Point, p: ArgumentLayout) -> tuple[str, Columns]:
+    def _choose_mass(self, mass: Any, start: MotionPoint, p: ArgumentLayout) -> tuple[str, Columns]:
         """Return what the function of the mass writes, and the matrix or its pattern."""
         n = self.n_v
         if not callable(mass) and not is_native(mass):
@@ -184,7 +184,7 @@ class Motion:
             return "rows", full_pattern(n, n)
         return "rows", _pattern_of_matrix(mass, start, (n, n))
 
-    def _take_jacobian(self, jacobian: Any, start: Point, p: ArgumentLayout) -> None:
+    def _take_jacobian(self, jacobian: Any, start: MotionPoint, p: ArgumentLayout) -> None:
         shape = (self.m_phi, self.n_q)
         self.derivatives["constraints"] = f"given and {self.derivatives['constraints']}"
         returned = None if is_native(jacobian) else jacobian(start.t, start.q.copy(), *start.args)
@@ -272,7 +272,7 @@ class Motion:
         yield known[1]
         self._idle[key] = known
 
-    def choose_factors(self, points: Sequence[Point]) -> None:
+    def choose_factors(self, points: Sequence[MotionPoint]) -> None:
         """Disable sparse factors if they fail at all of these points."""
         core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).numbers.tolist())
         if not core.sparse:
@@ -289,7 +289,7 @@ class Motion:
     def _all(self) -> Array:
         return np.ones(self.m, dtype=bool)
 
-    def mass(self, at: Point) -> Any:
+    def mass(self, at: MotionPoint) -> Any:
         """Return M, (n_v, n_v); like the rows of constraints sparse, if it is large and most entries are zero."""
         with self.bound(at.args) as motion:
             return _assembled(motion.mass(at.t, at.x), self.n_v)
@@ -312,20 +312,20 @@ class Motion:
         """Return whether the core tries sparse factors first."""
         return _core.Motion(self.spec(), (), []).sparse
 
-    def slope(self, at: Point) -> Array:
+    def slope(self, at: MotionPoint) -> Array:
         """Return (q', v'), (n_q + n_v,)."""
         with self.bound(at.args) as motion:
             return motion.evaluate("slope", at.t, at.x)
 
-    def _evaluated(self, part: str, at: Point) -> Array:
+    def _evaluated(self, part: str, at: MotionPoint) -> Array:
         with self.bound(at.args, self._all) as motion:
             return motion.evaluate(part, at.t, at.x)
 
-    def positions(self, at: Point) -> Array:
+    def positions(self, at: MotionPoint) -> Array:
         """Return the residuals φ of the constraints of positions."""
         return self._evaluated("positions", at) if self.m_phi else np.zeros(0)
 
-    def positions_jacobian(self, at: Point) -> Any:
+    def positions_jacobian(self, at: MotionPoint) -> Any:
         """Return Φ = ∂φ/∂q."""
         if not self.m_phi:
             return np.zeros((0, self.n_q))
@@ -333,18 +333,18 @@ class Motion:
             return self.rows(at)[: self.m_phi]
         return self._evaluated("positions_jacobian", at).reshape(self.m_phi, -1)[:, : self.n_q]
 
-    def rates(self, at: Point) -> Array:
+    def rates(self, at: MotionPoint) -> Array:
         """Return (φ', ψ), which consistent velocities make zero."""
         parts = [self._evaluated("rates", at)] if self.m_phi else []
         parts += [self._evaluated("velocities", at)] if self.m_psi else []
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def rows(self, at: Point) -> Any:
+    def rows(self, at: MotionPoint) -> Any:
         """Return A = (Φ K_v, ψ_v), of shape (m, n_v)."""
         with self.bound(at.args, self._all) as motion:
             return _assembled(motion.rows(at.t, at.x)[0], self.m)
 
-    def violated(self, at: Point, weights: Array) -> list[int]:
+    def violated(self, at: MotionPoint, weights: Array) -> list[int]:
         """Return the constraints that are not imposed and are off by many tolerances `weights` of (q, v)."""
         phi, psi = self.kept[: self.m_phi], self.kept[self.m_phi :]
         off = np.zeros(self.m, dtype=bool)
@@ -356,7 +356,7 @@ class Motion:
             off[self.m_phi :] = _far(self.rates(at)[self.m_phi :], self.rows(at)[self.m_phi :], at.v, w, psi)
         return np.flatnonzero(off).tolist()
 
-    def accelerations(self, at: Point, every: bool = False) -> Accelerations:
+    def accelerations(self, at: MotionPoint, every: bool = False) -> Accelerations:
         """Return v' and λ; `every`: with redundant constraints too, λ is then the one of least norm."""
         with self.bound(at.args, self._all if every else self.kept) as motion:
             return Accelerations(*motion.accelerations(at.t, at.x))
@@ -404,7 +404,7 @@ class MotionFunction(CoreFunction):
         motion = self._motion
         if motion.kept.all():
             return None
-        return LeftOut(motion, Point(t0, y0[: motion.n_q], y0[motion.n_q :], args), rtol, atol, callback)
+        return LeftOut(motion, MotionPoint(t0, y0[: motion.n_q], y0[motion.n_q :], args), rtol, atol, callback)
 
     def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> _core.MotionPart:
         return self._motion.part(self._part)
@@ -420,7 +420,7 @@ class LeftOut:
     ----------
     motion : Motion
         Of which constraints are left out.
-    start : Point
+    start : MotionPoint
         Where the run starts, with its arguments.
     rtol, atol : array_like
         The tolerances of the run.
@@ -433,7 +433,9 @@ class LeftOut:
         Which constraint does not hold, and at which t the run ends for it.
     """
 
-    def __init__(self, motion: Motion, start: Point, rtol: ArrayLike, atol: ArrayLike, callback: Callback) -> None:
+    def __init__(
+        self, motion: Motion, start: MotionPoint, rtol: ArrayLike, atol: ArrayLike, callback: Callback
+    ) -> None:
         self._motion, self._start, self._callback = motion, start, callback
         self._rtol, self._atol = np.asarray(rtol, dtype=float), np.asarray(atol, dtype=float)
         self.objection: str | None = None
@@ -447,7 +449,7 @@ class LeftOut:
             self._look(self._start._replace(t=float(t), q=y[:n], v=y[n : n + self._motion.n_v]))
         return stop or self.objection is not None
 
-    def _look(self, at: Point) -> None:
+    def _look(self, at: MotionPoint) -> None:
         off = self._motion.violated(at, np.maximum(self._rtol * np.abs(at.x), self._atol))
         if not off:
             return
@@ -559,14 +561,14 @@ def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
     return dense
 
 
-def _beside(start: Point) -> Iterator[Array]:
+def _beside(start: MotionPoint) -> Iterator[Array]:
     """Yield positions near the start, where nothing vanishes by chance."""
     for part in _BESIDE:
         yield start.q + part * somewhere(start.q)
 
 
 def _entries(
-    function: Callable[..., Any], name: str, at_start: Any, shape: tuple[int, int], start: Point
+    function: Callable[..., Any], name: str, at_start: Any, shape: tuple[int, int], start: MotionPoint
 ) -> tuple[SparseJacobian, Columns]:
     """Return the entries of a sparse matrix by columns, all that it stores at the start and near it, and their
     pattern."""
@@ -576,7 +578,7 @@ def _entries(
     return entries, (starts, rows, np.ones(len(rows)))
 
 
-def _pattern_of_matrix(function: Callable[..., Any], start: Point, shape: tuple[int, int]) -> Columns:
+def _pattern_of_matrix(function: Callable[..., Any], start: MotionPoint, shape: tuple[int, int]) -> Columns:
     """Return the pattern of a dense matrix of (t, q): entries that are not zero at some points, or that depend on q."""
     entries = np.zeros(shape, dtype=bool)
     for q in (start.q.copy(), *_beside(start), np.full(len(start.q), np.nan)):

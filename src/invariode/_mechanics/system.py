@@ -19,7 +19,7 @@ from .._problem.invariants import Invariants, InvariantsLike, to_invariants
 from .._problem.problem import Problem
 from .._results.solution import HasPoints
 from .consistent import consistent_state, nearby_state, redundant_rows
-from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point, vanishing
+from .motion import FunctionOfState, Functions, Motion, MotionFunction, MotionPoint, vanishing
 
 #: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
 _INCONSISTENT = 1e-6
@@ -201,7 +201,7 @@ class MechanicalSystem(HasPoints):
         """
         choice("consistent", consistent, ("check", "project"))
         choice("correction", correction, ("levels", "joint", "none"))
-        start = Point(interval(t_span)[0], state(q0), state(v0), self.args)
+        start = MotionPoint(interval(t_span)[0], state(q0), state(v0), self.args)
         motion = self._motion(start)
         names = self._names(motion)
         known = consistent_state(motion, start, names)
@@ -254,7 +254,7 @@ class MechanicalSystem(HasPoints):
         """
         values = state(y)
         n = self._positions_of(values)
-        start = Point(float(t), values[:n], values[n:], self.args)
+        start = MotionPoint(float(t), values[:n], values[n:], self.args)
         motion = self._motion(start)
         return consistent_state(motion, start, self._names(motion)).x
 
@@ -328,12 +328,12 @@ class MechanicalSystem(HasPoints):
         n, place, args = self._positions_of(sol.y), self.points, self.args
         return lambda t, y: place(t, y[:n], *args)
 
-    def _along(self, sol: Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
+    def _along(self, sol: Points, args: Iterable[Any] | None) -> list[tuple[Motion, MotionPoint]]:
         n = self._positions_of(np.asarray(sol.y))
         source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
         known = self.args if source is None else source.problem.args
         used = known if args is None else extra_arguments(args)
-        points = [Point(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        points = [MotionPoint(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]
 
@@ -350,7 +350,7 @@ class MechanicalSystem(HasPoints):
     # ------------------------------------------------------------------------------------------------------------------
     # The start
 
-    def _motion(self, start: Point) -> Motion:
+    def _motion(self, start: MotionPoint) -> Motion:
         n_q, n_v = len(start.q), len(start.v)
         if self.kinematics is None and n_q != n_v:
             raise ValueError(
@@ -374,7 +374,7 @@ class MechanicalSystem(HasPoints):
         self._require_linear(motion, start)
         return motion
 
-    def _require_linear(self, motion: Motion, start: Point) -> None:
+    def _require_linear(self, motion: Motion, start: MotionPoint) -> None:
         if not motion.m_psi:
             return
         v = np.where(start.v != 0, start.v, 1.0)
@@ -402,7 +402,7 @@ class MechanicalSystem(HasPoints):
         positions = [f"q{i + 1}" for i in range(motion.n_q)]
         return positions + [f"v{i + 1}" for i in range(motion.n_v)]
 
-    def _look_for_redundancy(self, motion: Motion, known: Point, names: list[str]) -> None:
+    def _look_for_redundancy(self, motion: Motion, known: MotionPoint, names: list[str]) -> None:
         """Leave out constraints that depend on others beside the start: not those of a singular position."""
         if not motion.m:
             return
@@ -425,13 +425,13 @@ class MechanicalSystem(HasPoints):
         motion.kept, motion.names = ~redundant, names
         motion.choose_factors([known, beside])
 
-    def _tell_move(self, start: Point, known: Point) -> None:
+    def _tell_move(self, start: MotionPoint, known: MotionPoint) -> None:
         q, v = (np.abs(a - b).max(initial=0.0) for a, b in ((known.q, start.q), (known.v, start.v)))
         roundoff = _SYMMETRIC * max(np.abs(start.x).max(initial=0.0), np.finfo(float).tiny)
         if max(q, v) > roundoff:
             warn(f"the start was moved onto the constraints: components of q0 by up to {q:.3g}, of v0 by up to {v:.3g}")
 
-    def _require_consistent(self, motion: Motion, start: Point, names: list[str]) -> None:
+    def _require_consistent(self, motion: Motion, start: MotionPoint, names: list[str]) -> None:
         t, v = start.t, start.v
         held, rows = motion.positions(start), motion.positions_jacobian(start)
         parts = [("", held, abs(rows) @ np.abs(start.q), names)]

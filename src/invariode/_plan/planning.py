@@ -53,7 +53,7 @@ from .second_order import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
-    from .._linear.matrices import Start
+    from .._linear.matrices import FunctionAtStart
     from .._taylor.expansion import SeriesSystem
 from .plan import Choice, CoreFunctions, Course, Plan, Settings
 
@@ -430,7 +430,7 @@ def _linear_algebra(
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
-    from .._linear.matrices import Start, prepare, too_large_to_be_dense
+    from .._linear.matrices import FunctionAtStart, prepare, too_large_to_be_dense
 
     t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
     jac = jac if problem.delays is None else "differences"
@@ -441,7 +441,7 @@ def _linear_algebra(
     compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
     inside = y0 if bounds is None else bounds.nearest(y0)
     fun_of_y, traced = _of_state(problem, traced, parameters)
-    start = Start(fun_of_y, t0, inside, problem.args, parameters, bounds, compiled, traced)
+    start = FunctionAtStart(fun_of_y, t0, inside, problem.args, parameters, bounds, compiled, traced)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], start))
     if not linear.algebraic:
         return linear, y0
@@ -498,7 +498,7 @@ def _require_linear_solver(method: Method, chosen: object) -> None:
         )
 
 
-def _matrix_free(problem: Problem, matrices: Matrices, chosen: LinearSolver, start: Start) -> Krylov | None:
+def _matrix_free(problem: Problem, matrices: Matrices, chosen: LinearSolver, start: FunctionAtStart) -> Krylov | None:
     from .._linear.krylov import krylov
 
     if not isinstance(chosen, GMRES):

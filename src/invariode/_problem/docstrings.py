@@ -89,12 +89,7 @@ def _paragraphs(names: Iterable[str], own: Mapping[str, Any]) -> Iterator[tuple[
             continue
         default = own.get(name, row.default)
         optional = "optional" if default is None else f"default {default!r}"
-        yield f"{', '.join(together)} : {row.kind}, {optional}", _for_methods(name) + row.text
+        those = [method.name for method in METHODS.values() if name in method.options]
+        listed = " and ".join(filter(None, [", ".join(those[:-1]), *those[-1:]]))
+        yield f"{', '.join(together)} : {row.kind}, {optional}", (f"For {listed}. " if those else "") + row.text
         together = []
-
-
-def _for_methods(name: str) -> str:
-    """Return the words "For ode23 and …. " for an option that only some methods can use, else an empty string."""
-    those = [method.name for method in METHODS.values() if name in method.options]
-    listed = " and ".join(filter(None, [", ".join(those[:-1]), *those[-1:]]))
-    return f"For {listed}. " if those else ""

@@ -429,7 +429,12 @@ class DenseSolution:
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         if not flag("extrapolate", extrapolate):
-            require_inside(times, self.t_min, self.t_max)
+            outside = np.atleast_1d(times)[~((times >= self.t_min) & (times <= self.t_max)).reshape(-1)]
+            if outside.size:
+                raise ValueError(
+                    f"t = {outside[0]:.10g} is outside the solution's interval, {self.t_min:.10g} to "
+                    f"{self.t_max:.10g}: extend the run, sol.extend(t), or leave out extrapolate=False"
+                )
         g = self._invariants
         rows = g.evaluate(self._dense, np.atleast_1d(times))
         y = as_columns(rows[:, : self._dense.n] if self._dense.parameters else rows, self._dtype)
@@ -474,22 +479,6 @@ class DenseSolution:
         """Return the continuous solution with its values projected to roundoff."""
         made = DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
         return made.after(self._history)
-
-
-def require_inside(times: Array, t_min: float, t_max: float) -> None:
-    """Require that times are in an interval.
-
-    Raises
-    ------
-    ValueError
-        One is not; it is named, with the interval.
-    """
-    outside = np.atleast_1d(times)[~((times >= t_min) & (times <= t_max)).reshape(-1)]
-    if outside.size:
-        raise ValueError(
-            f"t = {outside[0]:.10g} is outside the solution's interval, {t_min:.10g} to {t_max:.10g}: extend the run, "
-            "sol.extend(t), or leave out extrapolate=False"
-        )
 
 
 @dataclasses.dataclass

@@ -24,7 +24,7 @@ from .._files.identity import Identity, identity_of_run
 from .._functions.compiled import CoreFunction
 from .._functions.graph.derived import is_derived
 from .._functions.layout import layout_of
-from .._laws.bound import BoundInvariants, Jump, as_columns
+from .._laws.bound import BoundInvariants, ValueJump, as_columns
 from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
@@ -685,7 +685,7 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
 def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
     """Join two solutions, the second of which continues where the first ended, into one with the counts of both.
     `points`: outputs of the first."""
-    jumps = tuple(Jump(row + points, t, value) for row, t, value in new._invariants.jumps)
+    jumps = tuple(ValueJump(row + points, t, value) for row, t, value in new._invariants.jumps)
     bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
     sol = None
     if old.sol is not None and new.sol is not None:

@@ -241,7 +241,7 @@ class _ActionOfRoots:
         return np.zeros((self.k, 0))
 
 
-class _Row:
+class _OneOfSeveral:
     """Derivatives of one of several functions."""
 
     def __init__(self, functions: Along, number: int) -> None:
@@ -278,7 +278,7 @@ class EventTime:
         for event in events:
             if isinstance(event, RootOf):
                 of = roots[id(event.roots)]
-                known: tuple[Along, bool] = _Row(of.fun, event.number), of.is_known
+                known: tuple[Along, bool] = _OneOfSeveral(of.fun, event.number), of.is_known
             else:
                 known = of_event(event, derivatives)
             found.append(cls(event, *known, rate, weights))

@@ -24,7 +24,7 @@ _SAME_SPACE = 1e-10
 _TIMES = (0.0, 0.3819660112501051, 1.0)
 
 
-class _Rows:
+class _MassByRows:
     """A mass matrix (t, *args) as a function of (t, y, *args), row by row."""
 
     def __init__(self, mass: Any) -> None:
@@ -56,7 +56,7 @@ class MassDerivatives:
     def __init__(self, problem: Problem, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]) -> None:
         n = len(problem.y0)
         at = Point(problem.t_span[0], problem.y0)
-        rows = _Rows(problem.matrices.mass)
+        rows = _MassByRows(problem.matrices.mass)
         self.derivatives = derivative_of(rows, (n * n, n), at=at, args=problem.args, names=names, called="mass")
         self._rate, self._n = rate, n
 
@@ -110,7 +110,7 @@ class AlgebraicOverTime:
 def mass_rate(problem: Problem, derivatives: Callable[..., Derivative]) -> Callable[[float], Array]:
     """M' as a function of t."""
     n = len(problem.y0)
-    made = derivatives(_Rows(problem.matrices.mass), "mass", m=n * n, moves_t=True)
+    made = derivatives(_MassByRows(problem.matrices.mass), "mass", m=n * n, moves_t=True)
     return lambda t: made.of_time(t, problem.y0).reshape(n, n)
 
 

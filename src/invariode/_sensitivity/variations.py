@@ -425,7 +425,7 @@ _MOST_SWITCHES = 32
 _MOST_DOUBLINGS = 8
 
 
-class Crossing(NamedTuple):
+class SwitchCrossing(NamedTuple):
     """Crossing of e(t, y, p) = 0: y' before and after, the rate of e before, and whether it leads back."""
 
     before: Array
@@ -465,15 +465,15 @@ class Switching:
         made.__name__ = self.name
         return made
 
-    def crossing(self, t: float, y: Array) -> Crossing | None:
+    def crossing(self, t: float, y: Array) -> SwitchCrossing | None:
         """Return the crossing in this state, or None if there is none."""
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
         none = np.zeros((2, self.difference.k))
         rates = self.difference.columns(t, y, np.ones(2), np.stack([below, above]), none)[:, 0]
         rising, falling = self._forward * rates[0] > 0, self._forward * rates[1] < 0
         if rising:
-            return Crossing(below, above, rates[0], bool(falling))
-        return Crossing(above, below, rates[1], leads_back=False) if falling else None
+            return SwitchCrossing(below, above, rates[0], bool(falling))
+        return SwitchCrossing(above, below, rates[1], leads_back=False) if falling else None
 
     def action(self, t: float, y: Array, *args: Any) -> Array:
         """y, moved by roundoff to the side of the new branch, so that the next step begins with that."""
@@ -500,7 +500,7 @@ class Switching:
         moved: Array = S + np.outer(times, found.before - found.after)
         return moved
 
-    def tell(self, t: float, found: Crossing) -> None:
+    def tell(self, t: float, found: SwitchCrossing) -> None:
         """A warning if another condition has changed at the same time, or if the crossing leads back."""
         together = [name for time, name in self._log if abs(time - t) <= _TOGETHER * max(abs(t), 1.0)]
         self._log.append((t, self.name))

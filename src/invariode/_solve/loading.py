@@ -19,7 +19,7 @@ from .._core import MEMORY_VERSION, Dense
 from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
 from .._functions.layout import NO_ARGUMENTS
-from .._laws.bound import BoundInvariants, Jump, bind
+from .._laws.bound import BoundInvariants, ValueJump, bind
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
@@ -235,7 +235,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
         (),
         NO_ARGUMENTS,
         None,
-        jumps=tuple(Jump(*jump) for jump in jumps),
+        jumps=tuple(ValueJump(*jump) for jump in jumps),
         forward=fields["forward"],
         at_outputs=at_outputs,
         outputs=y,

@@ -99,7 +99,13 @@ def compare(
 
     Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
-    rtols = _rtols(decades)
+    matched = re.fullmatch(r"(\d+)-(\d+)", decades)
+    first, last = map(int, matched.groups()) if matched else (1, 0)
+    if not 1 <= first <= last <= 13:
+        raise typer.BadParameter(
+            f"expected M-N with 1 ≤ M ≤ N ≤ 13, as in 3-9, got {decades!r}", param_hint="--decades"
+        )
+    rtols = [float(f"1e-{k}") for k in range(first, last + 1)]
     if not (math.isfinite(atol_ratio) and atol_ratio >= 0):
         raise typer.BadParameter("must be a number that is not negative", param_hint="--atol-ratio")
     if not limit > 0:
@@ -147,17 +153,15 @@ def _print_all(
 def _answer(problem: Problem, rows: list[Row], truth: Reference) -> str:
     if problem.invariants:
         return answer(best(rows, truth.floor))
-    return _without_invariants(problem, rows, truth.floor)
-
-
-def _rtols(decades: str) -> list[float]:
-    matched = re.fullmatch(r"(\d+)-(\d+)", decades)
-    first, last = map(int, matched.groups()) if matched else (1, 0)
-    if not 1 <= first <= last <= 13:
-        raise typer.BadParameter(
-            f"expected M-N with 1 ≤ M ≤ N ≤ 13, as in 3-9, got {decades!r}", param_hint="--decades"
-        )
-    return [float(f"1e-{k}") for k in range(first, last + 1)]
+    fastest = cheapest(rows, truth.floor)
+    ranking = ""
+    if fastest:
+        error, method, seconds = fastest
+        ranking = f"; {method} reaches an error of {power(error)} fastest, in {clock(seconds)}"
+    return (
+        f"{problem.name} has no invariants, so there is nothing to project{ranking}. "
+        "invariode.find_invariants(fun, t_span, y0) looks for polynomial ones."
+    )
 
 
 def _own_name(name: str) -> Method:
@@ -243,12 +247,8 @@ def _cells(run: Run, truth: Reference, with_off: bool, with_g: bool) -> list[str
     error = f"{run.error:.1e}" if run.error >= truth.floor else f"<{power(truth.floor)}"
     counts = [count(number) for number in ((run.f, run.g, run.jacobians) if with_g else (run.f,))]
     off = [] if not with_off else ["–" if run.off is None else power(run.off) if run.off else "0"]
-    return [error, *off, *counts, _milliseconds(run.seconds)]
-
-
-def _milliseconds(seconds: float) -> str:
-    ms = 1e3 * seconds
-    return f"{ms:.0f}" if ms >= 100 else f"{ms:.3g}"
+    ms = 1e3 * run.seconds
+    return [error, *off, *counts, f"{ms:.0f}" if ms >= 100 else f"{ms:.3g}"]
 
 
 def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
@@ -388,15 +388,3 @@ def _counted(one: Judgement) -> str:
 def _range(ratios: Sequence[float]) -> str:
     low, high = f"{min(ratios):.2g}", f"{max(ratios):.2g}"
     return low if low == high else f"{low} to {high}"
-
-
-def _without_invariants(problem: Problem, rows: Sequence[Row], floor: float) -> str:
-    fastest = cheapest(rows, floor)
-    ranking = ""
-    if fastest:
-        error, method, seconds = fastest
-        ranking = f"; {method} reaches an error of {power(error)} fastest, in {clock(seconds)}"
-    return (
-        f"{problem.name} has no invariants, so there is nothing to project{ranking}. "
-        "invariode.find_invariants(fun, t_span, y0) looks for polynomial ones."
-    )

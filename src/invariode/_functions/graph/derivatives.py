@@ -132,7 +132,14 @@ def _combined(node: Node, rows: Mapping[Node, Row]) -> Row:
     if node.op in _CONSTANT or not any(given):
         return {}
     if node.op in ("select", "minimum", "maximum"):
-        return _of_branches(node, rows)
+        if node.op == "select":
+            condition, yes, no = node.arguments
+        else:
+            yes, no = node.arguments
+            condition = node.graph.make("less_equal", *((yes, no) if node.op == "minimum" else (no, yes)))
+        zero = node.graph.node(0.0)
+        both = sorted({*rows[yes], *rows[no]})
+        return {i: node.graph.select(condition, rows[yes].get(i, zero), rows[no].get(i, zero)) for i in both}
     row: Row = {}
     depends = {one for one, its in zip(node.arguments, given, strict=True) if its}
     for its, slope in zip(given, _slopes(node, depends), strict=True):
@@ -142,17 +149,6 @@ def _combined(node: Node, rows: Mapping[Node, Row]) -> Row:
             term = slope(inner)
             row[i] = row[i] + term if i in row else term
     return row
-
-
-def _of_branches(node: Node, rows: Mapping[Node, Row]) -> Row:
-    if node.op == "select":
-        condition, yes, no = node.arguments
-    else:
-        yes, no = node.arguments
-        condition = node.graph.make("less_equal", *((yes, no) if node.op == "minimum" else (no, yes)))
-    zero = node.graph.node(0.0)
-    both = sorted({*rows[yes], *rows[no]})
-    return {i: node.graph.select(condition, rows[yes].get(i, zero), rows[no].get(i, zero)) for i in both}
 
 
 def _of_solution(system: Node, rows: Mapping[Node, Row]) -> dict[Node, Row]:

@@ -39,20 +39,16 @@ def machine_code(outputs: Sequence[Node], form: CodeForm) -> MachineCode:
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> bytes:
     """Compile the module that a writer writes to an `object_file`, at a level of optimisation; 0: as it was written."""
     with compiling:
-        return _compiled(lanes, writer, outputs, level)
-
-
-def _compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int) -> bytes:
-    module = ir.Module()
-    module.triple = llvm.get_process_triple()
-    loops = writer(module).write(outputs)
-    machine, text = target_machine(), str(module)
-    if lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
-        text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * lanes}"')
-    made = llvm.parse_assembly(text)
-    if level > 0:
-        _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
-    return object_file(machine.emit_object(made), lines=text.count("\n"))
+        module = ir.Module()
+        module.triple = llvm.get_process_triple()
+        loops = writer(module).write(outputs)
+        machine, text = target_machine(), str(module)
+        if lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
+            text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * lanes}"')
+        made = llvm.parse_assembly(text)
+        if level > 0:
+            _optimise(made, machine, level, loop_vectorization=loops and lanes == 1)
+        return object_file(machine.emit_object(made), lines=text.count("\n"))
 
 
 def _optimise(module: Any, target: Any, level: int, loop_vectorization: bool) -> None:

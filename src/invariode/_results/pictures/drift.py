@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._base.arguments import ATOL, EPS, RTOL, Array, weights_of
 from ..._base.style import LEVELS
-from ..._laws.bound import BoundInvariants, Jump, bind
+from ..._laws.bound import BoundInvariants, ValueJump, bind
 from ..._problem.invariants import Invariants, InvariantsLike, to_invariants
 from ..result import Result
 from .canvas import FEW, MOST, drawable, joined, legend, log_axis, new, once, properties, unused
@@ -109,7 +109,7 @@ def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
     for row, t, _ in own.jumps:
         here = slice(row, row + 1)
         there = g.value + g.departure(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
-        jumps.append(Jump(row, t, np.where(g.demanded, g.value, there)))
+        jumps.append(ValueJump(row, t, np.where(g.demanded, g.value, there)))
     return replace(g, jumps=tuple(jumps), forward=own.forward)
 
 
