@@ -317,7 +317,7 @@ def patterns_of(n: int, jac_sparsity: Any, lband: int | None, uband: int | None)
 
 
 class _Linear:
-    """A linear function of the state, as `Values` of expressions."""
+    """A linear function of the state, as `ValuesOverTime` of expressions."""
 
     def __init__(self, of: Callable[[Array], Array]) -> None:
         self._of = of
@@ -334,7 +334,7 @@ class _Linear:
         return self._of(np.asarray(state))
 
 
-class _Unknowns:
+class _UnknownsAsTheyStand:
     """y and y' of a residual form, as `Unknowns` of a reduction."""
 
     def __init__(self, form: ResidualForm) -> None:
@@ -363,7 +363,7 @@ def solve_residual(
     patterns = patterns_of(form.n, *structure)
     if jac is not None and patterns is not None:
         raise ValueError("give either jac, or jac_sparsity or bands, which are for finite differences")
-    unknowns, none = _Unknowns(form), np.zeros(0)
+    unknowns, none = _UnknownsAsTheyStand(form), np.zeros(0)
 
     def after_action(
         t: float, state: Array, old: tuple[Array, Array], new: tuple[Array, Array], given: Sequence[Any]
@@ -394,7 +394,7 @@ def solve_residual(
 
 def _presented(
     form: ResidualForm,
-    unknowns: _Unknowns,
+    unknowns: _UnknownsAsTheyStand,
     before: OnFailure | None,
     sol: Solution,
     on_failure: OnFailure | None = None,

@@ -33,7 +33,7 @@ from .reduction import Given, Reduction
 _MANY_OPERATIONS = 1_000_000
 
 
-class Values:
+class ValuesOverTime:
     """Nodes as a function of many points (t, state); compiled if that pays.
 
     Parameters
@@ -126,15 +126,15 @@ class Unknowns:
             found = reduction.of([(order + more, j) for j, order, _ in given])
             return [x if one.sign > 0 else x.graph.negative(x) for x, one in zip(found, given, strict=True)]
 
-        self.y = Values("unknowns", lambda: user(0))
-        self.yp = Values("rates", lambda: user(1))
+        self.y = ValuesOverTime("unknowns", lambda: user(0))
+        self.yp = ValuesOverTime("rates", lambda: user(1))
         places = sorted(leaves(equations))
         self.variables = [divmod(place, reduction.n) for place in places]
-        self.arguments = Values("arguments", lambda: reduction.of(self.variables))
+        self.arguments = ValuesOverTime("arguments", lambda: reduction.of(self.variables))
         graph = reduction.graph
         renumbered = {graph.y(place): graph.y(k) for k, place in enumerate(places)}
-        self.equations = Values("residuals", lambda: substituted(equations, renumbered))
-        self.sensitive: dict[tuple[int | None, ...], Values] = {}
+        self.equations = ValuesOverTime("residuals", lambda: substituted(equations, renumbered))
+        self.sensitive: dict[tuple[int | None, ...], ValuesOverTime] = {}
         self.count = len(reduction.states) or 1
 
     def sensitivities(self, t: Array, states: Array, S: Array, p: Array, places: tuple[int | None, ...]) -> Array:
@@ -143,7 +143,7 @@ class Unknowns:
         if places not in self.sensitive:
             nodes, n = self.y.nodes, self.count
             made = Derived("unknowns", nodes, n, "own").tangents(places).fun.outputs
-            self.sensitive[places] = Values("sensitivities", lambda: made)
+            self.sensitive[places] = ValuesOverTime("sensitivities", lambda: made)
         k = len(places)
         behind = np.swapaxes(S, 0, 1).reshape(-1, len(t))
         found = self.sensitive[places](t, np.concatenate([states, behind]), p)
