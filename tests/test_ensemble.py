@@ -424,6 +424,7 @@ def test_redundant_invariants_are_said_once():
         ({"t_span": 1}, ValueError, r"t_span must be a pair \(t0, tf\), got 1"),
         ({"args": [[1.0], [1.0, 2.0]]}, ValueError, r"one length, got lengths \[1, 2\]"),
         ({"args": ["a", "b"]}, ValueError, "got 'a' as a row"),
+        ({"args": np.ones(3)}, ValueError, r"for one parameter args\[:, None\]; got shape \(3,\)"),
         ({"t_eval": [13.0]}, ValueError, "Values in `t_eval` are not within"),
         ({"y0": np.zeros((0, 4)), "args": (1.0,)}, ValueError, "at least one row"),
     ],

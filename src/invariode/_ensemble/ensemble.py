@@ -241,4 +241,7 @@ def _row_of_arguments(row: Any) -> tuple[Any, ...]:
 
 
 def _no_rows(got: str) -> ValueError:
-    return ValueError(f"args of an ensemble must be a tuple, for all trajectories, or rows of shape (N, k), got {got}")
+    return ValueError(
+        f"args of an ensemble must be a tuple, for all trajectories, or rows of shape (N, k), for one "
+        f"parameter args[:, None]; got {got}"
+    )

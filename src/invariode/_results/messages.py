@@ -460,7 +460,7 @@ def refusal(run: Run, laws: LawNames, rtol: float, pairs: bool) -> str:
         return (
             f"y0 is not on the manifold: it violates invariant {name}, g(t0, y0) - value = {run.finding_size:.6g}, a "
             f"distance of {run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project "
-            "it first: y0 = invariode.impose(invariants, t0, y0).y, or for a mechanism problem(..., "
+            "it first: y0 = invariode.impose(invariants, t0, y0).y, or for a MechanicalSystem problem(..., "
             'consistent="project")'
         )
     if run.finding == "wrong_jacobian":

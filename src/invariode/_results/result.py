@@ -95,8 +95,8 @@ class Origin(Protocol):
     def extend(self, sol: Any, t_end: float, options: Any) -> Any:
         """See `Solution.extend`."""
         raise ValueError(
-            "this solution comes from a file, without the functions of its problem: it cannot be extended. That of "
-            "load(path, problem) can"
+            "this solution comes from a file, without the functions of its problem: it cannot be extended. Pass the "
+            "problem too, load(path, problem)"
         )
 
     def gradient(self, sol: Any, *given: Any) -> Array:
