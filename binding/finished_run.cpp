@@ -53,12 +53,17 @@ void define_arrays_of_run(RunClass& run) {
       .def_prop_ro(
           "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
           nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
-      .def("take_events",
-           [](FinishedRun& self) {
-             std::vector<std::pair<Vector, Table>> all;
-             for (Trajectory& one : self.result.occurrences) all.push_back(to_arrays(std::move(one), self.result.n));
-             return all;
-           })
+      .def(
+          "take_events",
+          [](FinishedRun& self) {
+            nb::list all;
+            for (Trajectory& one : self.result.occurrences) {
+              const nb::object rows = rows_array(std::move(one.y), self.result.n, one.t.size());
+              all.append(nb::make_tuple(times_array(std::move(one.t)), rows));
+            }
+            return all;
+          },
+          nb::sig("def take_events(self) -> list[tuple[numpy.ndarray, numpy.ndarray]]"))
       .def(
           "record",
           [](nb::handle_t<FinishedRun> run) {

@@ -391,7 +391,7 @@ class Run:
     def end(self) -> numpy.ndarray:
         """y at the end."""
 
-    def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
+    def take_events(self) -> list[tuple[numpy.ndarray, numpy.ndarray]]: ...
 
     def record(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """The accepted steps, in rows that belong to the run."""

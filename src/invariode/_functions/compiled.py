@@ -536,8 +536,10 @@ def numba_or_say_so() -> Any:
 
 def is_native(fun: object) -> bool:
     """Return whether `fun` is machine code of an accepted kind."""
-    if type(fun) in _PLAIN:  # the common case
+    if type(fun) in _PLAIN:  # the common cases
         return False
+    if isinstance(fun, CompiledFunction):
+        return True
     if isinstance(fun, CoreFunction):
         return fun.native
     return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
@@ -547,6 +549,8 @@ def is_plain_function(fun: object) -> bool:
     """Return whether Python calls `fun` as it is: it is neither machine code nor of a class of this package."""
     if type(fun) in _PLAIN:
         return True
+    if isinstance(fun, CompiledFunction):
+        return False
     of_ours = any(one.__module__.partition(".")[0] == "invariode" for one in type(fun).__mro__)
     return not of_ours and not is_native(fun)
 

@@ -145,7 +145,9 @@ class Captured:
             if not isinstance(current, FunctionType):
                 continue
             for name, place, value in captured(current):
-                fixed = isinstance(value, (*_IMMUTABLE, FunctionType))
+                fixed = isinstance(value, (*_IMMUTABLE, FunctionType)) or (
+                    type(value) is tuple and all(isinstance(one, _IMMUTABLE) for one in value)
+                )
                 self._places.append((name, place, value, None if fixed else content(value)))
                 if isinstance(value, FunctionType) and value.__module__ == current.__module__ and id(value) not in seen:
                     seen.add(id(value))

@@ -204,8 +204,9 @@ class Problem:
         called, start, described = self.fun, self.y0, self.__dict__
         if of_args is not None:
             described["y0_of_args"] = of_args
-        given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
-        if any(one is not None for one in given.values()):
+        given: dict[str, Any] = {}
+        if any(one is not None for one in (jac, jac_sparsity, lband, uband, mass)):
+            given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
             given = {key: own_matrix(one) for key, one in given.items()}
             described["matrices"] = to_matrices(**given, y0=start)
         if labels is not None:
@@ -214,7 +215,8 @@ class Problem:
             described["bounds"] = to_bounds(nonnegative, bounds, start, self._labels)
             described["signed_states"] = nonnegative is False
             given |= {"nonnegative": own_list(nonnegative), "bounds": own_list(bounds)}
-        described["_as_given"] = {**_NOTHING_GIVEN, **given}
+        if given:
+            described["_as_given"] = {**_NOTHING_GIVEN, **given}
         if invariants is not None:
             described["invariants"] = to_invariants(invariants)
         if events is not None:
@@ -226,7 +228,8 @@ class Problem:
             described["inputs"] = to_inputs(inputs, self.t_span)
         if breakpoints is not None:
             described["breakpoints"] = to_breakpoints("breakpoints", breakpoints)
-        described["delays"] = to_delays(delays, history, self)
+        if delays is not None or history is not None:
+            described["delays"] = to_delays(delays, history, self)
         if name is not None:
             described["_title"] = _named(name)
         if second_order is not False or type(called) is not FunctionType:
