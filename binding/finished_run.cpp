@@ -58,8 +58,8 @@ void define_arrays_of_run(RunClass& run) {
           [](FinishedRun& self) {
             nb::list all;
             for (Trajectory& one : self.result.occurrences) {
-              const nb::object rows = rows_array(std::move(one.y), self.result.n, one.t.size());
-              all.append(nb::make_tuple(times_array(std::move(one.t)), rows));
+              const nb::object columns = states_array(std::move(one.y), self.result.n, one.t.size(), false);
+              all.append(nb::make_tuple(times_array(std::move(one.t)), columns.attr("T")));
             }
             return all;
           },

@@ -57,11 +57,6 @@ nb::object states_array(Buffer<double>&& y, std::size_t n, std::size_t count, bo
   return handed_over(shape, complex, std::move(y));
 }
 
-nb::object rows_array(Buffer<double>&& y, std::size_t n, std::size_t count) {
-  const npy_intp shape[] = {static_cast<npy_intp>(count), static_cast<npy_intp>(n)};
-  return handed_over(shape, false, std::move(y));
-}
-
 nb::object state_array(const double* y, std::size_t n, bool complex) {
   const npy_intp shape[] = {components(n, complex)};
   return copied(shape, complex, y, n);

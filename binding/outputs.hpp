@@ -15,8 +15,6 @@ namespace invariode::binding {
 nb::object times_array(Buffer<double>&& t);
 /// So many states of n doubles each, which are reals or pairs of them: (n or n / 2, count).
 nb::object states_array(Buffer<double>&& y, std::size_t n, std::size_t count, bool complex);
-/// So many states of n doubles each, in rows of reals: (count, n).
-nb::object rows_array(Buffer<double>&& y, std::size_t n, std::size_t count);
 /// A copy of one state, (n or n / 2,).
 nb::object state_array(const double* y, std::size_t n, bool complex);
 
