@@ -60,6 +60,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.metric = make_metric(spec, functions);
   block.sense = spec.sense;
   block.along_steps = spec.along_steps;
+  block.users = spec.users;
   if (nb::isinstance<MotionPart>(spec.jac)) {
     const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
     if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
@@ -285,11 +286,11 @@ namespace {
 void define_functions(nb::module_& module) {
   nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")
       .def(nb::init<nb::object, nb::object, std::size_t, std::string, bool, int, std::vector<std::size_t>, nb::object,
-                    std::size_t, int, bool, std::vector<std::size_t>, std::vector<int>>(),
+                    std::size_t, int, bool, std::vector<std::size_t>, std::vector<int>, bool>(),
            nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
            nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
            nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
-           nb::arg("columns") = std::vector<int>{},
+           nb::arg("columns") = std::vector<int>{}, nb::arg("users") = false,
            "starts, columns: the places of the entries that a sparse jac returns, row by row.");
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(nb::init<double, nb::object>(), nb::arg("t"), nb::arg("action").none());

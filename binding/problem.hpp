@@ -35,6 +35,7 @@ struct InvariantSpec {
   int sense = 0;                // −1: it never rises as t grows; 1: it never falls; 0: it is kept
   bool along_steps = false;     // its correction is made of what the step is made of
   RowPattern pattern;           // of what `jac` returns; none: it is full
+  bool users = false;           // `jac` is the user's function
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, fun, jac, metric); }
 };

@@ -29,7 +29,7 @@ using RunMemory = Buffer<std::byte>;
 class Archive {
  public:
   /// Raised whenever the fields of any class change, or their order.
-  static constexpr std::uint32_t version = 12;
+  static constexpr std::uint32_t version = 13;
 
   /// To write. Where it would take more than `most_values` matrix entries, matrices are left out: whoever reads it
   /// starts the method anew.

@@ -399,17 +399,35 @@ def test_invariant_that_is_not_finite_at_the_start():
         iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=root)
 
 
-def test_a_given_derivative_that_is_nan_is_formed_by_differences():
-    def jac(t, y):
-        return [np.nan, y[1]]
-
-    with pytest.raises(iv.InvariantError, match=r"entry for y\[1\] is"):  # the others are compared as ever
-        iv.solve_ivp(
-            oscillator, (0, 1), [1, 0], invariants=iv.Invariants(oscillator_energy, jac=lambda t, y: [np.nan, 0])
+@explicit_and_implicit
+def test_a_derivative_that_is_nan_where_its_function_is_given_stops_the_solution(method):
+    """As that of fun does: at the start it is an error, later the end of the run, which names the invariant."""
+    for start in (0.0, 0.5):
+        energy = iv.Invariants(
+            oscillator_energy, jac=lambda t, y, start=start: np.array([4 * y[0], y[1]]) * (np.nan if t >= start else 1)
         )
-    given = iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=iv.Invariants(oscillator_energy, jac=jac))
-    exact = iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=oscillator_energy)
-    np.testing.assert_allclose(given.y, exact.y, rtol=0, atol=1e-10)
+        options = {"method": method, "invariants": energy, "on_failure": "return"}
+        if start == 0:
+            with pytest.raises(iv.InvariantError, match="or its Jacobian, is not finite at the start"):
+                iv.solve_ivp(oscillator, (0, 1), [1, 0], **options)
+            continue
+        sol = iv.solve_ivp(oscillator, (0, 1), [1, 0], **options)
+        assert sol.status < 0
+        assert sol.t[-1] < start
+        assert "oscillator_energy, or its Jacobian, is not defined" in sol.message
+    assert not iv.impose(iv.Invariants(lambda t, y: y @ y, jac=lambda t, y: y * np.nan, value=1), 0, [1, 0.1]).converged
+
+
+def test_a_formula_of_ours_that_is_nan_where_its_function_is_not_is_replaced_by_differences():
+    """x² log x² at 0, whose derivative has the term 2 x log x."""
+    pytest.importorskip("llvmlite")
+
+    @iv.compile
+    def g(t, y):
+        return y[0] ** 2 * np.log(y[0] ** 2 + (y[0] == 0)) + y[1]
+
+    sol = iv.solve_ivp(lambda t, y: [0.0, 0.0], (0, 1), [0.0, 1.0], invariants=g)
+    assert sol.success
 
 
 @dealt(method=METHODS, problem=PROBLEMS)

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <utility>
 
 #include "weights.hpp"
 
@@ -29,19 +31,26 @@ void PivotedBasis::remove_component(std::size_t i, std::size_t q) {
   R_(index(q), index(i)) += component;
 }
 
-bool KnownPattern::renew(const Eigen::SparseMatrix<double>& A) {
+bool KnownPattern::differs(const Eigen::SparseMatrix<double>& A) const {
   const auto same = [](const std::vector<int>& known, const int* given, Eigen::Index count) {
     return std::ssize(known) == count && std::equal(known.begin(), known.end(), given);
   };
-  if (same(starts_, A.outerIndexPtr(), A.outerSize() + 1) && same(rows_, A.innerIndexPtr(), A.nonZeros())) return false;
+  return !same(starts_, A.outerIndexPtr(), A.outerSize() + 1) || !same(rows_, A.innerIndexPtr(), A.nonZeros());
+}
+
+void KnownPattern::note(const Eigen::SparseMatrix<double>& A) {
   starts_.assign(A.outerIndexPtr(), A.outerIndexPtr() + A.outerSize() + 1);
   rows_.assign(A.innerIndexPtr(), A.innerIndexPtr() + A.nonZeros());
-  return true;
 }
 
 bool GramFactors::factor(const Eigen::SparseMatrix<double>& B, double threshold) {
   const Eigen::SparseMatrix<double> gram = B.transpose() * B;
-  if (pattern_.renew(gram)) factors_->analyzePattern(gram);
+  if (pattern_.differs(gram)) {  // new factors: Eigen's vectors are not valid after a failed allocation of another size
+    auto fresh = std::make_unique<Factors>();
+    fresh->analyzePattern(gram);
+    factors_ = std::move(fresh);
+    pattern_.note(gram);
+  }
   factors_->factorize(gram);
   const double least = std::max(threshold * threshold, dependent);  // a pivot is the square of what is left of a column
   return factors_->info() == Eigen::Success && (factors_->vectorD().array() > least).all();
@@ -82,7 +91,7 @@ bool SparseRows::take(const RowLayout& layout, const double* values, const std::
   }
   transposed_.resize(index(scale.size()), index(kept.size()));
   transposed_.setFromTriplets(entries.begin(), entries.end());
-  right_ = Eigen::Map<const Eigen::VectorXd>(kept.data(), index(kept.size()));
+  right_ = Eigen::VectorXd(Eigen::Map<const Eigen::VectorXd>(kept.data(), index(kept.size())));
   return true;
 }
 

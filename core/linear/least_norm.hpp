@@ -87,9 +87,10 @@ class PivotedBasis {
 /// Remembers the pattern for which something was prepared.
 class KnownPattern {
  public:
-  /// Takes the pattern of A; returns whether it differs from the one before: an equality, since entries move without
-  /// changing their number.
-  [[nodiscard]] bool renew(const Eigen::SparseMatrix<double>& A);
+  /// Compares entry by entry, since entries move without changing their number.
+  [[nodiscard]] bool differs(const Eigen::SparseMatrix<double>& A) const;
+  /// What was prepared is ready: to be called after it, since it may fail.
+  void note(const Eigen::SparseMatrix<double>& A);
 
  private:
   std::vector<int> starts_, rows_;

@@ -89,9 +89,13 @@ bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
   }
   Sparse all(n + k, n + k);
   all.setFromTriplets(entries.begin(), entries.end());
-  if (pattern_.renew(all)) whole_.analyzePattern(all);
-  whole_.factorize(all);
-  return whole_.info() == Eigen::Success;
+  if (pattern_.differs(all)) {
+    whole_.analyse({{all.outerIndexPtr(), all.outerIndexPtr() + n + k + 1},
+                    {all.innerIndexPtr(), all.innerIndexPtr() + all.nonZeros()}});
+    pattern_.note(all);
+  }
+  both_.assign(all.valuePtr(), all.valuePtr() + all.nonZeros());
+  return all_finite(both_.data(), both_.size()) && whole_.factor(both_);
 }
 
 /// The last pivot of the complement; or what the inverse makes of right-hand sides of size 1, which are of the size of
@@ -109,11 +113,11 @@ double SparseSaddle::pivot(const Sparse& A) {
 void SparseSaddle::substitute(const Sparse& A, const Vector& p, const Vector& q) {
   const Index n = p.size(), k = q.size();
   if (!diagonal_) {
-    Vector right(n + k);
-    right << p, q;
-    const Vector both = whole_.solve(right);
-    a_ = both.head(n);
-    lambda_ = both.tail(k);
+    both_.assign(p.begin(), p.end());
+    both_.insert(both_.end(), q.begin(), q.end());
+    whole_.solve(both_.data());
+    a_ = Eigen::Map<const Vector>(both_.data(), n);
+    lambda_ = Eigen::Map<const Vector>(both_.data() + n, k);
     return;
   }
   a_ = inverse_mass_.cwiseProduct(p);

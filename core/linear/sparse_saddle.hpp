@@ -2,10 +2,11 @@
 // The linear system of constrained mechanics with few connections: chains, nets, trees.
 
 #include <Eigen/SparseCore>
-#include <Eigen/SparseLU>
+#include <vector>
 
 #include "linear/least_norm.hpp"
 #include "linear/saddle.hpp"
+#include "linear/sparse_lu.hpp"
 
 namespace invariode {
 
@@ -33,7 +34,8 @@ class SparseSaddle {
   Eigen::VectorXd inverse_mass_, row_scale_, a_, lambda_;
   GramFactors complement_;
   KnownPattern pattern_;  // of the whole
-  Eigen::SparseLU<Eigen::SparseMatrix<double>> whole_;
+  SparseLu<double> whole_;
+  std::vector<double> both_;  // its right-hand side and solution
 };
 
 }  // namespace invariode

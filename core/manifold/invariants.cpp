@@ -142,8 +142,8 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
     Status status = Status::ok;
     if (block.derivative == Derivative::given) {
       status = block.jacobian(t, y, rows);
-      if (status == Status::ok && !block.pattern && !all_finite(rows, block.m * n_)) {
-        // Entries that are not finite though g is, such as 0 · ∞ of a formula, are replaced by differences.
+      if (status == Status::ok && !block.pattern && !block.users && !all_finite(rows, block.m * n_)) {
+        // Entries that are not finite though g is, such as 0 · ∞ of a formula of ours, are replaced by differences.
         std::vector<double> differences(block.m * n_);
         status = difference_block(block, t, y, 1, differences.data());
         for (std::size_t e = 0; e < differences.size(); ++e)

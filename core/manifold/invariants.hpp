@@ -27,6 +27,7 @@ struct InvariantBlock {
   Callback complex_g;
   Derivative derivative = Derivative::central;  ///< where there is no `jacobian`
   RowPattern pattern;                           ///< of the Jacobian that is given; none: it is full
+  bool users = false;  ///< `jacobian` is the user's, whose NaN nobody replaces; otherwise its formula is ours
   std::size_t m = 0;
   bool held = false;               ///< its value is what g was, not one that is demanded
   int sense = 0;                   ///< 0: it keeps its value; −1: in the direction of integration it never rises above
@@ -47,6 +48,10 @@ class Invariants {
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] std::size_t m() const { return value_.size(); }
   [[nodiscard]] const std::vector<double>& value() const { return value_; }
+  void set_value(const std::vector<double>& value) {
+    assert(value.size() == m());
+    value_ = value;
+  }
   /// Holds what is held, not demanded, at its values at (t, y) from now on.
   Status hold(double t, const double* y);
   /// Fixes the invariants that may only increase or decrease at their values at (t, y) from now on.

@@ -40,7 +40,8 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
     if (bounds_ != nullptr) active_set_.emplace(*projector_, *bounds_);
-    if (invariants_->any_one_sided()) one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr);
+    if (invariants_->any_one_sided())
+      one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr, weights.rtol());
   }
   if (any()) y1_.resize(extent_.size());
   if (terms.between == nullptr) return;
@@ -153,7 +154,7 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_
   const double* candidate = ends.y1;
   std::copy(candidate, candidate + extent_.size(), y1_.begin());
   if (!directions_.empty()) choose_directions(step);
-  projected_ = one_sided_    ? one_sided_->project(ends.t1, ends.y0, y1_.data())
+  projected_ = one_sided_    ? one_sided_->project(ends, step.slope(), y1_.data())
                : active_set_ ? active_set_->project(ends.t1, ends.y0, y1_.data())
                              : projector_->project(ends.t1, ends.y0, y1_.data());
   if (projected_.outcome == Outcome::stop) return Placed::stop;
@@ -245,6 +246,7 @@ void Manifold::state(Archive& archive) {
   if (tangent_) tangent_->state(archive);
   if (guard_) guard_->state(archive);
   if (restoration_) restoration_->state(archive);
+  if (one_sided_) one_sided_->state(archive);
   if (harm_) harm_->state(archive);
 }
 

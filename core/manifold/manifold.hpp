@@ -40,12 +40,6 @@ struct ManifoldTerms {
   std::function<Status(double t, double* Y)> consistent_tangent;
 };
 
-/// An accepted step, or an attempt of one, from (t0, y0) by h to (t1, y1).
-struct StepEnds {
-  double t0, t1, h;
-  const double *y0, *y1;
-};
-
 class Manifold {
  public:
   /// `with_events`: whose actions may make the solution jump.

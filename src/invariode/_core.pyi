@@ -115,7 +115,7 @@ def solve_addresses() -> tuple[int, int]:
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False, starts: Sequence[int] = [], columns: Sequence[int] = []) -> None:
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False, starts: Sequence[int] = [], columns: Sequence[int] = [], users: bool = False) -> None:
         """
         starts, columns: the places of the entries that a sparse jac returns, row by row.
         """
@@ -784,7 +784,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 12
+MEMORY_VERSION: int = 13
 
 STATES: list = ...
 

@@ -6,9 +6,12 @@
 #include <cstdint>
 #include <cstdlib>
 #include <new>
+#include <optional>
 #include <vector>
 
 #include "check.hpp"
+#include "linear/solve.hpp"
+#include "linear/sparse_saddle.hpp"
 #include "problems.hpp"
 
 // Every malloc is counted, Eigen's and those of operator new: by AddressSanitizer's hooks, or by standing in front of
@@ -105,6 +108,19 @@ TEST(a_run_that_stores_nothing_allocates_nothing) {
 }
 
 #if !defined(__SANITIZE_ADDRESS__) && defined(__GLIBC__)
+/// Makes each allocation of `work` fail in turn, and calls `after` each time. Returns how many there are.
+template <class Work, class After>
+std::int64_t with_failures(Work work, After after) {
+  std::int64_t failures = 0;
+  for (bool failed = true; failed; failures += failed ? 1 : 0) {
+    failing = allocations + failures + 1;
+    failed = !work();
+    failing = -1;
+    after();
+  }
+  return failures;
+}
+
 /// Whichever allocation fails, analysis or factorisation throws, and the same factors are right when they are made
 /// again.
 TEST(sparse_factors_outlive_a_failed_allocation) {
@@ -117,25 +133,90 @@ TEST(sparse_factors_outlive_a_failed_allocation) {
   }
   J.provide();
   J.for_each([](std::size_t i, std::size_t j, double& a) { a = i == j ? -4 : 1; });
-  std::int64_t failures = 0;
-  for (bool failed = true; failed; failures += failed ? 1 : 0) {
-    const auto lu = make_factorization(J.structure, nullptr);
-    failing = allocations + failures + 1;
+  auto lu = make_factorization(J.structure, nullptr);
+  const auto factored = [&] {
     try {
-      failed = false;
-      (void)lu->factor(nullptr, 1, J);
+      return lu->factor(nullptr, 1, J);
     } catch (const std::bad_alloc&) {
-      failed = true;
+      return false;
     }
-    failing = -1;
+  };
+  const auto serves = [&] {
     CHECK(lu->factor(nullptr, 1, J));
     std::vector<double> x(n, 1), b(n);
     J.multiply(x.data(), b.data());
     for (int i = 0; i < n; ++i) b[static_cast<std::size_t>(i)] = 1 - b[static_cast<std::size_t>(i)];
     lu->solve(b.data());
     for (const double one : b) CHECK_CLOSE(one, 1, 1e-13);
+    lu = make_factorization(J.structure, nullptr);
+  };
+  CHECK(with_failures(factored, serves) > 20);
+}
+
+/// A chain whose bodies turn each other: M is not diagonal, so that the whole is factored.
+TEST(sparse_systems_of_mechanics_outlive_a_failed_allocation) {
+  constexpr int n = 60, k = 20;
+  std::vector<Eigen::Triplet<double>> mass, rows;
+  for (int i = 0; i < n; ++i) {
+    mass.emplace_back(i, i, 3.0);
+    if (i > 0) mass.emplace_back(i, i - 1, 1.0), mass.emplace_back(i - 1, i, 1.0);
   }
-  CHECK(failures > 20);
+  for (int i = 0; i < k; ++i) rows.emplace_back(i, 3 * i, 1.0), rows.emplace_back(i, (3 * i + 3) % n, -2.0);
+  Eigen::SparseMatrix<double> M(n, n), A(k, n);
+  M.setFromTriplets(mass.begin(), mass.end());
+  A.setFromTriplets(rows.begin(), rows.end());
+  const Eigen::VectorXd Q = Eigen::VectorXd::LinSpaced(n, 1, 2), gamma = Eigen::VectorXd::LinSpaced(k, -1, 1);
+  std::optional<SparseSaddle> saddle(std::in_place);
+  ConstrainedSolution found;
+  const auto solved = [&] {
+    try {
+      return saddle->solve(M, A, Q, gamma, found);
+    } catch (const std::bad_alloc&) {
+      return false;
+    }
+  };
+  const auto serves = [&] {
+    CHECK(saddle->solve(M, A, Q, gamma, found));
+    CHECK_CLOSE((M * found.a - A.transpose() * found.lambda - Q).cwiseAbs().maxCoeff(), 0, 1e-13);
+    CHECK_CLOSE((A * found.a - gamma).cwiseAbs().maxCoeff(), 0, 1e-13);
+    saddle.emplace();
+    found = {};
+  };
+  CHECK(with_failures(solved, serves) > 50);
+}
+
+/// Equations in another order than their unknowns, (4, −1) x = 3 in each. Where there is no memory X is NaN. A thread
+/// keeps factors, so that each system has its own size.
+TEST(traced_systems_outlive_a_failed_allocation) {
+  std::int64_t k = 30, entries = 0;
+  std::vector<std::int64_t> places;
+  std::vector<double> numbers;
+  const auto state = [&](bool larger) {
+    if (larger) ++k;
+    places.clear();
+    numbers.clear();
+    for (std::int64_t i = 0; i < k; ++i) {
+      const std::int64_t j = (i + 7) % k, other = (j + 3) % k;
+      for (const std::int64_t column : {std::min(j, other), std::max(j, other)}) {
+        places.push_back(i * k + column);
+        numbers.push_back(column == j ? 4 : -1);
+      }
+    }
+    entries = static_cast<std::int64_t>(places.size());
+    numbers.resize(numbers.size() + static_cast<std::size_t>(k), 3);
+  };
+  const auto solved = [&] {
+    solve_sparse_in_place(k, 1, entries, places.data(), numbers.data());
+    return !std::isnan(numbers.back());
+  };
+  const auto serves = [&] {
+    state(false);
+    CHECK(solved());
+    for (auto x = numbers.begin() + entries; x != numbers.end(); ++x) CHECK_CLOSE(*x, 1, 1e-13);
+    state(true);
+  };
+  state(true);
+  CHECK(with_failures(solved, serves) > 20);
 }
 #endif
 

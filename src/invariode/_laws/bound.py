@@ -70,6 +70,7 @@ class InvariantSpec(NamedTuple):
     along_steps: bool = False  # its correction is along the stages of the step
     starts: Sequence[int] = ()  # where the entries of each row of a sparse `jac` begin; none: it has all entries
     columns: Sequence[int] = ()  # the components to which these entries belong
+    users: bool = False  # `jac` is the user's function: where it returns NaN, the solution stops
 
 
 class ValueJump(NamedTuple):
@@ -332,7 +333,9 @@ def bind(
             fun, kind = one._in_core(len(y)) or (fun, kind)
         order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
         along = one.direction == "stages"
-        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along, *rows))
+        specs.append(
+            InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along, *rows, callable(one.jac))
+        )
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     levelled = _in_levels(specs)

@@ -41,7 +41,7 @@ def explain(error: TypeError | ValueError, problem: Problem, callback: Any = Non
                 f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
                 f"{'them' if several else 'it'} with (t, y, *args)"
             )
-    elif "returned shape (3, 1)" in str(error) and str(error).startswith("event"):
+    elif str(error).startswith("event") and ("shape (3,)" in str(error) or "shape (3, 1)" in str(error)):
         error.add_note(
             "an event is one function of (t, y) that returns a number; MATLAB's [value, isterminal, direction] is "
             "events=[invariode.Event(fun, terminal=True, direction=1), ...]"

@@ -535,5 +535,6 @@ def harmful_projection(components: str, distance: str) -> str:
         f"projection moved {components} by {distance}: it corrects other components at the cost of "
         f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
         "invariants. Try an atol for each component, larger for fast ones (for velocities that of the positions times "
-        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+        "the highest frequency), direction='stages' of Invariants, level= for constraints and their rates, or a "
+        "smaller rtol"
     )
