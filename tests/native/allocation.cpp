@@ -108,17 +108,19 @@ TEST(a_run_that_stores_nothing_allocates_nothing) {
 }
 
 #if !defined(__SANITIZE_ADDRESS__) && defined(__GLIBC__)
-/// Makes each allocation of `work` fail in turn, and calls `after` each time. Returns how many there are.
+/// Makes each allocation by malloc in `work` fail in turn, and calls `after` each time. Returns how many there are of
+/// all kinds.
 template <class Work, class After>
 std::int64_t with_failures(Work work, After after) {
-  std::int64_t failures = 0;
-  for (bool failed = true; failed; failures += failed ? 1 : 0) {
-    failing = allocations + failures + 1;
-    failed = !work();
+  std::int64_t count = 0;
+  for (bool reached = true; reached; count += reached ? 1 : 0) {
+    failing = allocations + count + 1;
+    (void)work();
+    reached = allocations >= failing;
     failing = -1;
     after();
   }
-  return failures;
+  return count;
 }
 
 /// Whichever allocation fails, analysis or factorisation throws, and the same factors are right when they are made
@@ -186,17 +188,18 @@ TEST(sparse_systems_of_mechanics_outlive_a_failed_allocation) {
 }
 
 /// Equations in another order than their unknowns, (4, −1) x = 3 in each. Where there is no memory X is NaN. A thread
-/// keeps factors, so that each system has its own size.
+/// keeps factors of some patterns, so that each system has another than those before it.
 TEST(traced_systems_outlive_a_failed_allocation) {
-  std::int64_t k = 30, entries = 0;
+  constexpr std::int64_t k = 40;
+  std::int64_t shift = 0, entries = 0;
   std::vector<std::int64_t> places;
   std::vector<double> numbers;
-  const auto state = [&](bool larger) {
-    if (larger) ++k;
+  const auto state = [&](bool another) {
+    if (another) ++shift;
     places.clear();
     numbers.clear();
     for (std::int64_t i = 0; i < k; ++i) {
-      const std::int64_t j = (i + 7) % k, other = (j + 3) % k;
+      const std::int64_t j = (i + shift) % k, other = (j + 3) % k;
       for (const std::int64_t column : {std::min(j, other), std::max(j, other)}) {
         places.push_back(i * k + column);
         numbers.push_back(column == j ? 4 : -1);
