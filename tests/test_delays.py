@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 
 import numpy as np
@@ -356,6 +357,24 @@ def test_a_fit_finds_a_delay():
     found = iv.fit(start, t, data, {"gain": (0.1, 3), "tau": (0.2, 3)}, method="dop853")
     assert abs(found.parameters["tau"] - 1.1) < 0.02
     assert abs(found.parameters["gain"] - 0.8) < 0.02
+
+
+@explicit_and_implicit
+def test_conditions_on_t_are_landings_as_without_delays(method):
+    """Runs, extensions and compiled functions are bit for bit those with the times as breakpoints, images included;
+    a condition on a delayed value is none."""
+
+    def pulsed(t, y, z, rate):
+        return [-rate * z[0, 0] + np.where(t % 2 < 0.5, 1.0, 0.0) + np.where(z[0, 0] + t > 100, 1.0, 0.0)]
+
+    given = {"delays": 1.0, "history": 1.0, "method": method, "args": (0.7,)}
+    wanted = iv.solve_ivp(pulsed, (0, 5), [1.0], breakpoints=[0.5, 2, 2.5, 4, 4.5], **given)
+    functions = [pulsed] if importlib.util.find_spec("llvmlite") is None else [pulsed, iv.compile(pulsed)]
+    for f in functions:
+        sol = iv.solve_ivp(f, (0, 5), [1.0], **given)
+        np.testing.assert_allclose(sol.y_end, wanted.y_end, rtol=1e-13)
+        assert {0.5, 2, 2.5, 4, 4.5, 1.5, 3} <= {*sol.t.tolist()}
+        assert iv.solve_ivp(f, (0, 1), [1.0], **given).extend(5).y_end == pytest.approx(wanted.y_end, rel=1e-3)
 
 
 def test_the_continuous_solution_is_the_history_before_the_start(tmp_path):

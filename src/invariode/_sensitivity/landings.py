@@ -68,8 +68,8 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     graph : sequence of Node, optional
         Graph of f, if f has been traced for its derivatives.
     """
-    if problem.delays is not None:  # users pass their breakpoints
-        return None
+    if problem.delays is not None and (problem.sensitivities is not None or problem.y0.dtype.kind == "c"):
+        return None  # sensitivities do not follow them
     from .._functions.graph.landings import landings, timed
 
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
@@ -106,7 +106,7 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     n = reals(problem.y0)
     fun = problem.slope.fun if not isinstance(problem.fun, SecondOrder) else problem.fun
     inside = getattr(fun, "fun", fun) if problem.inputs else fun
-    if n and isinstance(inside, OnGraph):
+    if n and problem.delays is None and isinstance(inside, OnGraph):
         found = derived(fun, n, n, parameters)
         if found is None:
             return []
@@ -114,7 +114,18 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     made = _of_python(problem) if n else None
     if made is None:
         return []
+    if problem.delays is not None:
+        return timed(_with_past(made.outputs, problem.delays.count * n, n))
     return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
+
+
+def _with_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
+    """The values with components of y beyond the n-th in the place of the first parameters, the delayed values."""
+    from .._functions.graph.structure import replaced
+
+    graph = outputs[0].graph
+    places = sorted({node.value for node in in_order(outputs) if node.op == "p"})
+    return replaced(outputs, {graph.p(i): graph.y(n + i) if i < count else graph.p(i - count) for i in places})
 
 
 def _of_invariants(problem: Problem) -> list[Crossing]:
@@ -141,8 +152,12 @@ def _of_python(problem: Problem) -> PlainGraph | None:
     if not may_switch(fun):
         return None
     inputs = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
+    if problem.delays is not None:
+        inputs.append(Numbers(np.ones((problem.delays.count, n)), varying=True))
     args = ArgumentLayout((*inputs, *layout_of(problem.args).entries))
-    if isinstance(problem.fun, CompiledFunction):  # numba's, of all numbers in one array
+    if isinstance(problem.fun, CompiledFunction) and not isinstance(
+        problem.fun, OnGraph
+    ):  # numba's, of all numbers in one array
         args = args.whole()
     return plain_graph(fun, n, args, is_complex=problem.y0.dtype.kind == "c")
 
