@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.suggestions import meant
 from .._base.types import MethodName
 from .._functions.derivatives import has_llvm
 from .._functions.graph.arrays import ArrayFunction
@@ -60,6 +61,13 @@ class Experiments:
         self._method, self._rtol, self._atol = method, rtol, atol
         self._equations = e = model._equations
         self._parameters = list(tables.parameters)
+        known = {*e.symbols, *self._parameters}
+        for condition, changes in tables.conditions.items():
+            if unknown := [name for name in changes if name not in known]:
+                raise ValueError(
+                    f"condition {condition!r} sets {unknown[0]!r}, which is neither in the model nor a parameter"
+                    f"{meant(unknown[0], known)}"
+                )
         base = np.array(e.values)
         for name in e._given & {*e._index}:  # given symbols have their own unit, not that of the file
             base[e._index[name]] = self._in_own_unit(name)
@@ -266,16 +274,6 @@ def _name(group: tuple[str, tuple[str | float, ...], tuple[str | float, ...]]) -
     """Return a name for data of one quantity."""
     placeholders = [*group[1], *group[2]]
     return f"{group[0]}({', '.join(map(str, placeholders))})" if placeholders else group[0]
-
-
-def require_known(tables: Tables) -> None:
-    """Raise a ValueError if measurements name observables or conditions that do not exist."""
-    for one in tables.measurements:
-        if one.observable not in tables.observables:
-            raise ValueError(f"a measurement is of {one.observable!r}, which is no observable")
-        for name in filter(None, (one.condition, one.before)):
-            if name not in tables.conditions:
-                raise ValueError(f"a measurement is of condition {name!r}, which does not exist")
 
 
 def numbers(parts: Sequence[Part], by_part: Sequence[Array], count: int) -> Array:

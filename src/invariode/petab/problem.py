@@ -19,7 +19,7 @@ from .._studies.fit.likelihood import Model as Fitted
 from .._studies.fit.parameters import Parameter
 from ..sbml.model import Model
 from ..sbml.reading import contents
-from .experiments import LN10, Experiments, Part, numbers, require_known
+from .experiments import LN10, Experiments, Part, numbers
 from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
 
 
@@ -111,7 +111,6 @@ class Problem:
         self.nominal = np.array([_scaled(one, one.nominal) for one in self._rows])
         self.lower = np.array([_scaled(one, one.lower) for one in self._rows])
         self.upper = np.array([_scaled(one, one.upper) for one in self._rows])
-        require_known(given)
 
     @cached_property
     def _parts(self) -> list[Part]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from .._base.package import extra
+from .._base.suggestions import meant
+
+_T = TypeVar("_T")
 
 #: A transformation of parameters or observables.
 Scale = Literal["lin", "log", "log10"]
@@ -80,7 +83,10 @@ def tables(path: str) -> Tables:
     yaml = extra("yaml", "invariode.petab needs PyYAML, which provides", "petab")
     folder = os.path.dirname(path)
     with open(path, encoding="utf-8") as file:
-        given = yaml.safe_load(file)
+        read = yaml.safe_load(file)
+    if not isinstance(read, dict):
+        raise ValueError(f"{path} is no problem of PEtab: it has no format_version")
+    given = _Fields(path, read)
     version = str(given.get("format_version"))
     if version.split(".")[0] == "2":
         return _second(path, folder, given)
@@ -88,32 +94,80 @@ def tables(path: str) -> Tables:
         raise ValueError(f"{path} is of version {version} of PEtab: versions 1 and 2 are read")
     if len(given["problems"]) != 1:
         raise ValueError(f"{path} describes {len(given['problems'])} problems: one is read")
-    one = given["problems"][0]
+    one = _Fields(path, given["problems"][0])
     if len(one["sbml_files"]) != 1:
         raise ValueError(f"{path} names {len(one['sbml_files'])} models: one is read")
-    conditions = {
-        row["conditionId"]: {
-            name: _number_or_name(value)
-            for name, value in row.items()
-            if name not in ("conditionId", "conditionName") and not _missing(value)
-        }
-        for row in _rows(folder, one["condition_files"])
-    }
-    return Tables(
-        folder,
-        os.path.join(folder, one["sbml_files"][0]),
-        {row["parameterId"]: _parameter(row) for row in _rows(folder, given["parameter_file"])},
-        conditions,
-        {row["observableId"]: _observable(row) for row in _rows(folder, one["observable_files"])},
-        [_measurement(row) for row in _rows(folder, one["measurement_files"])],
+    return _consistent(
+        Tables(
+            folder,
+            os.path.join(folder, one["sbml_files"][0]),
+            _by_id(_rows(folder, given["parameter_file"]), "parameterId", _parameter),
+            _by_id(_rows(folder, one["condition_files"]), "conditionId", _condition),
+            _by_id(_rows(folder, one["observable_files"]), "observableId", _observable),
+            [_measurement(row) for row in _rows(folder, one["measurement_files"])],
+        )
     )
 
 
-def _second(path: str, folder: str, given: dict[str, Any]) -> Tables:
+class _Fields(dict[str, Any]):
+    """The entries of a file, or of a row of it; one that is needed and not there is an error that names the file."""
+
+    def __init__(self, where: str, given: dict[str, Any]) -> None:
+        super().__init__(given)
+        self.where = where
+
+    def __missing__(self, name: str) -> Any:
+        raise ValueError(f"{self.where}: there is no {name!r}{meant(name, self)}")
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """Return a number; one that is not there is the default, or an error."""
+        value: Any = self.get(name) if default is not None else self[name]
+        if default is not None and _missing(value):
+            return default
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise ValueError(f"{self.where}: {name} must be a number, got {value!r}") from None
+
+
+def _by_id(rows: Iterable[_Fields], column: str, make: Callable[[_Fields], _T]) -> dict[str, _T]:
+    """Return what rows describe by their ids, each of which must occur once."""
+    found: dict[str, _T] = {}
+    for row in rows:
+        if row[column] in found:
+            raise ValueError(f"{row.where}: {column} {row[column]!r} is there twice")
+        found[row[column]] = make(row)
+    return found
+
+
+def _condition(row: _Fields) -> dict[str, float | str]:
+    about = ("conditionId", "conditionName")
+    return {name: _number_or_name(value) for name, value in row.items() if name not in about and not _missing(value)}
+
+
+def _consistent(found: Tables) -> Tables:
+    """Return the tables, whose ids must all be defined."""
+    for one in found.measurements:
+        ids: list[tuple[str | float, Collection[str], str]] = [
+            (one.observable, found.observables, "observable"),
+            (one.condition, found.conditions, "condition"),
+            (one.before or one.condition, found.conditions, "condition"),
+            *((each, found.parameters, "parameter") for each in (*one.observable_parameters, *one.noise_parameters)),
+        ]
+        for name, known, what in ids:
+            if isinstance(name, str) and name not in known:
+                raise ValueError(
+                    f"the datum {one.value:g} at time {one.time:g} has the {what} {name!r}, which is not "
+                    f"defined{meant(name, known)}"
+                )
+    return found
+
+
+def _second(path: str, folder: str, given: _Fields) -> Tables:
     """Read the files of a problem of version 2, of which each experiment has one period, from t = 0 on, and perhaps a
     pre-equilibration."""
 
-    def rows(kind: str) -> list[dict[str, str]]:
+    def rows(kind: str) -> list[_Fields]:
         return _rows(folder, given.get(f"{kind}_files") or [])
 
     models = [*(given.get("model_files") or {}).values()]
@@ -132,7 +186,7 @@ def _second(path: str, folder: str, given: dict[str, Any]) -> Tables:
     periods: dict[str, dict[float, dict[str, float | str]]] = {"": {}}
     for row in rows("experiment"):
         condition = row.get("conditionId")
-        begun = periods.setdefault(row["experimentId"], {}).setdefault(float(row["time"]), {})
+        begun = periods.setdefault(row["experimentId"], {}).setdefault(row.number("time"), {})
         if condition is not None and not _missing(condition):
             begun.update(changes[condition])
     conditions: dict[str, dict[str, float | str]] = {}
@@ -150,14 +204,16 @@ def _second(path: str, folder: str, given: dict[str, Any]) -> Tables:
         if before is not None:  # whose changes stay in effect
             conditions[_before(name)], resets[name] = before, {*main}
     measurements = [_measurement(row, conditions) for row in rows("measurement")]
-    return Tables(
-        folder,
-        os.path.join(folder, models[0]["location"]),
-        {row["parameterId"]: _parameter(row) for row in rows("parameter")},
-        conditions,
-        {row["observableId"]: _observable(row) for row in rows("observable")},
-        measurements,
-        resets,
+    return _consistent(
+        Tables(
+            folder,
+            os.path.join(folder, models[0]["location"]),
+            _by_id(rows("parameter"), "parameterId", _parameter),
+            conditions,
+            _by_id(rows("observable"), "observableId", _observable),
+            measurements,
+            resets,
+        )
     )
 
 
@@ -166,13 +222,13 @@ def _before(experiment: str) -> str:
     return f"{experiment} before"
 
 
-def rows_of(path: str) -> list[dict[str, str]]:
+def rows_of(path: str) -> list[_Fields]:
     """Return the rows of a table by column name."""
     with open(path, encoding="utf-8-sig", newline="") as file:
-        return list(csv.DictReader(file, delimiter="\t"))
+        return [_Fields(f"{path}, row {i}", one) for i, one in enumerate(csv.DictReader(file, delimiter="\t"), 1)]
 
 
-def _rows(folder: str, names: str | list[str]) -> list[dict[str, str]]:
+def _rows(folder: str, names: str | list[str]) -> list[_Fields]:
     listed = [names] if isinstance(names, str) else names
     return [row for name in listed for row in rows_of(os.path.join(folder, name))]
 
@@ -188,11 +244,6 @@ def _number_or_name(value: str) -> float | str:
         return value.strip()
 
 
-def _float(row: dict[str, str], name: str, default: float = math.nan) -> float:
-    value = row.get(name)
-    return default if value is None or _missing(value) else float(value)
-
-
 def _scale(value: str | None) -> Scale:
     text = "lin" if value is None or _missing(value) else value.strip()
     if text not in ("lin", "log", "log10"):
@@ -200,7 +251,7 @@ def _scale(value: str | None) -> Scale:
     return text  # type: ignore[return-value]  # one of them
 
 
-def _prior(row: dict[str, str], kind: str, parameters: str) -> tuple[str, tuple[float, ...]] | None:
+def _prior(row: _Fields, kind: str, parameters: str) -> tuple[str, tuple[float, ...]] | None:
     name, numbers = row.get(kind), row.get(parameters)
     if name is None or _missing(name):
         return None
@@ -208,21 +259,25 @@ def _prior(row: dict[str, str], kind: str, parameters: str) -> tuple[str, tuple[
     return name.strip().replace("-", ""), tuple(float(x) for x in given.split(";") if x.strip())
 
 
-def _parameter(row: dict[str, str]) -> ParameterRow:
+def _parameter(row: _Fields) -> ParameterRow:
     estimated = str(row.get("estimate", "1")).strip().lower().split(".")[0] in ("1", "true")
+    scale = _scale(row.get("parameterScale"))
+    lower, upper = row.number("lowerBound", -math.inf), row.number("upperBound", math.inf)
+    if estimated and (lower > upper or (scale != "lin" and -math.inf < lower < 0)):
+        raise ValueError(f"{row.where}: the bounds {lower:g} and {upper:g} leave no values on the scale {scale}")
     return ParameterRow(
         row["parameterId"],
-        _scale(row.get("parameterScale")),
-        _float(row, "nominalValue"),
-        _float(row, "lowerBound", -math.inf),
-        _float(row, "upperBound", math.inf),
+        scale,
+        row.number("nominalValue", math.nan),
+        lower,
+        upper,
         estimated,
         _prior(row, "objectivePriorType", "objectivePriorParameters")
         or _prior(row, "priorDistribution", "priorParameters"),
     )
 
 
-def _observable(row: dict[str, str]) -> ObservableRow:
+def _observable(row: _Fields) -> ObservableRow:
     law = (row.get("noiseDistribution") or "normal").strip() or "normal"
     if law.removeprefix("log-") not in ("normal", "laplace"):
         raise ValueError(
@@ -237,7 +292,7 @@ def _observable(row: dict[str, str]) -> ObservableRow:
     return ObservableRow(row["observableId"], *formulas, scale, law.endswith("laplace"), *placeholders)
 
 
-def _measurement(row: dict[str, str], conditions: Sequence[str] | dict[str, Any] = ()) -> Measurement:
+def _measurement(row: _Fields, conditions: Sequence[str] | dict[str, Any] = ()) -> Measurement:
     def listed(name: str) -> tuple[str | float, ...]:
         text = row.get(name)
         return () if text is None or _missing(text) else tuple(_number_or_name(x) for x in text.split(";"))
@@ -252,8 +307,8 @@ def _measurement(row: dict[str, str], conditions: Sequence[str] | dict[str, Any]
         row["observableId"],
         before,
         condition,
-        float(row["measurement"]),
-        float(row["time"]),
+        row.number("measurement"),
+        row.number("time"),
         listed("observableParameters"),
         listed("noiseParameters"),
     )
