@@ -361,8 +361,8 @@ def test_a_fit_finds_a_delay():
 
 @explicit_and_implicit
 def test_conditions_on_t_are_landings_as_without_delays(method):
-    """Runs, extensions and compiled functions are bit for bit those with the times as breakpoints, images included;
-    a condition on a delayed value is none."""
+    """Runs, also of compiled functions, land at them and at their images, and give the values of a run with breakpoints
+    there; a condition on t and a delayed value is not one of them."""
 
     def pulsed(t, y, z, rate):
         return [-rate * z[0, 0] + np.where(t % 2 < 0.5, 1.0, 0.0) + np.where(z[0, 0] + t > 100, 1.0, 0.0)]
