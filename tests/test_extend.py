@@ -355,3 +355,28 @@ def test_a_run_that_failed_is_not_extended(method):
     sol = iv.solve_ivp(blow_up, (0, 2), [1.0], method)
     with pytest.raises(ValueError, match=r"a run that failed cannot be extended: .*t = "):
         sol.extend(3)
+
+
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+def test_gmres_with_sensitivities_continues_bit_for_bit_wherever_a_limit_has_stopped_it(method):
+    """Before a breakpoint with a jump of f and of y, at it, and behind it."""
+    n = 8
+
+    def chain(t, y, rate, inflow):
+        flow = rate * np.concatenate([[inflow if t < 1 else 1.0], y])
+        return flow[:-1] - flow[1:]
+
+    options = {
+        "args": (2.0, 0.3),
+        "sensitivities": True,
+        "linear_solver": "gmres",
+        "breakpoints": [(1.0, lambda t, y, *args: 1.5 * y)],
+        "keep": "end",
+    }
+    whole = iv.solve_ivp(chain, (0, 2), np.linspace(1, 2, n), method, **options)
+    for steps in range(1, whole.stats.steps, whole.stats.steps // 5):
+        part = iv.solve_ivp(chain, (0, 2), np.linspace(1, 2, n), method, max_steps=steps, **options)
+        assert part.status == -3
+        again = part.extend(2, max_steps=None)
+        assert (again.y[:, -1] == whole.y[:, -1]).all()
+        assert (again.sensitivities[..., -1] == whole.sensitivities[..., -1]).all()
