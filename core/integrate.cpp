@@ -727,7 +727,7 @@ Integration::Course Integration::note_values() { return unless_stopped(manifold_
 /// The invariants jump though the solution does not, as the energy where a stiffness is switched: holds them at their
 /// values behind the breakpoint. Events go on.
 Integration::Course Integration::hold_other_values() {
-  Finding finding = manifold_.restart(reached_.t, y0_.data(), true);
+  Finding finding = manifold_.restart(reached_.t, y0_.data(), true, false);
   if (finding.kind == Finding::Kind::off_value) finding.kind = Finding::Kind::jumps_off;
   if (ended(refuse(finding))) return Course::ended;
   begin_output();

@@ -242,7 +242,7 @@ void Jumps::list(const Due& due, double t, const double* Y) {
 State Jumps::restore(double t, double* y) {
   remarks_.component = parts_.checks.move_within_bounds(y);
   if (remarks_.component >= 0) return State::action_out_of_bounds;
-  remarks_.finding = parts_.manifold.restart(t, y, rehold_);
+  remarks_.finding = parts_.manifold.restart(t, y, rehold_, acted_);
   if (remarks_.finding.kind == Finding::Kind::none) return State::running;
   return remarks_.finding.kind == Finding::Kind::stop ? State::interrupted : State::invariant_convicted;
 }

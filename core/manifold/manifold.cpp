@@ -74,10 +74,10 @@ Outcome Manifold::project_start(double t, double* y) {
   return Outcome::ok;
 }
 
-Finding Manifold::restart(double t, double* y, bool rehold) {
+Finding Manifold::restart(double t, double* y, bool rehold, bool acted) {
   constexpr Finding stop{.kind = Finding::Kind::stop};
   if (invariants_ == nullptr) return {};
-  if (rehold && restoration_ && restoration_->restore(t, y) == Status::stop) return stop;
+  if (rehold && restoration_ && restoration_->restore(t, y, acted) == Status::stop) return stop;
   if (rehold && invariants_->hold(t, y) == Status::stop) return stop;
   if (const Finding finding = guard_->start_value(t, y); finding.kind != Finding::Kind::none) return finding;
   if (one_sided_ && one_sided_->go_on(t, y) == Status::stop) return stop;

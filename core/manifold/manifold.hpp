@@ -67,8 +67,8 @@ class Manifold {
   /// tangent.
   Status start(double t, double* y);
   /// Restarts after a jump. `rehold`: projects onto the invariants that an impact conserves, with new values of the
-  /// others.
-  Finding restart(double t, double* y, bool rehold);
+  /// others. `acted`: an action has moved y, and may contradict demanded values.
+  Finding restart(double t, double* y, bool rehold, bool acted);
   /// Notes the values of the invariants at (t, y), as functions of the piece that ends there.
   Status note_values(double t, const double* y);
   /// Compares the invariants at (t, y), as functions of the piece that begins there; `differ`: by more than roundoff.

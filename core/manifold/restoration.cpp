@@ -42,7 +42,7 @@ Restoration::Restoration(const Invariants& invariants, const Weights& weights)
       projector_(demanded_, weights, 1),
       determines_(determines(invariants)) {}
 
-Status Restoration::restore(double t, double* y) {
+Status Restoration::restore(double t, double* y, bool acted) {
   const Outcome outcome = projector_.linearize_at(t, y);
   if (outcome == Outcome::stop) return Status::stop;
   if (outcome == Outcome::not_finite) return Status::ok;
@@ -50,7 +50,7 @@ Status Restoration::restore(double t, double* y) {
   std::size_t i = 0;
   for (const InvariantBlock& block : demanded_.blocks())
     for (const std::size_t end = i + block.m; i < end; ++i)
-      if (block.level == 0 && !determines_ && !(at.distance(i) <= weights_.rtol())) return Status::ok;
+      if (block.level == 0 && (acted || !determines_) && !(at.distance(i) <= weights_.rtol())) return Status::ok;
   return projector_.impose(t, y).outcome == Outcome::stop ? Status::stop : Status::ok;
 }
 
