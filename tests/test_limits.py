@@ -109,15 +109,15 @@ def test_the_limit_of_points_counts_what_is_kept(method):
 @explicit_and_implicit
 def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
     """The bounds made small: as many points, or as much memory."""
-    from invariode._plan import plan
+    from invariode._plan import planning
 
-    monkeypatch.setattr(plan, "_MOST_POINTS", 40)
+    monkeypatch.setattr(planning, "_MOST_POINTS", 40)
     assert kepler(method).status == -3
     assert kepler(method, limits=iv.Limits(points=10**6)).status == 0
     asked_for = kepler(method, t_eval=np.linspace(0, END, 100))
     assert (asked_for.status, len(asked_for.t)) == (0, 100)
-    monkeypatch.setattr(plan, "_MOST_POINTS", 10**7)
-    monkeypatch.setattr(plan, "_MOST_BYTES", 4096)
+    monkeypatch.setattr(planning, "_MOST_POINTS", 10**7)
+    monkeypatch.setattr(planning, "_MOST_BYTES", 4096)
     sol = kepler(method)
     kept = sol.t.nbytes + sol.y.nbytes + sol.steps._rows.nbytes
     assert sol.status == -3
@@ -170,10 +170,10 @@ def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, nativ
 
 def test_a_memory_of_a_stiff_run_is_bounded():
     """van der Pol with mu = 1000 and explicit methods: the default bounds what they keep to less than a gigabyte."""
-    from invariode._plan import plan
+    from invariode._plan import planning
 
     per_step = 8 * (1 + 2 + 5)  # t, y, the record of the step
-    assert plan._MOST_POINTS * per_step < 1e9
+    assert planning._MOST_POINTS * per_step < 1e9
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import pytest
 
 import invariode as iv
 import invariode.scipy as plugin
-from invariode._plan import plan
+from invariode._plan import planning
 from invariode._problem import options
 from invariode._problem.methods import METHODS
 from invariode._problem.options import TABLE
@@ -138,7 +138,7 @@ def test_a_wrong_value_of_each_checked_option_is_refused():
 
 def test_no_option_is_accepted_and_ignored():
     """The plan reads each option of a run, except for `min_step`, which draws a warning."""
-    tree = ast.parse(inspect.getsource(plan))
+    tree = ast.parse(inspect.getsource(planning))
     read = {
         node.slice.value
         for node in ast.walk(tree)
