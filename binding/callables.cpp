@@ -280,42 +280,25 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
     const auto& [mechanics, part] = nb::cast<const MotionPart&>(f);
     return motion(mechanics).callback(part);
   }
-  if (nb::isinstance<Native>(f)) {
-    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
-    const Callback callback = owner->callback();
-    owned_.push_back(std::move(owner));
-    return callback;
-  }
+  if (nb::isinstance<Native>(f)) return own<NativeFunction>(nb::cast<const Native&>(f), parameters_).callback();
   if (nb::isinstance<SecondOrderSpec>(f)) {
     Takes positions = takes;
     Returns accelerations = returns;
     positions.n /= 2, accelerations.rows /= 2;
     const Callback acceleration = add(nb::cast<const SecondOrderSpec&>(f).fun, args, name, accelerations, positions);
-    auto owner = std::make_unique<FirstOrderForm>(acceleration, space_.size);
-    const Callback callback = owner->callback();
-    owned_.push_back(std::move(owner));
-    return callback;
+    return own<FirstOrderForm>(acceleration, space_.size).callback();
   }
-  if (nb::isinstance<QuadraticSpec>(f)) {
-    auto owner = std::make_unique<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f));
-    const Callback callback = owner->callback();
-    owned_.push_back(std::move(owner));
-    return callback;
-  }
+  if (nb::isinstance<QuadraticSpec>(f)) return own<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f)).callback();
   native_ = false;
-  auto owner = std::make_unique<PythonFunction>(f, args, name, takes, returns);
-  const Callback callback = owner->callback();
-  if (args.is(args_)) lendable_.push_back(owner.get());
-  owned_.push_back(std::move(owner));
-  return callback;
+  auto& function = own<PythonFunction>(f, args, name, takes, returns);
+  if (args.is(args_)) lendable_.push_back(&function);
+  return function.callback();
 }
 
 Motion& Functions::motion(const nb::object& mechanics) {
   for (OwnedMotion* known : motions_)
     if (known->is_of(mechanics)) return known->motion();
-  auto owner = std::make_unique<OwnedMotion>(mechanics, *this);
-  motions_.push_back(owner.get());
-  owned_.push_back(std::move(owner));
+  motions_.push_back(&own<OwnedMotion>(mechanics, *this));
   return motions_.back()->motion();
 }
 
@@ -398,12 +381,7 @@ bool StepLimit::exceeded(double t) {
 }
 
 Callback Functions::truth(nb::handle f, const std::string& name) {
-  if (nb::isinstance<StepLimit>(f)) {
-    auto owner = std::make_unique<OwnedStepLimit>(nb::cast<const StepLimit&>(f));
-    const Callback callback = owner->callback();
-    owned_.push_back(std::move(owner));
-    return callback;
-  }
+  if (nb::isinstance<StepLimit>(f)) return own<OwnedStepLimit>(nb::cast<const StepLimit&>(f)).callback();
   return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth}, space_.complex);
 }
 
@@ -430,17 +408,9 @@ Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
 }
 
 MatrixFunction Functions::matrix(nb::handle f) {
-  if (nb::isinstance<Native>(f)) {
-    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
-    const MatrixFunction function = owner->matrix();
-    owned_.push_back(std::move(owner));
-    return function;
-  }
+  if (nb::isinstance<Native>(f)) return own<NativeFunction>(nb::cast<const Native&>(f), parameters_).matrix();
   native_ = false;
-  auto owner = std::make_unique<PythonMatrix>(f, space_.complex);
-  const MatrixFunction function = owner->callback();
-  owned_.push_back(std::move(owner));
-  return function;
+  return own<PythonMatrix>(f, space_.complex).callback();
 }
 
 Callback Functions::product(nb::handle f, const std::string& name) {
@@ -472,19 +442,11 @@ Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k) {
              Takes{.n = n, .rows = 1 + rows, .second = n, .complex = space_.complex});
 }
 
-Series Functions::series(const SeriesSpec& spec) {
-  auto owner = std::make_unique<NativeSeries>(spec, parameters_);
-  const Series series = owner->series();
-  owned_.push_back(std::move(owner));
-  return series;
-}
+Series Functions::series(const SeriesSpec& spec) { return own<NativeSeries>(spec, parameters_).series(); }
 
 Preconditioner Functions::preconditioner(nb::handle f) {
   native_ = false;
-  auto owner = std::make_unique<PythonPreconditioner>(f, space_);
-  const Preconditioner made = owner->callback();
-  owned_.push_back(std::move(owner));
-  return made;
+  return own<PythonPreconditioner>(f, space_).callback();
 }
 
 namespace {

@@ -106,7 +106,7 @@ class StepLimit {
 
   /// It refers to this.
   [[nodiscard]] Callback callback() { return {&entry, this}; }
-  /// After an accepted step to t: whether it was one too many.
+  /// Counts an accepted step to t. Returns whether it was one too many.
   bool exceeded(double t);
 
  private:
@@ -242,6 +242,14 @@ class Functions {
   int visit(visitproc visit, void* arg) const;
 
  private:
+  /// Makes a function that lives as long as this.
+  template <class Owned, class... Arguments>
+  Owned& own(Arguments&&... arguments) {
+    auto owner = std::make_unique<Owned>(std::forward<Arguments>(arguments)...);
+    Owned& owned = *owner;
+    owned_.push_back(std::move(owner));
+    return owned;
+  }
   void postpone_overflows_from(std::size_t first);
   Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
                bool complex_state);

@@ -118,7 +118,7 @@ void property(RunClass& run, const char* name, Read read) {
   run.def_prop_ro(name, [read](const FinishedRun& self) { return read(self.result); });
 }
 
-/// Is there a remark on its steps?
+/// Returns whether there is a remark on its steps.
 bool remarkable(const RunResult& r) {
   return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
 }

@@ -143,7 +143,7 @@ class BoundDifferentiable {
   [[nodiscard]] Vector value(double t, const ConstVector& x) {
     return filled([&](double* out) { return function_.value(t, point(x), out); });
   }
-  /// Of (t, x) as pairs of reals, as such.
+  /// The function at complex (t, x), passed as pairs of reals, with its value as pairs.
   [[nodiscard]] Vector complex_value(const ConstVector& z) {
     require(complex_ && z.size() == 2 * (1 + function_.n()), "no complex form, or no such z");
     std::vector<double> out(2 * function_.m());

@@ -13,12 +13,12 @@ namespace invariode::binding {
 
 /// The times of points, (size,).
 nb::object times_array(Buffer<double>&& t);
-/// So many states of n doubles each, which are reals or pairs of them: (n or n / 2, count).
+/// `count` states of n doubles each, which are reals or pairs of them: (n or n / 2, count).
 nb::object states_array(Buffer<double>&& y, std::size_t n, std::size_t count, bool complex);
 /// A copy of one state, (n or n / 2,).
 nb::object state_array(const double* y, std::size_t n, bool complex);
 
-/// Before the first of them.
+/// Loads NumPy; to be called before the first array is made.
 void prepare_outputs();
 
 }  // namespace invariode::binding

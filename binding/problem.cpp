@@ -29,7 +29,7 @@ Value choose(const Named<Value> (&table)[count], const std::string& name, const 
   throw std::invalid_argument(std::string("unknown ") + what + " '" + name + "'");
 }
 
-/// By complex steps, until g does not take one.
+/// The name of: complex steps, until g does not take one, then central differences.
 constexpr const char* choose_derivative = "complex-step or 3-point";
 /// The names that may stand in place of a Jacobian of g.
 constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::complex_step},
@@ -439,7 +439,7 @@ constexpr Setting named_method(const char* name) {
           [](const RunSettings& s) { return nb::cast(s.*member ? (s.*member)->name : ""); }};
 }
 
-/// In the order of `Settings` in plan.py, which tests/test_binding.py compares.
+/// The settings in the order of `Settings` in plan.py, which tests/test_binding.py compares.
 constexpr Setting settings[] = {
     plain<&RunSettings::t0>("t0"),
     plain<&RunSettings::tf>("tf"),

@@ -35,8 +35,8 @@ class PythonFunction final : public Callable {
     const nb::object before = callable ? take(std::move(callable)) : nb::object();  // its end may run Python code
     std::swap(args_, args);
   }
-  /// From now on an OverflowError, with which Python's `math` says what NumPy says with inf, is no end: the values are
-  /// NaN, and the exception is kept.
+  /// From now on an OverflowError, which Python's `math` raises where NumPy returns inf, does not end the run: values
+  /// are NaN, and the exception is kept.
   void postpone_overflow() { postpones_ = true; }
   /// The time of the call that raised the exception kept last; NaN: none did.
   [[nodiscard]] double overflowed_at() const { return overflowed_at_; }
@@ -96,7 +96,7 @@ class PythonFunction final : public Callable {
   PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
 };
 
-/// Before the first of them.
+/// Loads NumPy; to be called before the first function is made.
 void prepare_python_functions();
 
 }  // namespace invariode::binding

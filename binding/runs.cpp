@@ -97,24 +97,30 @@ FinishedRun finish(Run& run, const Solver& solver, bool remember) {
   return present(run.take_result(), solver, std::move(memory));
 }
 
-/// Tells a Python function (t, h) how far a run is, now and then. Empty, it costs nothing.
+/// Calls Python, with the interpreter held. Returns false if that raised: the exception is set.
+template <class Act>
+bool without_error(Act act) {
+  try {
+    in_python(act);
+  } catch (nb::python_error& error) {
+    error.restore();
+    return false;
+  }
+  return true;
+}
+
+/// Calls a Python function (t, h) now and then with the progress of a run. Empty, it costs nothing.
 class Progress {
  public:
   explicit Progress(const nb::object& function) : function_(function) {}
 
   explicit operator bool() const { return !function_.is_none(); }
   [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
-  /// Tells the progress, with the interpreter held. False: the function raised.
+  /// Reports the progress, with the interpreter held. Returns false if the function raised.
   bool tell(const Integration& integration) {
     if (!*this) return true;
-    try {
-      in_python([&] { function_(integration.t(), integration.step().h()); });
-    } catch (nb::python_error& error) {
-      error.restore();
-      return false;
-    }
     next_ = Clock::now() + telling;
-    return true;
+    return without_error([&] { function_(integration.t(), integration.step().h()); });
   }
 
  private:
@@ -135,17 +141,12 @@ class Keeper {
   /// Keeps the run, with the interpreter held. False: the function raised.
   bool keep(Run& run, const Solver& solver) {
     if (!*this) return true;
-    try {
-      RunMemory memory;
-      if (can_go_on(run.integration().state())) memory = run.memory(everything);
-      FinishedRun part = present(run.result_since(marks_), solver, std::move(memory));
-      in_python([&] { kept_(nb::cast(std::move(part))); });
-    } catch (nb::python_error& error) {
-      error.restore();
-      return false;
-    }
+    RunMemory memory;
+    if (can_go_on(run.integration().state())) memory = run.memory(everything);
+    FinishedRun part = present(run.result_since(marks_), solver, std::move(memory));
+    const bool kept = without_error([&] { kept_(nb::cast(std::move(part))); });
     last_ = Clock::now();
-    return true;
+    return kept;
   }
 
  private:
@@ -158,8 +159,8 @@ class Keeper {
   std::optional<Clock::time_point> last_;  // none: the start is kept
 };
 
-/// Tells a Python function (stiff_since, discontinuities, sticks_since) what a run has established, as soon as it has
-/// gone on for a second, and when it is interrupted: a long run's warnings would come too late at its end. Empty, it
+/// Calls a Python function (stiff_since, discontinuities, sticks_since) with what a run has established, once it has
+/// taken a second, and when it is interrupted: a long run's warnings would come too late at its end. Empty, it
 /// costs nothing.
 class Remarks {
  public:
@@ -167,7 +168,8 @@ class Remarks {
 
   explicit operator bool() const { return !function_.is_none(); }
   [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
-  /// With the interpreter held. False: the function raised, as a warning does that a filter makes an error.
+  /// Reports what is new, with the interpreter held. Returns false if the function raised, as a warning does that a
+  /// filter makes an error.
   bool tell(const Integration& integration) {
     if (!*this) return true;
     next_ = Clock::now() + patience;
@@ -179,16 +181,10 @@ class Remarks {
     told_.stiffness = told_.stiffness || stiff;
     told_.discontinuities = told_.discontinuities || jumped;
     told_.sticking = told_.sticking || jumps.sticks_since();
-    try {
-      in_python([&] {
-        function_(stiff ? std::optional(stiffness.since) : std::nullopt, jumped ? jumps.found() : std::vector<double>(),
-                  jumped ? jumps.sticks_since() : std::nullopt);
-      });
-    } catch (nb::python_error& error) {
-      error.restore();
-      return false;
-    }
-    return true;
+    return without_error([&] {
+      function_(stiff ? std::optional(stiffness.since) : std::nullopt, jumped ? jumps.found() : std::vector<double>(),
+                jumped ? jumps.sticks_since() : std::nullopt);
+    });
   }
   [[nodiscard]] const FinishedRun::Told& told() const { return told_; }
 
@@ -237,10 +233,10 @@ class DrivenRun {
     return run_watched(run_, [&] { return begin(run_); }, [&] { return tell_if_due(); });
   }
 
-  /// Tells that the run has ended.
+  /// Reports the end of the run.
   bool tell_the_end() { return progress_.tell(run_.integration()) && keeper_.keep(run_, solver_); }
 
-  /// Tells the findings of a run that was interrupted; the exception stays the one that is on its way.
+  /// Reports the findings of a run that was interrupted; the exception stays the one that is on its way.
   void tell_the_interruption() {
     const nb::error_scope pending;
     if (!remarks_.tell(run_.integration())) PyErr_Clear();
@@ -577,13 +573,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
       return false;
     }
     if (request != nullptr && request->made) return false;
-    if (progress.is_none()) return true;
-    try {
-      progress(done);
-    } catch (nb::python_error& error) {
-      error.restore();
-      raised = true;
-    }
+    raised = !progress.is_none() && !without_error([&] { progress(done); });
     return !raised;
   };
   const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };

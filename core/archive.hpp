@@ -31,8 +31,8 @@ class Archive {
   /// Raised whenever the fields of any class change, or their order.
   static constexpr std::uint32_t version = 13;
 
-  /// To write. Where it would take more than `most_values` matrix entries, matrices are left out: whoever reads it
-  /// starts the method anew.
+  /// Makes an archive to be written. Matrices of more than `most_values` entries are left out; a run that is read from
+  /// it then restarts the method.
   explicit Archive(std::size_t most_values) : most_values_(most_values) {
     std::uint32_t own = version;
     (*this)(own, whole_);

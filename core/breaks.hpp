@@ -41,11 +41,11 @@ class Breaks {
   [[nodiscard]] int level(double t) const;
   /// ∂t/∂p of the mark at t, (k,); of anything else there, whose time is fixed, zeros.
   [[nodiscard]] std::vector<double> rates(double t, std::size_t k) const;
-  /// Is the next breakpoint or landing at t, or so close to it that no step fits between?
+  /// Returns whether the next breakpoint or landing is at t, or so close to it that no step fits between.
   [[nodiscard]] bool at(double t) const { return at_breakpoint(t) || at_landing(t); }
   [[nodiscard]] bool at_breakpoint(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }
   [[nodiscard]] bool at_landing(double t) const { return same(landing_, t); }
-  /// Does the attempt end at the next breakpoint or landing?
+  /// Returns whether the attempt ends at the next breakpoint or landing.
   [[nodiscard]] bool at_end_of(const Aim& aim) const {
     return aim.lands() && (landing_ == aim.t1() || (next_ < points_.size() && points_[next_].t == aim.t1()));
   }
@@ -60,7 +60,8 @@ class Breaks {
   void begin_piece(double t);
   /// Continues in the piece that was read from an archive, at t: before a breakpoint there, which has yet to be passed.
   void resume_piece(double t);
-  /// Where the steps of the piece lead: the first breakpoint or landing after its start, or the end of the interval.
+  /// The time to which the steps of the piece lead: the first breakpoint or landing after its start, or the end of the
+  /// interval.
   [[nodiscard]] double target() const { return target_; }
   /// The callback that changes sensitivities at a landing.
   [[nodiscard]] Callback& landing_jump() { return landings_.jump; }

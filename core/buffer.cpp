@@ -11,8 +11,8 @@ namespace invariode {
 namespace {
 
 #ifdef __linux__
-/// From this size on pages of 2 MB pay, of which the first touch costs a fraction of that of 512 small ones. (NumPy
-/// asks for them from 4 MB on too.)
+/// The size from which on pages of 2 MB pay: the first touch of one costs a fraction of that of 512 small ones. (NumPy
+/// requests them from 4 MB on too.)
 constexpr std::size_t large = std::size_t{4} * 1024 * 1024, page = 4096;
 
 /// A wish, which the system may ignore.

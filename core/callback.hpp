@@ -12,7 +12,7 @@ namespace invariode {
 /// fails.
 enum class [[nodiscard]] Status { ok, stop };
 
-/// How an operation ended that calls user functions. `not_finite`: a needed value is NaN or infinite.
+/// The outcome of an operation that calls user functions. `not_finite`: a needed value is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 
 /// A user function `out = function(t, y)`: a pointer, its context, and how often it was called. It may throw if

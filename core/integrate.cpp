@@ -220,7 +220,7 @@ Integration::Course Integration::begin_step() {
   return Course::goes_on;
 }
 
-/// Where components come to rest at bounds, or leave them, f is another function from here on: the method starts anew.
+/// Restarts the method if components come to rest at bounds or leave them: f is another function from here on.
 Integration::Course Integration::meet_bounds() {
   bool changed = false;
   if (ended(unless_stopped(bounded_slope_->begin_step(step_->t(), step_->y(), changed)))) return Course::ended;
@@ -462,7 +462,7 @@ void Integration::note_pure_relative() {
 
 // ------------------------------------------------------------------------------------------------- an accepted step
 
-/// Are the invariants conserved, what happened in the step, what is to be kept, does the run go on?
+/// Tests the invariants, handles the events of the step, stores its output, and decides whether the run continues.
 State Integration::finish_step() {
   reached_ = {t0_, y0_.data()};  // until guard and events have passed the step
   if (manifold_.any() && ended(judge_invariants())) return state_;
@@ -539,7 +539,7 @@ Integration::Course Integration::record() {
   return unless_stopped(emitter_.add_segment(reached_));
 }
 
-/// Does the solution jump at the end of the step?
+/// Returns whether the solution jumps at the end of the step.
 bool Integration::jumps_here() const { return !events_.terminal() && (events_.acts() || breaks_.at(reached_.t)); }
 
 Integration::Course Integration::emit(bool jumps_here) {

@@ -93,7 +93,7 @@ class Integration {
   /// The results, to be moved out when the run has ended.
   [[nodiscard]] Output& output() { return emitter_.output; }
   [[nodiscard]] const Output& output() const { return emitter_.output; }
-  /// From now on `last_step` also knows a step at whose end the solution jumps or f does: it is then put together
+  /// From now on `last_step` also has a step at whose end the solution or f jumps: it is then put together
   /// before the method starts again, which may take evaluations of f.
   void keep_last_step() { keeps_last_ = looks_between_ = true; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.

@@ -204,7 +204,7 @@ State Jumps::follow_equations(double t, double* Y) {
   return stops ? State::interrupted : State::running;
 }
 
-/// Which events has the jump to y carried over zero? Theirs are the next actions.
+/// Finds the events that the jump to y has carried over zero: their actions are the next ones.
 State Jumps::judge(double t, const double* y, int depth) {
   std::vector<std::size_t>& circle = remarks_.circle;
   crossed_.clear();

@@ -50,7 +50,7 @@ class Jumps {
   /// f before a mark whose time depends on parameters, and then the sensitivities behind it: S⁺ = S⁻ + (f⁻ − f⁺) ∂t/∂p.
   [[nodiscard]] Status note_slope(double t, const double* y);
   [[nodiscard]] Status at_moving_mark(double t, std::span<const double> rates, double* Y);
-  /// Only moves Y onto the algebraic equations; only S onto their tangent.
+  /// Moves Y onto the algebraic equations, without any action; and only S onto their tangent.
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
 
@@ -67,7 +67,7 @@ class Jumps {
   /// `acted` and `moved`: the latest call of `at_events` or `at_breakpoints` has taken an action, or changed Y.
   [[nodiscard]] bool acted() const { return acted_; }
   [[nodiscard]] bool moved() const { return moved_; }
-  /// Without an action: have invariants other values there?
+  /// Returns whether invariants have other values there, without an action.
   [[nodiscard]] bool others() const { return others_; }
 
  private:

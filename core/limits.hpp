@@ -13,7 +13,8 @@
 
 namespace invariode {
 
-/// Is asked after steps, as rarely as it can be: after a look none is due for as many steps as cannot reach a limit.
+/// The limits of a run, tested after steps, and as rarely as possible: after a test none is due for as many steps as
+/// cannot reach a limit.
 class Limits {
  public:
   explicit Limits(const Settings& settings)

@@ -75,7 +75,7 @@ struct Drift {
   double correction = 0;
 };
 
-/// Where corrections do harm: the component of y that projections have moved most, in units of its own estimated
+/// The harm of corrections: the component of y that projections have moved most, in units of its own estimated
 /// errors.
 struct Harm {
   int component = -1;  ///< none

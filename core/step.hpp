@@ -84,7 +84,7 @@ class Step : public StepReport, public Archived {
   /// `gap`.
   virtual Attempt inspect_inside(const Attempt& attempt, double /*gap*/) { return attempt; }
 
-  /// How far the error estimate of an attempt that has passed the test can be trusted where f may jump: always; not
+  /// The trust in the error estimate of an attempt that has passed the test, where f may jump: always; not
   /// where attempts have failed at the place before; not at all, since the slopes do not look like those of a smooth f.
   enum class Trust { always, unless_suspicious, never };
   [[nodiscard]] virtual Trust trust() const { return Trust::always; }

@@ -34,7 +34,7 @@ Status BelowZero::judge(const Step& step, double* watch, std::int64_t& evaluatio
   return Status::ok;
 }
 
-/// Does f lead component i from 0 downwards, beside y?
+/// Finds out whether f, near y, leads component i from 0 downwards.
 Status BelowZero::lead_down(double t, const double* y, std::size_t stride, std::size_t i, double least, bool& leads) {
   const std::size_t n = weights_.size();
   work_.resize(2 * n);

@@ -230,7 +230,8 @@ Status DiscontinuityDetector::passes(double t0, const double* y0, double t1, con
   return Status::ok;
 }
 
-/// In the attempt, then as far as the longest one of the series led: what a method has from there may outlive it.
+/// Searches the attempt, then as far as the longest one of the series led: what a method keeps from there may outlive
+/// it.
 Status DiscontinuityDetector::gave_up(double t0, const double* y0, const double* slope, double t1, double target) {
   const double h = t1 - t0;
   const double longest = std::min(series_.longest(), std::abs(target - t0));

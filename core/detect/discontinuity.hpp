@@ -27,12 +27,12 @@ class JumpSearch {
   /// Searches only in the part of the line over which f changes most differently from its neighbours, until a step over
   /// the jump, or over what is left, would have an error of at most `most`: |h| times the change of f, in the weights.
   Result bracket(double t0, const double* y0, double t1, const double* y1, double most);
-  /// By how much f changes, in the weights, over what the latest search has left, and where that begins.
+  /// The change of f, in the weights, over what the latest search has left, and where that begins.
   [[nodiscard]] double jump() const { return change(a_, b_); }
   [[nodiscard]] double before() const { return a_.t; }
-  /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
+  /// Finds out, after a jump, whether y decides on which side f is: f then jumps between these points at t0 too.
   Result decided_by_y(double t0);
-  /// After a jump was found: returns `found` if from each side f leads, within a step of size h, to the other side or
+  /// Returns, after a jump, `found` if from each side f leads, within a step of size h, to the other side or
   /// nowhere.
   Result attracts(double h);
   /// The time of the discontinuity: the first of the times with the new f.
@@ -102,8 +102,9 @@ class DiscontinuityDetector {
   Status watch_pace(double t, const double* y, const double* slope, double target, std::int64_t steps,
                     const Counts& counts, bool limited);
 
-  /// Does f change by more than half of itself over one spacing of t along y' = `slope`, and move a component by more
-  /// than `tolerances` tolerances with that? For starts whose first step is shorter than t can represent.
+  /// Finds out whether f changes by more than half of itself over one spacing of t along y' = `slope`, and moves a
+  /// component by more than `tolerances` tolerances with that; for starts whose first step is shorter than t can
+  /// represent.
   Status changes_at_once(double t, const double* y, const double* slope, double forward, double tolerances,
                          bool& changes);
 

@@ -31,7 +31,7 @@ class StiffnessDetector {
   /// Returns whether stability limited the step that was looked at last.
   [[nodiscard]] bool limited() const { return free_ == 0 && streak_ > 0; }
 
-  /// Nothing, unless most steps since then were limited.
+  /// The finding, which is none unless most steps since then were limited.
   [[nodiscard]] Stiffness found() const {
     const bool most = 2 * limited_ > looks_;
     return sustained_ && most ? Stiffness{.found = true, .since = since_} : Stiffness{};

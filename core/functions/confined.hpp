@@ -50,7 +50,7 @@ class Confined {
     extent_ = extent;
     return {&Confined::augmented_entry, &functions_.emplace_back(*this, function)};
   }
-  /// For tests whether f is what it should be: NaN beyond roundoff of the bounds.
+  /// The function for tests of where f is defined: NaN beyond roundoff of the bounds.
   Callback defined(const Callback& function) {
     return {&Confined::defined_entry, &functions_.emplace_back(*this, function)};
   }

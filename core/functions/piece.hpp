@@ -25,7 +25,7 @@ class Piece {
   Piece(const Piece&) = delete;
   Piece& operator=(const Piece&) = delete;
 
-  /// From now on the piece between the times `from` and `to`. Functions are called so far from these, at least, and one
+  /// Enters the piece between the times `from` and `to`. Functions are called at least so far from these, and one
   /// double in any case; at 0 an end bounds nothing.
   void enter(double from, double margin_from, double to, double margin_to) {
     assert(!std::isnan(from) && !std::isnan(to));

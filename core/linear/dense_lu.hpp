@@ -37,7 +37,7 @@ class Stretches<double> {
     double* x = values_.data() + from;
     for (std::size_t i = 0; i < count; ++i) x[i] /= pivot;
   }
-  /// From the stretch, `factor` times a stretch of `other`, which lies elsewhere.
+  /// Subtracts, from the stretch, `factor` times a stretch of `other`, which lies elsewhere.
   void subtract(std::size_t from, std::size_t count, double factor, const Stretches& other, std::size_t there) {
     double* __restrict x = values_.data() + from;
     const double* __restrict y = other.values_.data() + there;
@@ -113,7 +113,7 @@ class DenseLu {
   void clear() { a_.clear(); }
   void add(std::size_t i, std::size_t j, Scalar value) { a_.add(place(i, j), value); }
 
-  /// False: A is singular, or not finite.
+  /// Replaces A by its factors. Returns false if it is singular, or not finite.
   [[nodiscard]] bool factor() {
     for (std::size_t k = 0; k < n_; ++k) {
       if (!bring_up_pivot(k)) return false;

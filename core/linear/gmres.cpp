@@ -99,7 +99,7 @@ GmresResult Gmres<Scalar>::solve(LinearOperator<Scalar>& A, const double* w, dou
   return GmresResult::failed;
 }
 
-/// From the residual in basis(0), of that norm, until the one formed is small enough or the space is full: `failed`.
+/// Iterates from the residual in basis(0), of that norm, until it is small enough or the space is full: `failed`.
 template <class Scalar>
 GmresResult Gmres<Scalar>::cycle(LinearOperator<Scalar>& A, const double* w, double tolerance, double norm) {
   std::fill(rotated_.begin(), rotated_.end(), 0);

@@ -74,10 +74,10 @@ class Gmres {
 
   /// x: b at the start, the solution at the end; `w`: the weights, all (n,).
   GmresResult solve(LinearOperator<Scalar>& A, const double* w, double tolerance, Scalar* x);
-  /// After `undefined`: the vector (n,) whose product it was, null where it was b.
+  /// The vector (n,) whose product was `undefined`; null if b itself was.
   [[nodiscard]] const Scalar* tried() const { return tried_; }
   [[nodiscard]] std::size_t n() const { return n_; }
-  /// How much smaller than a vector its product has been in the last solve, at most 1: a residual is about that much
+  /// The smallest ratio of a product to its vector in the last solve, at most 1: a residual is about that much
   /// smaller than the error of x. Small where a preconditioner is crude, or of another scale than A.
   [[nodiscard]] double least_singular_value() const { return least_singular_value_; }
   /// All iterations so far: one product each.

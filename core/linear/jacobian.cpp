@@ -157,8 +157,8 @@ bool Jacobian::examination_due() const {
   return doubtful_now_ || examined_ || std::has_single_bit(static_cast<std::uint64_t>(count_ + 1));
 }
 
-/// Where f is not finite at complex y, or does not agree, differences are formed from now on, unless entries are
-/// missing in a given structure.
+/// Forms complex steps, and differences from now on if f is not finite at complex y or does not agree, unless entries
+/// are missing in a given structure.
 Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, const double* slope) {
   const bool due = examination_due();
   ++count_;
@@ -195,7 +195,7 @@ Status Jacobian::step_complex(double t, const double* y, bool& finite) {
   return Status::ok;
 }
 
-/// At the edge of where f is differentiable, as √y at 0, only differences are finite.
+/// Forms differences where derivatives are not finite, as at the edge of a domain (√y at 0).
 Status Jacobian::derive(Callback& f, double t, const double* y, const double* slope) {
   ++count_;
   noise_ = 0;

@@ -35,7 +35,7 @@ class Jacobian {
   /// `derived`: a function that follows from f, and is right; where it is not finite, differences take its place.
   enum class Kind { constant, function, derived, differences, complex_steps, products };
 
-  /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.
+  /// The source of its entries. `complex_f`: f of complex y, pairs of reals in and out.
   struct Source {
     Kind kind = Kind::differences;
     MatrixFunction function;     ///< of these kinds
@@ -76,7 +76,7 @@ class Jacobian {
   [[nodiscard]] bool computed() const { return kind_ == Kind::differences || kind_ == Kind::complex_steps; }
   /// The entry that the given structure was first seen to miss.
   [[nodiscard]] const std::optional<Misfit>& misfit() const { return misfit_; }
-  /// By which increments of component j are scaled: its weight, if that is not too small.
+  /// The scale of increments of component j: its weight, if that is not too small.
   [[nodiscard]] double scale(std::size_t j, const double* y) const { return defined_scale(weights_.at(j, y[j]), y); }
   /// The number of groups of columns for finite differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_ ? groups_->size() : 0; }
@@ -86,11 +86,12 @@ class Jacobian {
   [[nodiscard]] std::int64_t count() const { return count_; }
   /// Evaluations of f at complex y so far.
   [[nodiscard]] std::int64_t complex_calls() const { return source_.complex_f.calls(); }
-  /// From this t on differences have replaced complex steps; NaN: they have not.
+  /// The t from which on differences have replaced complex steps; NaN: they have not.
   [[nodiscard]] double abandoned_complex_steps() const { return abandoned_complex_steps_; }
   /// The number of times that a pattern that was found has grown.
   [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
-  /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
+  /// The part of it that is roundoff of f, a norm in the weights; of c J it is |c| times that. 0 except for
+  /// differences.
   [[nodiscard]] double noise() const { return noise_; }
   /// Returns whether columns of the latest differences have increments far from √ε |y_j|, chosen after earlier
   /// differences.

@@ -101,8 +101,8 @@ bool JacobianCheck::misleads(const double* slope) const {
   return false;
 }
 
-/// By both looks. (A J that is too small where f bends, as that of y² is at 0, fails Newton's iteration visibly, if at
-/// all.)
+/// Judges by both looks. (A J that is too small where f bends, as that of y² is at 0, fails Newton's iteration visibly,
+/// if at all.)
 JacobianCheck::Fit JacobianCheck::judge(const double* slope) {
   Fit fit = Fit::good;
   for (std::size_t i = 0; i < change_.size(); ++i) {

@@ -17,7 +17,7 @@ class JacobianCheck {
   explicit JacobianCheck(std::size_t n) : n_(n) {}
 
   enum class [[nodiscard]] Verdict { right, wrong, stop };
-  /// How J describes f in a neighbourhood: well enough for Newton's iteration; not at all, although f is nearly linear
+  /// The fit of J to f in a neighbourhood: good enough for Newton's iteration; none, although f is nearly linear
   /// there (`wrong`); or J is much too large, and f far from linear (`bent`), as it is beside a jump.
   enum class [[nodiscard]] Fit { good, wrong, bent, stop };
 

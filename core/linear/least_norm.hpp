@@ -100,7 +100,7 @@ class KnownPattern {
 /// changes. That squares the condition number; an iteration recovers what is lost.
 class GramFactors {
  public:
-  /// False: columns depend on each other to within `threshold`.
+  /// Forms the factors. Returns false if columns depend on each other to within `threshold`.
   [[nodiscard]] bool factor(const Eigen::SparseMatrix<double>& B, double threshold);
   /// (BᵀB)⁻¹ r
   [[nodiscard]] Eigen::VectorXd solve(const Eigen::VectorXd& r) const { return factors_->solve(r); }

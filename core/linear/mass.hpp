@@ -107,7 +107,7 @@ class MassSolver {
   std::vector<double> row_scale_, column_scale_;
 };
 
-/// How the search for consistent initial values ended. `undetermined`: the algebraic equations do not determine the
+/// The end of the search for consistent initial values. `undetermined`: the algebraic equations do not determine the
 /// components that M leaves free, as far as differences of f can tell; with derivatives, `index_too_high`.
 enum class Consistency { consistent, corrected, not_found, undetermined, index_too_high, undefined, stop };
 

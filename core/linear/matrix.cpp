@@ -125,7 +125,8 @@ class DenseInBlocks final : public Factors<Scalar> {
   }
 
  private:
-  /// No multiple of 64, which would put all entries of a row into the same few places of the cache.
+  /// The height of the columns: no multiple of 64, which would put all entries of a row into the same few places of the
+  /// cache.
   static std::size_t height_for(std::size_t n) {
     const std::size_t height =
         (n + elimination::row_multiple - 1) / elimination::row_multiple * elimination::row_multiple;

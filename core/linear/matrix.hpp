@@ -131,8 +131,8 @@ using ComplexFactorization = Factors<std::complex<double>>;
 /// Returns whether `make_factors` uses LAPACK for matrices of a structure, if it is given.
 [[nodiscard]] bool by_lapack(const Structure& structure);
 
-/// For matrices of that structure. `lapack` may be null: dense ones are then eliminated by our own code, however large,
-/// and banded ones that are not narrow are treated as sparse.
+/// Makes factors for matrices of that structure. `lapack` may be null: dense ones are then eliminated by our own code,
+/// however large, and banded ones that are not narrow are treated as sparse.
 template <class Scalar>
 std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack);
 

@@ -91,7 +91,7 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
   /// Users' functions have returned NaN, infinity or 0 in so many attempts in a row that shorter steps will not help.
   [[nodiscard]] bool hopeless() const;
 
-  /// Nothing is solved any more: gives memory back.
+  /// Gives memory back: nothing is solved any more.
   void end_attempts() { memory_.give_back(); }
   [[nodiscard]] std::int64_t products() const { return product_.count(); }
   [[nodiscard]] std::int64_t iterations() const;

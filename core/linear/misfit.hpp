@@ -7,7 +7,7 @@
 
 namespace invariode {
 
-/// Where that was first seen: f_row changes with y_column, which the given structure excludes; or the given J says
+/// The first misfit that was seen: f_row changes with y_column, which the given structure excludes; or the given J says
 /// something else than f of how f_row changes along a direction.
 struct Misfit {
   enum class Kind : unsigned char { pattern, bands, matrix } kind = Kind::matrix;

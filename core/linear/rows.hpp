@@ -36,8 +36,8 @@ struct RowOf {
 };
 using Row = RowOf<double>;
 
-/// Where entries of some gradients can be other than zero: where each begins, and their components, ascending. Empty:
-/// everywhere.
+/// The entries of some gradients that can differ from zero: where each gradient begins, and their components,
+/// ascending. Empty: all.
 struct RowPattern {
   std::vector<std::size_t> starts;
   std::vector<int> columns;

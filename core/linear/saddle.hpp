@@ -23,9 +23,10 @@ struct ConstrainedSolution {
                            ///< of rows with norm 1; 0: some depend on others
 };
 
-/// Where M is definite: M = L Lᵀ and a pivoted QR of L⁻¹Aᵀ, never the Gram matrix A M⁻¹ Aᵀ, whose condition is the
-/// square. Where it is not: a pivoted QR of Aᵀ, and Cholesky of M on the null space. Rows of A that depend on others to
-/// within `threshold`, whatever their units, are left out. M is symmetric; its lower triangle is read.
+/// Solves the system, if M is definite, by M = L Lᵀ and a pivoted QR of L⁻¹Aᵀ, never the Gram matrix A M⁻¹ Aᵀ, whose
+/// condition is the square; if it is not, by a pivoted QR of Aᵀ, and Cholesky of M on the null space. Rows of A that
+/// depend on others to within `threshold`, whatever their units, are left out. M is symmetric; its lower triangle is
+/// read.
 ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
                                  double threshold);
 

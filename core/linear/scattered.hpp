@@ -7,10 +7,10 @@
 
 namespace invariode {
 
-/// In [0, 1), spread evenly over it: the multiples of the golden ratio modulo 1.
+/// Numbers spread evenly over [0, 1): the multiples of the golden ratio modulo 1.
 inline double spread(std::size_t j) { return std::fmod(0.6180339887498949 * static_cast<double>(j + 1), 1.0); }
 
-/// In [0, 1), scattered over it: no small linear combination of successive ones vanishes, as it does with multiples of
+/// Numbers scattered over [0, 1): no small linear combination of successive ones vanishes, as it does with multiples of
 /// an irrational number. SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) at k.
 inline double scattered(std::uint64_t k) {
   std::uint64_t z = (k + 1) * 0x9e3779b97f4a7c15U;

@@ -46,7 +46,7 @@ Pattern lower_part(const Pattern& A, const std::vector<int>& place) {
   return lower;
 }
 
-/// Where each row and column comes in the minimum degree order of A + Aᵀ.
+/// The place of each row and column in the minimum degree order of A + Aᵀ.
 std::vector<int> minimum_degree(const Pattern& A) {
   const std::vector<double> values(A.rows.size());
   const Eigen::SparseMatrix<double> matrix = Eigen::Map<const Eigen::SparseMatrix<double>>(
@@ -102,7 +102,7 @@ std::vector<int> postorder(const std::vector<int>& parent) {
   return place;
 }
 
-/// Is it worth to eliminate two fronts together, of so many columns, with this part of entries that are 0? (The rule
+/// Returns whether two fronts, of so many columns, with this part of zeros, are worth eliminating together. (The rule
 /// of CHOLMOD: Chen, Davis, Hager and Rajamanickam, ACM Trans. Math. Softw. 35 (2008) 22.)
 bool joined(std::size_t columns, double zeros) {
   return zeros == 0 || (columns <= 16 && zeros < 0.25) || (columns <= 48 && zeros < 0.1) || zeros < 0.05;

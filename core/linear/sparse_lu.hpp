@@ -10,7 +10,7 @@
 
 namespace invariode {
 
-/// In which order, and in which groups, the columns of a matrix are eliminated. Columns of a front have nearly the same
+/// The order and the groups in which the columns of a matrix are eliminated. Columns of a front have nearly the same
 /// pattern below it; what their elimination changes in the rest of the matrix is added to the front of its parent.
 struct FrontTree {
   std::vector<int> place;     ///< of each row and column of the matrix among those that are eliminated
@@ -20,7 +20,7 @@ struct FrontTree {
   std::vector<int> rows;      ///< ascending
 
   FrontTree() = default;
-  /// In the minimum degree order of A + Aᵀ.
+  /// Makes the tree of the minimum degree order of A + Aᵀ.
   explicit FrontTree(const Pattern& A);
 
   [[nodiscard]] std::size_t fronts() const { return children.size(); }

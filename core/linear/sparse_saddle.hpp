@@ -18,8 +18,8 @@ bool is_diagonal(const Eigen::SparseMatrix<double>& M);
 /// condition number costs, and the result is tested.
 class SparseSaddle {
  public:
-  /// False: rows depend on each other or nearly so, M is not definite, or the solution is not good to roundoff. It is
-  /// then left to `solve_saddle`.
+  /// Solves the system. Returns false if rows depend on each other or nearly so, M is not definite, or the solution is
+  /// not good to roundoff: it is then left to `solve_saddle`.
   bool solve(const Eigen::SparseMatrix<double>& M, const Eigen::SparseMatrix<double>& A, const VectorView& Q,
              const VectorView& gamma, ConstrainedSolution& found);
 

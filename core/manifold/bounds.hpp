@@ -33,7 +33,8 @@ class Bounds {
   [[nodiscard]] std::vector<double> lower() const;
   [[nodiscard]] std::vector<double> upper() const;
   [[nodiscard]] bool contain(const double* y) const;
-  /// How far y is outside, in units of thr = atol / rtol, to be compared with rtol; and which component is the farthest
+  /// The distance of y outside, in units of thr = atol / rtol, to be compared with rtol; and which component is the
+  /// farthest
   /// (-1: none is outside).
   struct Excess {
     double size = 0;
@@ -78,9 +79,10 @@ class BoundedSlope {
   /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f. `changed`: it
   /// is another slope now, which the method's memory does not know.
   Status begin_step(double t, const double* y, bool& changed);
-  /// How often it did.
+  /// The number of evaluations of f by that.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  /// With the components held, which slopes of sensitivities beside a point take from the last evaluation of f.
+  /// Archives the components held too, which slopes of sensitivities at other points take from the last evaluation of
+  /// f.
   void state(Archive& archive);
 
   /// The components whose slope the last evaluation set to 0.

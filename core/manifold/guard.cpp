@@ -485,8 +485,8 @@ Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
   return worst;
 }
 
-/// In steps 1, 4, 16, 64, 256, 512, 768, …, where derivatives are blind: g along the flow where the linearization is,
-/// and what is then suspected, on the manifold.
+/// Tests, in steps 1, 4, 16, 64, 256, 512, 768, …, where derivatives are blind: g along the flow where the
+/// linearization is, and what is then suspected, on the manifold.
 Finding Guard::look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
   if (steps < next_flow_) return {};
   next_flow_ = steps + std::min(3 * steps, longest_trust);

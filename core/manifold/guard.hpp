@@ -70,7 +70,7 @@ class Guard {
   struct Pause {
     std::int64_t until = 0;  // this step
     double acquitted = 0;    // the size of that suspicion
-    /// Is one of this size to be looked at in step number `steps`?
+    /// Returns whether one of this size is to be tested in step number `steps`.
     [[nodiscard]] bool asks(std::int64_t steps, double size) const;
     void begin(std::int64_t steps, double size);
   };

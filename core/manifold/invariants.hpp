@@ -16,7 +16,7 @@
 
 namespace invariode {
 
-/// Where ∂g/∂y comes from: a user function; Im g(t, y + i h e_j) / h, to roundoff; differences on both sides or on one.
+/// The source of ∂g/∂y: a user function; Im g(t, y + i h e_j) / h, to roundoff; differences on both sides or on one.
 enum class Derivative { given, complex_step, central, forward };
 
 /// m invariants that one user function computes: g(t, y) -> (m,), its Jacobian -> (m, n) row-major, or the entries of
@@ -63,7 +63,7 @@ class Invariants {
   [[nodiscard]] std::int64_t jacobian_calls() const;
   /// Evaluations of g for Jacobians by differences, which `calls` includes.
   [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
-  /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
+  /// Returns whether the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
   [[nodiscard]] bool by_differences(std::size_t i) const {
     assert(i < m());
     return increment_[i] != 0;

@@ -57,7 +57,7 @@ Status Manifold::start(double t, double* y) {
   return start_tangent(t, y, true);
 }
 
-/// Where the tangent is not defined, S stays: the method will say what is wrong.
+/// Moves S onto the tangent. Where that is not defined S stays: the method will report what is wrong.
 Status Manifold::start_tangent(double t, double* y, bool rehold) {
   if (!tangent_) return Status::ok;
   if (rehold && tangent_->hold(t, y) == Status::stop) return Status::stop;
@@ -133,7 +133,7 @@ double Manifold::settle(StepEnds& ends) {
   return moved;
 }
 
-/// False: the candidate is outside of the bounds by more than the tolerance.
+/// Returns false if the candidate is outside the bounds by more than the tolerance.
 bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   const Bounds::Excess outside = bounds_->excess(ends.y1, weights_);
   outside_ = {.off_bounds = outside.component >= 0, .component = outside.component};

@@ -80,8 +80,8 @@ class Manifold {
   /// The start, which is within bounds, onto the manifold within them. Not finite: there is no such point near it.
   Outcome project_start(double t, double* y);
 
-  /// How `place` ended: `outside` of the bounds by more than the tolerance; moved too far by the projection, or not
-  /// projected; the tangent is `undefined` there; `stop`: a user function asks to.
+  /// The outcome of `place`: `outside` of the bounds by more than the tolerance; moved too far by the projection, or
+  /// not projected; the tangent is `undefined` there; `stop`: a user function asks to.
   enum class [[nodiscard]] Placed { accepted, outside, too_far, undefined, stop };
   /// `projected`: a projection was tried; `skipped`: the candidate was near enough to the manifold.
   struct Placement {

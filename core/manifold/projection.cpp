@@ -311,8 +311,8 @@ bool Projector::crossed_zero(const double* y) const {
   return false;
 }
 
-/// By what factor a distance may be wrong that is judged by the gradients of the last linearization: these change by
-/// (1 + d)³ at most over a distance of d sizes of the components, if g is made of powers to the third.
+/// The factor by which a distance may be wrong that is judged by the gradients of the last linearization: these change
+/// by (1 + d)³ at most over a distance of d sizes of the components, if g is made of powers to the third.
 double Projector::doubt(const double* y) const {
   const auto moved = [&](std::size_t i) { return (y[i] - point_[i]) / std::min(w_[i], linearized_w_[i]); };
   const double factor = 1 + max_norm(w_.size(), moved);
@@ -427,7 +427,7 @@ std::size_t Projector::solve(double t) {
   return rank_;
 }
 
-/// For the verdict which invariants are redundant, of which corrections with fixed components tell nothing.
+/// Counts for the verdict which invariants are redundant, about which corrections with fixed components say nothing.
 void Projector::count_correction(double t, std::size_t rank) {
   if (any_fixed()) return;
   const double since = corrections_ == 0 ? 0 : std::abs(t - corrected_at_);

@@ -26,7 +26,7 @@ struct Linearization {
   [[nodiscard]] std::size_t m() const { return residual.size(); }
   /// The gradient of invariant i.
   [[nodiscard]] Row gradient(std::size_t i) const { return layout->row(i, jacobian.data()); }
-  /// How far the level set of invariant i is, in units of the weights; 0 where the gradient vanishes.
+  /// The distance of the level set of invariant i, in units of the weights; 0 where the gradient vanishes.
   [[nodiscard]] double distance(std::size_t i) const {
     return row_norm[i] > 0 ? std::abs(residual[i]) / row_norm[i] : 0;
   }
@@ -66,7 +66,7 @@ class Projector {
   /// frozen; in levels at most so many, until a correction leaves roundoff. Not finite as well where g is not defined
   /// at y₁, or y₁ is no nearer to the manifold.
   Projected project(double t, const double* from, double* y);
-  /// At most `most` iterations towards r(t, y) = target with the given W: for points between steps.
+  /// Moves y, in at most `most` iterations, to r(t, y) = target with the given W: for points between steps.
   Outcome onto(double t, const double* w, const double* target, double* y, int most);
   /// Projects to roundoff (at most 50 iterations, the iterate of least residual is kept), with W = max(|y|, thr).
   /// A point where that fails is left unchanged.
@@ -106,9 +106,9 @@ class Projector {
   [[nodiscard]] bool any_engaged() const { return idle_count_ < one_sided_; }
   /// Forgets what is known of the gradients: the solution jumps.
   void forget() { linearized_ = false; }
-  /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth of them, and of
-  /// the time that they cover, some were. (One that depends on the others in a few steps only, as in the short ones of
-  /// a start where components are small beside thr, does no harm.)
+  /// The invariants that are redundant: those left out in a tenth of the corrections so far, if in a fifth of them, and
+  /// of the time that they cover, some were. (One that depends on the others in a few steps only, as in the short ones
+  /// of a start where components are small beside thr, does no harm.)
   [[nodiscard]] std::vector<char> dropped() const;
   /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }

@@ -238,7 +238,7 @@ Status Motion::accelerations(double t, const double* y, ConstrainedSolution& fou
   return satisfied ? accelerations_at(t, satisfying_.data(), found) : Status::ok;
 }
 
-/// How fast the rows of A turn: the largest |γ_i| / (‖A_i‖ max |v|), since γ is −(dA/dt) v.
+/// The speed at which the rows of A turn: the largest |γ_i| / (‖A_i‖ max |v|), since γ is −(dA/dt) v.
 double Motion::turning() const {
   Eigen::VectorXd square = Eigen::VectorXd::Zero(A_.rows());
   for (Index j = 0; j < A_.outerSize(); ++j)

@@ -17,7 +17,8 @@ namespace {
 constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0188,  0.0143,
                                  0.0114, 0.00936, 0.00789, 0.00679, 0.00592, 0.00524, 0.00468};
 
-/// Where the formulas of order k become unstable on the negative real axis, at equal steps (tests/test_stiffness.py).
+/// The limits of stability of the formulas of order k on the negative real axis, at equal steps
+/// (tests/test_stiffness.py).
 constexpr double stable_up_to[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
 constexpr double indistinct = 1000 * eps;  // y₁ − p, in the weights: below, f tells nothing about λ but roundoff
 

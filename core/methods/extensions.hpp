@@ -17,7 +17,7 @@ struct NamedExtension {
 
 /// All of them. Their order is that of the numbers in files: new ones go to the end.
 [[nodiscard]] std::span<const NamedExtension> extensions();
-/// Null where no extension has that name.
+/// The extension of that name; null if there is none.
 [[nodiscard]] const NamedExtension* find_extension(std::string_view name);
 [[nodiscard]] const NamedExtension& find_extension(Interpolate evaluate);
 

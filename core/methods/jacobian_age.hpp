@@ -18,9 +18,9 @@ class JacobianAge {
   [[nodiscard]] Taken taken() const { return taken_; }
   /// Steps accepted since J was taken.
   [[nodiscard]] int steps() const { return steps_; }
-  /// Is J that of the step in work?
+  /// Returns whether J is that of the step in work.
   [[nodiscard]] bool current() const { return taken_ != Taken::earlier; }
-  /// Is a J of this step to have increments that are not adapted to f?
+  /// Returns whether a J of this step is to have increments that are not adapted to f.
   [[nodiscard]] bool plain() const { return taken_ == Taken::plainly || taken_ == Taken::at_iterate; }
   [[nodiscard]] bool renewal_due() const { return due_; }
 

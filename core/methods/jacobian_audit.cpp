@@ -86,7 +86,7 @@ Status JacobianAudit::fit_or_mend(double t, const double* y, const double* slope
   return result;
 }
 
-/// As far as that part of the tolerance.
+/// Judges J as far as that part of the tolerance.
 JacobianCheck::Fit JacobianAudit::fit(Callback& f, double t, const double* y, const double* slope, double part) {
   const double reach = part * std::min(weights_.rtol(), widest_reach);
   for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = reach * jacobian_.scale(j, y);
@@ -182,8 +182,8 @@ void JacobianAudit::find_increment(const double* y, const double* r, const doubl
   }
 }
 
-/// Is J e the change of f to both sides of where J was taken? `not_finite`: it is not, beyond the roundoff in `reach_`:
-/// the point is on a kink, or differences have led through one.
+/// Tests whether J e is the change of f to both sides of where J was taken. `not_finite`: it is not, beyond the
+/// roundoff in `reach_`: the point is on a kink, or differences have led through one.
 Outcome JacobianAudit::examine_branch(Callback& f, const double* w) {
   const std::size_t n = weights_.size();
   std::vector<double> here(n), there(n), point(n);

@@ -26,17 +26,17 @@ class JacobianAudit {
   void begin(double t, const double* y);
   /// Tests J at (t, y), where f is `slope`, if that is due. What does not fit is mended as far as it can be.
   Status look(double t, const double* y, const double* slope);
-  /// How J fits the iterate y at t, of which updates by J have not removed the residual r. It is `of_another_branch` if
-  /// J r was not the derivative of f where J was taken, or if this derivative jumps between there and (t, y); otherwise
-  /// `stiffness_has_gone` says that c times the derivative along r is not large any more. (r points to where J is
-  /// large; the updates do not, since it is large there.) `w`: weights.
+  /// The fit of J to the iterate y at t, of which updates by J have not removed the residual r. It is
+  /// `of_another_branch` if J r was not the derivative of f where J was taken, or if this derivative jumps between
+  /// there and (t, y); otherwise `stiffness_has_gone` says that c times the derivative along r is not large any more.
+  /// (r points to where J is large; the updates do not, since it is large there.) `w`: weights.
   enum class [[nodiscard]] Fitness { fits, of_another_branch, stiffness_has_gone, stop };
   Fitness examine(double c, double t, const double* y, const double* r, const double* w);
   /// f at (t, y), for a test.
   Outcome evaluate(double t, const double* y, double* out);
 
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  /// Where a given Jacobian was found to differ from that of f.
+  /// The place where a given Jacobian was found to differ from that of f.
   [[nodiscard]] const std::optional<Misfit>& misfit() const { return misfit_; }
   void state(Archive& archive);
 

@@ -320,8 +320,8 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
   return Status::ok;
 }
 
-/// Where M is singular, f at t + δ along y' shows at which rates the algebraic variables leave y, and f along these
-/// what they do to the others.
+/// Evaluates f at t + δ along y'. If M is singular, that shows the rates at which the algebraic variables leave y, and
+/// f along these what they do to the others.
 Status InitialSlopes::beside(AgingJacobian& jacobian, double t, const double* y, double delta, const double* f,
                              const double* slope, double* rates, double* quotient) {
   const auto& [n, k] = jacobian.extent();

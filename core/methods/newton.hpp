@@ -24,16 +24,16 @@ namespace invariode {
 /// step to step while the iteration matrix stays.
 class Convergence {
  public:
-  /// How many iterations there may be, and what error they may leave, in units of rtol: the last one, and the first,
-  /// where the rate is an old one. An update up to the jump's goal that has not shrunk is no sign of divergence: f may
-  /// jump between the iterates.
+  /// The number of iterations allowed, and the error that they may leave, in units of rtol: the last one, and the
+  /// first, where the rate is an old one. An update up to the jump's goal that has not shrunk is no sign of divergence:
+  /// f may jump between the iterates.
   struct Rules {
     int most_iterations;
     double goal;
     double first_goal;
     double jump_goal = 0;
 
-    /// For sensitivities, of which an iteration costs less than a step that is given up with the state known.
+    /// The rules for sensitivities, of which an iteration costs less than a step that is given up with the state known.
     [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal, jump_goal}; }
   };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
@@ -48,7 +48,7 @@ class Convergence {
   /// Starts an iteration. An update of size `roundoff` or less ends it at once. `careful`: it may leave a thousandth of
   /// what it may otherwise.
   void begin(double rtol, double roundoff, bool careful = false);
-  /// After an update of that size.
+  /// Judges the iteration after an update of that size.
   Verdict judge(double size);
   /// Ends an iteration whose next update would have this size at most.
   void settle(double size);
@@ -114,7 +114,7 @@ class AgingJacobian {
   /// J at (t, y), an iterate of the step in work, where f is `slope`: once in a step.
   [[nodiscard]] bool may_take_in_place() const;
   Status take_in_place(double t, const double* y, const double* slope);
-  /// After an iteration that failed: see `JacobianAge::fail`.
+  /// Notes an iteration that failed: see `JacobianAge::fail`.
   bool renew_if_old();
   /// Renews J before an attempt with c, if it comes from differences and is roundoff in part, where that has begun to
   /// count.
@@ -188,9 +188,9 @@ class AgingJacobian {
   [[nodiscard]] int undefined_component() const { return function_.undefined_component(); }
   void forget_undefined() { function_.forget_undefined(); }
   void note_singular() { work_.singular = true; }
-  /// Null: J is known by its products alone.
+  /// The audit of J; null if J is known by its products alone.
   [[nodiscard]] JacobianAudit* audit() { return audit_ ? &*audit_ : nullptr; }
-  /// Null: J is a matrix.
+  /// The solver by products; null if J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
   /// See `ImplicitInterface::end_attempts`.
   virtual void end_attempts() {
@@ -313,7 +313,7 @@ class Newton : public AgingJacobian {
   void keep_factors();
   /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
-  /// After an iteration that failed: whether it had factors for another c. The next one has new ones.
+  /// Forgets the factors if the iteration that failed had those for another c. Returns whether it had.
   bool forget_other_factors();
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);

@@ -213,7 +213,7 @@ double Radau::norm_of_part(const double* v) const {
   return max_norm(end - first, [v, w = w, first = first](std::size_t i) { return v[first + i] / w[first + i]; });
 }
 
-/// In a first step, which nothing predicts, the first update tells the size of components that start at 0.
+/// Takes the first update of a first step, which nothing predicts, for the size of components that start at 0.
 void Radau::weigh_first_update() {
   if (memory_h_ != 0 || convergence_.iterations() > 0 || part_.first > 0) return;
   for (std::size_t i = 0; i < part_.end; ++i) weight_[i] = weights_.at(i, y_[i], y_[i] + last_increment()[i]);

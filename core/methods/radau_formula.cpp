@@ -95,7 +95,7 @@ constexpr Row<s> derivative_of_increments(const Row<s>& c, std::size_t i) {
   return rest;
 }
 
-/// Where |x ∏ (x − c_i)| is largest in [0, 1], to a thousandth.
+/// The x in [0, 1] at which |x ∏ (x − c_i)| is largest, to a thousandth.
 template <std::size_t s>
 constexpr double farthest_from(const Row<s>& c) {
   constexpr int parts = 1000;

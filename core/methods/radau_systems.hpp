@@ -12,8 +12,8 @@
 
 namespace invariode {
 
-/// In the basis of the eigenvectors of A⁻¹ they are a real one and (s − 1) / 2 complex ones, M − (h/μ) J for each
-/// eigenvalue μ. Solved by factors of these matrices, or by GMRES with the J of the start of the step.
+/// The linear systems of radau: in the basis of the eigenvectors of A⁻¹ a real one and (s − 1) / 2 complex ones, M −
+/// (h/μ) J for each eigenvalue μ. Solved by factors of these matrices, or by GMRES with the J of the start of the step.
 class RadauSystems : public AgingJacobian {
  public:
   RadauSystems(Callback& f, const Weights& weights, const LinearAlgebra& linear);

@@ -73,7 +73,7 @@ double calls_per_jacobian(const Jacobian& jacobian) {
   return static_cast<double>(jacobian.groups());
 }
 
-/// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
+/// Makes both members; with a mass matrix only the implicit one, without linear algebra only the explicit one.
 std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
                                      const LinearAlgebra& linear, SystemSeries* series) {
   const auto [explicit_one, implicit_one] = members(given);

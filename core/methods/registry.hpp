@@ -81,7 +81,7 @@ struct Members {
 [[nodiscard]] Members members(const MethodOptions& given);
 
 [[nodiscard]] std::span<const Method> methods();
-/// Null where no method has that name.
+/// The method of that name; null if there is none.
 [[nodiscard]] const Method* find_method(std::string_view name);
 
 }  // namespace invariode

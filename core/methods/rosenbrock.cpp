@@ -90,9 +90,9 @@ Outcome Rosenbrock::stages() {
   return solve(k3_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
-/// If f jumps by the same amount in both halves of the step, which J does not contain, the estimate vanishes.
-/// W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. W⁻¹ removes roundoff of J and stiff
-/// components, as in the estimate.
+/// Looks for a jump of f by the same amount in both halves of the step, which J does not contain: the estimate
+/// vanishes. W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. W⁻¹ removes roundoff of J
+/// and stiff components, as in the estimate.
 bool Rosenbrock::looks_like_jump() {
   const std::size_t states = solver_.extent().n;
   const auto size = [&] {

@@ -77,7 +77,7 @@ Status Switching::extension_of_attempt(double* data, std::size_t& size) {
   return status;
 }
 
-/// After a jump the active member goes on.
+/// Starts the active member, which after a jump is the one that was active before.
 Outcome Switching::start(double t, const double* y, const Span& span) {
   const Outcome outcome = active_->start(t, y, span);
   if (outcome != Outcome::ok) return outcome;
@@ -102,7 +102,7 @@ void Switching::begin_turn() {
 
 // ------------------------------------------------------------------------------------------------------- the hand-over
 
-/// Where the other member cannot start, or only with steps near the smallest ones, the active one goes on.
+/// Starts the other member, unless it cannot start, or only with steps near the smallest ones.
 Outcome Switching::hand_over(const Span& span) {
   const bool looks = explicit_ && matrix_free_ && active_ == implicit_.get() && turn_.steps % new_radius == 0;
   if (looks && find_radius() == Status::stop) return Outcome::stop;
@@ -158,7 +158,7 @@ void Switching::raise_trial_threshold() {
   trial_threshold_ = std::min(backoff * trial_threshold_, highest_threshold * least_trial_threshold_);
 }
 
-/// Where the first step after a hand-over fails again and again, the member before goes on.
+/// Rejects the attempt; if the first step after a hand-over fails again and again, the member before takes over.
 bool Switching::reject(Cause cause, double hmin) {
   const bool more = active_->reject(cause, hmin);
   h_ = active_->h();

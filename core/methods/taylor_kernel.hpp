@@ -25,7 +25,7 @@ inline constexpr double largest_growth = 5;  // of h: the last coefficients may 
 inline constexpr double least_tested =
     4 * eps;  // rtol of the acceptance test: smaller errors of the slope are roundoff
 
-/// Where 1 − x + x²/2 − … ± x^p/p! leaves [−1, 1] for x > 0, by the order p.
+/// The x > 0 at which 1 − x + x²/2 − … ± x^p/p! leaves [−1, 1], by the order p.
 inline constexpr auto real_limits = [] {
   constexpr double step = 1. / 16;
   constexpr double roundoff = 1e-8;  // of terms up to e^x

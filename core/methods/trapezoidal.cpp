@@ -65,7 +65,7 @@ Status Trapezoidal::extend(double /*theta*/, double* P, double* rise) {
   return Status::ok;
 }
 
-/// Once in a step.
+/// Smooths the history if it rings, once in a step.
 Status Trapezoidal::smooth_if_ringing() { return !std::exchange(smoothed_, true) && rings() ? smooth() : Status::ok; }
 
 /// Returns whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the

@@ -121,9 +121,9 @@ Outcome Events::leave(double t, const double* y, bool inside) {
   return Outcome::ok;
 }
 
-/// Where a sign differs though the event is zero to roundoff on both sides, its sign at the start of the step decides:
-/// if it is the one before the jump, the event has just been carried over zero; if not, it had crossed zero before, and
-/// `direction` has left that out.
+/// Arrives at (t, y) after a jump. If signs differ and the event is zero to roundoff on both sides, the one at the
+/// start of the step decides: if it is the one before the jump, the event has just been carried over zero; if not, it
+/// had crossed zero before, and `direction` has left that out.
 Outcome Events::arrive(double t, const double* y, std::vector<Occurrence>& crossed) {
   forget_values();
   for (std::size_t e = 0; e < count(); ++e) {
@@ -164,7 +164,7 @@ bool Events::may_be_roundoff(std::size_t event, double value) const {
   return std::abs(value) <= resolution * size_[event];
 }
 
-/// Is the event zero at (t, y), up to roundoff and the error of t at a root?
+/// Finds out whether the event is zero at (t, y), up to roundoff and the error of t at a root.
 Outcome Events::is_roundoff(std::size_t event, double t, const double* y, double value, bool& so) {
   so = may_be_roundoff(event, value);
   if (!so) return Outcome::ok;
@@ -299,10 +299,10 @@ Outcome Events::scan(std::size_t event, bool projected) {
   return Outcome::ok;
 }
 
-/// Do the values of the scan leave room for roots that they do not show: could an event that is no more than
-/// `room_between_points` times as steep as between any two neighbours, in this step or the one before, reach zero and
-/// return between two of them? Where it is as good as straight, it does not turn. Neighbours on two sides of zero, or
-/// at zero, have one root between them, or it is left to its own: then it would have to be twice that steep. A
+/// Returns whether the values of the scan leave room for roots that they do not show: whether an event that is no more
+/// than `room_between_points` times as steep as between any two neighbours, in this step or the one before, could reach
+/// zero and return between two of them. Where it is as good as straight, it does not turn. Neighbours on two sides of
+/// zero, or at zero, have one root between them, or it is left to its own: then it would have to be twice that steep. A
 /// condition, ±1, shows nothing between its values.
 bool Events::leaves_room(std::size_t event) {
   const std::vector<double>& values = scan_.values;
@@ -492,8 +492,8 @@ bool Events::is_new_touching(const Occurrence& root) {
   return functions_[root.event].touching && !same;
 }
 
-/// Is |value|, that of the event at (t, y), no more than what roundoff of y and t makes of it, and of terms of that
-/// `size`?
+/// Finds out whether |value|, of the event at (t, y), is no more than what roundoff of y and t makes of it, and of
+/// terms of that `size`.
 Outcome Events::within_roundoff(std::size_t event, double t, const double* y, double value, double size, bool& within) {
   if (y != y_.data()) std::copy(y, y + n_, y_.begin());
   double moved = 0;

@@ -43,7 +43,7 @@ struct EventFunction {
   bool at_jumps = true;          ///< it occurs where a jump of y changes its sign
   std::size_t vector = alone;    ///< number of the `RootVector` that it belongs to
 
-  /// Does y jump where it occurs?
+  /// Returns whether y jumps where it occurs.
   [[nodiscard]] bool acts() const { return static_cast<bool>(action) || vector != alone; }
 };
 
@@ -134,7 +134,7 @@ class Events {
   [[nodiscard]] RootVector& vector(std::size_t number) { return vectors_[number]; }
   /// The first one in the run.
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return accumulation_; }
-  /// After an outcome `not_finite`: the event that is NaN, and where.
+  /// The event that was NaN in an outcome `not_finite`, and where.
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
  private:

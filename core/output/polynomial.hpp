@@ -47,7 +47,7 @@ constexpr std::size_t intervals_of_step(std::size_t degree) {
   return (degree < fewest_points ? fewest_points : degree) + 1;
 }
 
-/// So much steeper than between any two of these ends an event may be between others, before it is resolved.
+/// The factor by which an event may be steeper than between any two of these ends, before it is resolved.
 inline constexpr double room_between_points = 1.25;
 
 }  // namespace invariode

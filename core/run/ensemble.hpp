@@ -33,9 +33,10 @@ class EnsembleResult {
     State state;
     Report report;
   };
-  /// In place of a State, of a trajectory that could not start: its initial value is not finite, or not consistent.
+  /// The states, beside those of State, of a trajectory that could not start: its initial value is not finite, or not
+  /// consistent.
   static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3, undetermined = -4;
-  /// In place of a State, of a trajectory that was not solved to its end since the ensemble was cancelled. Its row of
+  /// The state of a trajectory that was not solved to its end since the ensemble was cancelled. Its row of
   /// outputs may be written in part.
   static constexpr std::int8_t unsolved = -5;
   static constexpr std::size_t counts = RunResult::count_size;
@@ -61,7 +62,7 @@ class EnsembleResult {
   void keep(const lanes::Ended& ended, const Solver& solver);
   /// Stores the occurrences of each event.
   void keep_occurrences(std::size_t i, const std::vector<Trajectory>& found);
-  /// So many more trajectories were solved one at a time, though others were not.
+  /// Adds to the numbers of trajectories that were solved one at a time, though others were not.
   void add_alone(const Left& left);
 
   std::size_t size, n, parts, m, n_t;  ///< n: of a state and its sensitivities
@@ -70,8 +71,8 @@ class EnsembleResult {
   /// For each invariant the value held, and the largest residual before and after projection; the largest correction.
   std::vector<double> value, before, after, correction;
   std::vector<double> clipped;  ///< what moving steps onto bounds has added to the sum of the components
-  /// From when on stability limits the steps, where f jumps for the first time that was seen, and after which t actions
-  /// of an event that came closer and closer are missing; NaN: nowhere.
+  /// The t from which on stability limits the steps, where f jumps for the first time that was seen, after which
+  /// actions of an event that came closer and closer are missing; NaN: nowhere.
   std::vector<double> stiff_since, discontinuity, accumulation;
   std::vector<std::int64_t> count;  ///< (size, counts)
   std::vector<std::int8_t> state;   ///< a State, or why it could not start, or `unsolved`

@@ -112,7 +112,7 @@ constexpr const char* name_in(const Named<Value> (&table)[count], Value value) {
   return "";
 }
 
-/// Nothing: the table has no such name.
+/// The value of that name; nothing if the table does not have it.
 template <class Value, std::size_t count>
 constexpr std::optional<Value> find_in(const Named<Value> (&table)[count], std::string_view name) {
   for (const auto& [key, value] : table)

@@ -39,7 +39,7 @@ struct ImposedPoints {
 };
 std::optional<ImposedPoints> impose(const Problem& problem, const Weights& weights, const Points& points);
 
-/// How each invariant stands at one point, and what speaks against its Jacobian.
+/// The state of each invariant at one point, and what speaks against its Jacobian.
 struct PointExamination {
   bool finite = false;  ///< false: g, its Jacobian or f is not finite there, and the rest is not known
   std::vector<Guard::Examination> invariants;

@@ -53,7 +53,7 @@ struct Problem {
   std::optional<Bounds> bounds;
   bool signed_states = false;            ///< components may be negative: none that falls below 0 is reported
   std::optional<Variations> variations;  ///< runs integrate sensitivities too
-  /// Where the functions read their parameters, if they have any that can be changed from run to run.
+  /// The place from which the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
 
   /// The extent of the values that runs integrate: their initial values and results have its size.
@@ -93,7 +93,7 @@ class Solver {
   [[nodiscard]] const Weights& iteration_weights() const { return iteration_weights_ ? *iteration_weights_ : weights_; }
   [[nodiscard]] const Settings& settings() const { return settings_; }
   [[nodiscard]] const MethodOptions& options() const { return options_; }
-  /// To be copied, since each run has increments of its own. Null: the problem has no linear terms.
+  /// The Jacobian, to be copied, since each run has increments of its own; null without linear terms.
   [[nodiscard]] const Jacobian* jacobian() const { return jacobian_ ? &*jacobian_ : nullptr; }
 
  private:

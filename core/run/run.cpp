@@ -30,7 +30,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           stiffness.found ? 1 : 0};
 }
 
-/// In this order: each refers to what the ones before have made.
+/// Makes the parts in this order: each refers to what the ones before have made.
 Run::Run(const Solver& solver) : solver_(solver) {
   wrap_functions();
   f_ = problem().f;

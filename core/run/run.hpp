@@ -66,8 +66,8 @@ struct RunResult {
       "skipped", "clipped", "ng",     "ngjac",      "ngdiff", "switches", "products", "linear_iterations",
       "dropped", "harmed",  "fallen", "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, "fallen"
-  /// that of `below_zero`, 0: none; "stiff" is 1 where `stiffness` was found.
+  /// The counts in the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`,
+  /// "fallen" that of `below_zero`, 0: none; "stiff" is 1 where `stiffness` was found.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };

@@ -30,7 +30,7 @@ class Sections {
     all_.push_back(std::move(section));
     while (bytes_ > static_cast<std::size_t>(every_) * bytes_of_step_) widen();
   }
-  /// Once, when the run has ended.
+  /// Hands over the sections, once, when the run has ended.
   [[nodiscard]] std::vector<Section> take() { return std::move(all_); }
 
  private:

@@ -131,7 +131,7 @@ class Queue {
   bool next(std::uint32_t& index) { return pool_.next(own_, index); }
   /// One of those taken has been done.
   void finish_one() { pool_.finish_one(); }
-  /// For work that takes long.
+  /// The flag that work that takes long has to look at.
   [[nodiscard]] const std::atomic<bool>& cancelled() const { return pool_.cancellation(); }
 
  private:

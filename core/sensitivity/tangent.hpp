@@ -33,7 +33,7 @@ class TangentProjector {
 
   /// dc/dp of what is held becomes G S_j + g_pj at (t, Y); of what is demanded it is 0.
   Status hold(double t, const double* Y);
-  /// After `state`, a projector of the same invariants, has moved the state at t: moves S to dc/dp.
+  /// Moves S to dc/dp, after `state`, a projector of the same invariants, has moved the state at t.
   Outcome follow(Projector& state, double t, double* Y) { return onto(state, t, rate_.data(), Y); }
   /// Moves S to other values of G S_j + g_pj, (k, m).
   Outcome onto(Projector& state, double t, const double* target, double* Y);

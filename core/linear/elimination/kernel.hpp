@@ -131,7 +131,7 @@ void subtract_from_column(const Columns& a, Range rows, std::size_t column, Rang
   for (; i < rows.last; i += width) subtract_from_tile<1, 1, complex, order>(a, i, column, k);
 }
 
-/// From entries of a column below the diagonal, in the rows up to `last`, l_ik x_k of an entry x_k of that column.
+/// Subtracts l_ik x_k from the entries i of a column below the diagonal, up to row `last`; x_k is its entry k.
 template <bool complex>
 void subtract_below(const Columns& a, std::size_t k, std::size_t last, double* __restrict re, double* __restrict im) {
   const double* __restrict l = a.re + k * a.height, * __restrict m = complex ? a.im + k * a.height : nullptr;
@@ -146,7 +146,7 @@ void subtract_below(const Columns& a, std::size_t k, std::size_t last, double* _
   }
 }
 
-/// From the rows above the diagonal of column k = rows.last, from rows.first on, u_ik x_k.
+/// Subtracts u_ik x_k from the entries i above the diagonal of column k = rows.last, from rows.first on.
 template <bool complex>
 void subtract_above(const Columns& a, Range rows, double* __restrict re, double* __restrict im) {
   const std::size_t k = rows.last;

@@ -54,7 +54,7 @@ class LaneIntegrator {
         held_(job, now_ + rows_.invariant, ready_ + rows_.invariant, host),
         watched_(job, intervals_of_step(Stepper::degree(job)), now_ + rows_.events, host) {}
 
-  /// Until there is nothing left to take.
+  /// Integrates until there is nothing left to take.
   void run() {
     for (unsigned free = every_lane;;) {
       fill(free);
@@ -339,8 +339,8 @@ class LaneIntegrator {
     row(Rows::limited) += choose(limited, P(1), P(0));
   }
 
-  /// Where attempts fail one after the other, as `DiscontinuityDetector` of a single run sees it. Returns the lanes in
-  /// which f jumps: single runs tell where. Most attempts find no lane that is in a series.
+  /// Notes attempts that fail one after the other, as `DiscontinuityDetector` of a single run sees it. Returns the
+  /// lanes in which f jumps: single runs tell where. Most attempts find no lane that is in a series.
   unsigned note_failures(unsigned accepted, const LaneStep<W>& step) {
     unsigned jumping = 0;
     for_each_lane(occupied_ & (~accepted | in_series_), [&](int l) {

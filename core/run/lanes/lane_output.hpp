@@ -75,7 +75,7 @@ class LaneOutput {
   void leave(int l) { next_time_.lanes()[l] = job_.forward() * infinity; }
   [[nodiscard]] std::size_t number(int l) const { return number_[l]; }
 
-  /// Which steps contain output times up to the point reached, included; and in which of these is one before it.
+  /// The steps that contain output times up to the point reached, included.
   [[nodiscard]] M due(const M& accepted, const P& reached) const {
     return accepted & (job_.forward() * next_time_ <= job_.forward() * reached);
   }

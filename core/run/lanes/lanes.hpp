@@ -191,7 +191,7 @@ struct Found {
 enum class Why { undefined, stability, invariant, inside, jump, limit, others };
 inline constexpr std::size_t whys = 7;
 
-/// Who hands out trajectories and takes them back. One for each thread.
+/// Hands out trajectories and takes them back; one for each thread.
 class Host {
  public:
   Host() = default;
@@ -235,7 +235,7 @@ struct Instructions {
   std::size_t lanes;  ///< trajectories side by side of Runge-Kutta pairs
   std::span<const Kernel> kernels;
 
-  /// Null unless the method is a Runge-Kutta pair, or Taylor series.
+  /// The kernel of the method; null unless it is a Runge-Kutta pair, or Taylor series.
   [[nodiscard]] const Kernel* kernel(std::string_view method) const;
 };
 

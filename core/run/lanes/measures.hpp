@@ -57,7 +57,7 @@ Mask<W> no_lane() {
   return to_mask<W>(0);
 }
 
-/// Where one of n numbers is not finite: 0 · x is 0 where x is, and NaN where it is not.
+/// The lanes in which one of n numbers is not finite: 0 · x is 0 where x is, and NaN where it is not.
 template <int W>
 INVARIODE_EACH Mask<W> not_finite(const Pack<W>* v, std::size_t n) {
   Pack<W> sum(0);

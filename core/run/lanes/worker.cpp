@@ -12,10 +12,10 @@
 namespace invariode {
 namespace {
 
-/// So many trajectories are looked at before the lanes are given up because they leave most of them.
+/// The number of trajectories after which the lanes are given up if they leave most of them.
 constexpr std::size_t trial = 64;
 
-/// So many occurrences of events may a trajectory have at least, wherever the limit is.
+/// The number of occurrences of events that a trajectory may always have, wherever the limit is.
 constexpr std::size_t plenty = 100000;
 
 const lanes::Instructions& of_every_processor() { return *lanes::instructions().back(); }
@@ -101,7 +101,7 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
           .varied = sensitivities_of(solver.problem(), ensemble, form),
           .all = ensemble.n,
           .parameters = ensemble.parameters,
-          .memory = series ? 1 + ensemble.n : ensemble.n,
+          .memory = 1 + ensemble.n,
           .y0 = ensemble.y0,
           .rows = ensemble.rows,
           .t0 = settings.t0,
