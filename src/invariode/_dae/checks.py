@@ -28,7 +28,7 @@ _NEAR, _STAYS, _ROUNDOFFS = 1e-7, 0.5, 64.0
 _SINGULAR = 1e-5
 
 
-@np.errstate(invalid="ignore")  # unknowns may be infinite where the equations end to determine them
+@np.errstate(invalid="ignore")  # unknowns may be infinite where the equations no longer determine them
 def violation(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -> str:
     """Return which of the given equations an output violates, with all derivatives of the reduced problem; or ''."""
     if not len(sol.t):

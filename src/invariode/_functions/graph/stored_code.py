@@ -70,7 +70,7 @@ def code_cache(where: bool | str | os.PathLike[str] | None = None) -> Path | Non
     """
     if where is not None:
         if isinstance(where, bool):
-            _Folder.folder = _default() if where else None
+            _Folder.folder = (_by_environment() or _default()) if where else None
         elif isinstance(where, (str, os.PathLike)):
             _Folder.folder = Path(where).expanduser().absolute() if os.name == "posix" else None
         else:
