@@ -33,8 +33,6 @@ paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-
 PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal \
   $(if $(CI),-W error::DeprecationWarning -W error::PendingDeprecationWarning)
 test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
-# Machine code of equal graphs, by the digest of all that it follows from, is compiled once for all interpreters.
-test test-newer test-kernels: export INVARIODE_CACHE := $(CURDIR)/build/code
 
 # The extra whose requirements are installed while the package is built.
 WITH := test

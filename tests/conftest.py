@@ -14,7 +14,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
-os.environ.setdefault("INVARIODE_CACHE", "off")  # nothing is left behind; `make` names a folder of the build's
+os.environ["INVARIODE_CACHE"] = "off"  # tests change how code is written, which its name does not show
 
 import invariode as iv
 from cases import ALGEBRAIC, IMPLICIT, METHODS
