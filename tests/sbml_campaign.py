@@ -1,6 +1,6 @@
-"""The SBML Test Suite: run its cases and write the conformance table of docs/sbml.
+"""The SBML Test Suite: run its cases and write the conformance table of the docs.
 
-``python tests/sbml_campaign.py [--method auto] [--table docs/sbml/conformance.md] [cases ...]``; the cases lie in
+``python tests/sbml_campaign.py [--method auto] [--table docs/howto/sbml-conformance.md] [cases ...]``; the cases lie in
 ``../shared/sbml-cases.tar.xz``, beside the project.
 """
 
