@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -154,37 +157,15 @@ def test_what_the_stages_leave_no_freedom_for_is_refused():
         iv.solve_ivp(toda, (0, 1), START, invariants=along).impose()
 
 
-def outer_planets():
-    """The sun and Jupiter to Pluto, in AU, days and solar masses (Hairer, Lubich and Wanner, section I.2.4)."""
-    mass = np.array([1.00000597682, 9.54786104043e-4, 2.85583733151e-4, 4.37273164546e-5, 5.17759138449e-5, 1 / 1.3e8])
-    q = [[0, 0, 0], [-3.5023653, -3.8169847, -1.5507963], [9.0755314, -3.0458353, -1.6483708]]
-    q += [[8.3101420, -16.2901086, -7.2521278], [11.4707666, -25.7294829, -10.8169456]]
-    q += [[-15.5387357, -25.2225594, -3.1902382]]
-    v = [[0, 0, 0], [0.00565429, -0.00412490, -0.00190589], [0.00168318, 0.00483525, 0.00192462]]
-    v += [[0.00354178, 0.00137102, 0.00055029], [0.00288930, 0.00114527, 0.00039677]]
-    v += [[0.00276725, -0.00170702, -0.00136504]]
-    gravity = 2.95912208286e-4
-
-    def apart(q):
-        d = q[None] - q[:, None]
-        return d, np.sqrt((d**2).sum(axis=-1)) + np.eye(6)
-
-    def fun(t, y):
-        d, r = apart(y[:18].reshape(6, 3))
-        return np.concatenate([y[18:], gravity * (mass[:, None] * d / r[..., None] ** 3).sum(axis=1).ravel()])
-
-    def energy(t, y):
-        _, r = apart(y[:18].reshape(6, 3))
-        weights = np.triu(np.outer(mass, mass), 1)
-        return mass @ (y[18:].reshape(6, 3) ** 2).sum(axis=1) / 2 - gravity * (weights / r).sum()
-
-    return fun, energy, np.concatenate([np.ravel(q), np.ravel(v)]).astype(float)
-
-
 def test_bodies_without_errors_are_left_alone_with_one_atol_for_all():
     """Nearly all of the error is Jupiter's. Along gradients the energy takes it from Jupiter and moves Neptune by a
     thousand times its error; along the stages, whose parts are as large as the motion of each body, by a few times."""
-    fun, energy, y0 = outer_planets()
+    example = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "outer_planets.py"))
+    fun, y0 = example["planets"], example["start"]
+
+    def energy(t, y):
+        return example["laws"](t, y)[0]
+
     about = {"method": "dop853", "atol": 1e-8, "rtol": 1e-8, "keep": "end"}
 
     def end(**more):

@@ -28,10 +28,10 @@ class StiffnessDetector {
     return true;
   }
 
-  /// Returns whether stability limited the step that was looked at last.
+  /// Returns whether stability limited the step that was tested last.
   [[nodiscard]] bool limited() const { return free_ == 0 && streak_ > 0; }
 
-  /// The finding, which is none unless most steps since then were limited.
+  /// Returns whether the problem is stiff, and since when. It is not unless most steps since then were limited.
   [[nodiscard]] Stiffness found() const {
     const bool most = 2 * limited_ > looks_;
     return sustained_ && most ? Stiffness{.found = true, .since = since_} : Stiffness{};

@@ -89,7 +89,7 @@ class KnownPattern {
  public:
   /// Compares entry by entry, since entries move without changing their number.
   [[nodiscard]] bool differs(const Eigen::SparseMatrix<double>& A) const;
-  /// What was prepared is ready: to be called after it, since it may fail.
+  /// Stores the pattern of A. To be called once the preparation for it has succeeded: a failed one is then repeated.
   void note(const Eigen::SparseMatrix<double>& A);
 
  private:

@@ -17,7 +17,7 @@ struct NamedExtension {
 
 /// All of them. Their order is that of the numbers in files: new ones go to the end.
 [[nodiscard]] std::span<const NamedExtension> extensions();
-/// The extension of that name; null if there is none.
+/// Returns the extension with a name, or null.
 [[nodiscard]] const NamedExtension* find_extension(std::string_view name);
 [[nodiscard]] const NamedExtension& find_extension(Interpolate evaluate);
 

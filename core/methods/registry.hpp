@@ -81,7 +81,7 @@ struct Members {
 [[nodiscard]] Members members(const MethodOptions& given);
 
 [[nodiscard]] std::span<const Method> methods();
-/// The method of that name; null if there is none.
+/// Returns the method with a name, or null.
 [[nodiscard]] const Method* find_method(std::string_view name);
 
 }  // namespace invariode

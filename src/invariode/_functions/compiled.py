@@ -208,7 +208,8 @@ class CompiledFunction:
         return self.fun(*args) if found is None else found
 
     def _by_machine(self, args: tuple[Any, ...]) -> Any:
-        """Return the values by machine code, with which an output array is filled; None where there is none."""
+        """Return the values that the machine code computes, after filling an output array with them; None if these
+        arguments have no machine code."""
         if len(args) < 2 + self.inplace or self.is_complex or not _is_real(args[0]):
             return None
         t, y, *rest = args

@@ -262,7 +262,7 @@ class Derivative:
 
     def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
         """Return the derivatives of F in c directions, dt (c,), dy (c, n) and dp (c, k), as rows: of shape (c, m)."""
-        with np.errstate(all="ignore"):  # what is not finite is looked at here
+        with np.errstate(all="ignore"):  # values that are not finite are replaced below
             found = self._columns(t, y, dt, dy, dp)
         return found if is_finite(found) else self._mended(found, t, y, dt, dy, dp)
 
@@ -550,7 +550,8 @@ class OfGraph:
 
 
 def derived_unnoticed(fun: Any, n: int, m: int, args: tuple[Any, ...]) -> Derived | None:
-    """Return the derivatives of a Python function by a trace that nobody can notice; None: there is none."""
+    """Return the derivatives of a Python function, traced without a call that users could notice; None if it cannot
+    be traced so."""
     from .graph.plain import plain_graph  # imported when a function may be traced
 
     graph = plain_graph(fun, n, layout_of(args).fixed(TRUTHS), size=m)
@@ -680,7 +681,7 @@ class _Sides:
         self._evaluate, self._n = evaluate, n
 
     def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
-        """The derivative along a direction, of shape (m,); NaN where there is none from either side."""
+        """Return the derivative along a direction, of shape (m,); NaN where neither side has a derivative."""
         p = self._evaluate.p
         x, direction = np.concatenate([[t], y, p]), np.concatenate([[dt], dy, dp])
         size = np.concatenate([[max(abs(t), 1.0)], sizes(y), _sizes_of(p)])
