@@ -68,47 +68,24 @@ _LEAST_OF_G = 1e-3
 
 
 class CostFunctional(NamedTuple):
-    """G + ∫ g dt.
+    """G + ∫ g dt."""
 
-    Attributes
-    ----------
-    times : ndarray, (m,)
-        Times at which G depends on the solution.
-    costs : ndarray, (n, m)
-        Its derivatives with respect to the solution there.
-    direct : ndarray, (k,)
-        Its derivatives with respect to parameters.
-    integrand : callable or None
-        g(t, y, *args).
-    """
-
-    times: Array
-    costs: Array
-    direct: Array
-    integrand: Any
+    times: Array  # (m,): times at which G depends on the solution
+    costs: Array  # (n, m): its derivatives with respect to the solution there
+    direct: Array  # (k,): its derivatives with respect to parameters
+    integrand: Any  # callable: g(t, y, *args)
 
 
 class Forward(NamedTuple):
-    """The run whose solution it is.
+    """The run whose solution it is."""
 
-    Attributes
-    ----------
-    problem, method, options
-        The problem that was solved, and how.
-    solve : callable
-        (problem, method, options) -> solution.
-    t : float
-        Time at which the run ended.
-    solution : Result
-        With its continuous solution.
-    """
-
+    #: problem, method, options: the problem that was solved, and how
     problem: Problem
     method: MethodName
     options: Options
-    solve: Callable[[Problem, MethodName, Options], Result]
-    t: float
-    solution: Result
+    solve: Callable[[Problem, MethodName, Options], Result]  # (problem, method, options) -> solution
+    t: float  # time at which the run ended
+    solution: Result  # with its continuous solution
 
 
 def gradient(

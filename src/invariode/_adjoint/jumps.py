@@ -40,33 +40,20 @@ Derivatives = Callable[..., Derivative]
 
 @dataclass
 class Jump:
-    """Effect of a jump at one time on S.
+    """Effect of a jump at one time on S."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the jump.
-    before, after : ndarray, (n,)
-        State before and after the jump.
-    A, B : ndarray, (n, n) and (n, k)
-        S⁺ = A S⁻ + B.
-    time_of_state, time_of_parameters : ndarray, (n,) and (k,)
-        ∂τ = time_of_state · S⁻ + time_of_parameters.
-    reholds : bool
-        Invariants without a prescribed value are fixed at their values after the jump.
-    moves : bool
-        y jumps.
-    """
-
-    t: float
+    t: float  # time of the jump
+    #: before, after, (n,): state before and after the jump
     before: Array
     after: Array
+    #: A, B, (n, n) and (n, k): S⁺ = A S⁻ + B
     A: Array
     B: Array
+    #: time_of_state, time_of_parameters, (n,) and (k,): ∂τ = time_of_state · S⁻ + time_of_parameters
     time_of_state: Array
     time_of_parameters: Array
-    reholds: bool
-    moves: bool
+    reholds: bool  # invariants without a prescribed value are fixed at their values after the jump
+    moves: bool  # y jumps
 
     def transposed(self, mu: Array, cost_of_time: float) -> tuple[Array, Array]:
         """Aᵀ μ and Bᵀ μ, with the cost of ∂τ added."""
@@ -76,24 +63,15 @@ class Jump:
 
 @dataclass
 class JumpOfRoots(Jump):
-    """Effect of actions of `Roots` at one time.
+    """Effect of actions of `Roots` at one time."""
 
-    Attributes
-    ----------
-    times, moved : ndarray, (c,) and (c, n)
-        ∂τ and S⁺ along directions: those of S⁻, of the parameters, and of everything that has waited.
-    left : list of (object, ndarray)
-        What they leave behind, and its derivatives along the directions, (c, w).
-    used : list of (object, slice, AlongAction)
-        What has waited, its directions, and the action that has used it.
-    costs : dict
-        The costs of everything that waits, (w,), by its id, with the object and its action.
-    """
-
+    #: times, moved, (c,) and (c, n): ∂τ and S⁺ along directions: those of S⁻, of the parameters, and of everything that
+    #: has waited
     times: Array
     moved: Array
-    left: list[tuple[Any, Array]]
-    used: list[tuple[Any, slice, AlongAction]]
+    left: list[tuple[Any, Array]]  # what they leave behind, and its derivatives along the directions, (c, w)
+    used: list[tuple[Any, slice, AlongAction]]  # what has waited, its directions, and the action that has used it
+    #: The costs of everything that waits, (w,), by its id, with the object and its action
     costs: dict[int, tuple[Any, AlongAction, Array]]
 
     def transposed(self, mu: Array, cost_of_time: float) -> tuple[Array, Array]:
@@ -175,42 +153,20 @@ class Partials(NamedTuple):
 
 
 class Occurrence(NamedTuple):
-    """A jump that is computed when it is passed: its matrices are not kept.
+    """A jump that is computed when it is passed: its matrices are not kept."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the jump.
-    found : callable
-        () -> the jump.
-    """
-
-    t: float
-    found: Callable[[], Jump]
+    t: float  # time of the jump
+    found: Callable[[], Jump]  # () -> the jump
 
 
 class Action(NamedTuple):
-    """Action that changes y at a time, of an event or at a breakpoint.
+    """Action that changes y at a time, of an event or at a breakpoint."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the action.
-    before : callable
-        () -> the state, before all of that time.
-    action : Derivative
-        The derivatives of the action.
-    event : Derivative or None
-        Derivatives of the event, whose time moves; None: a breakpoint.
-    reholds : bool
-        As in `Jump`.
-    """
-
-    t: float
-    before: Callable[[], Array]
-    action: Derivative
-    event: Derivative | None
-    reholds: bool
+    t: float  # time of the action
+    before: Callable[[], Array]  # () -> the state, before all of that time
+    action: Derivative  # the derivatives of the action
+    event: Derivative | None  # derivatives of the event, whose time moves; None: a breakpoint
+    reholds: bool  # as in `Jump`
 
 
 #: Of a component at a bound, in units of atol / rtol: `roundoff_at_bound` of the core.

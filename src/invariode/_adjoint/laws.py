@@ -27,20 +27,11 @@ from .._problem.problem import Problem
 
 @dataclass
 class _Law:
-    """An invariant r = c.
+    """An invariant r = c."""
 
-    Attributes
-    ----------
-    about : Invariants
-        The invariant as the user defined it.
-    law : Derivative
-        The derivatives of r.
-    carried : ndarray, (m,)
-        The derivative of the functional with respect to c, for what comes later than the current time.
-    """
-
-    about: Invariants
-    law: Derivative
+    about: Invariants  # the invariant as the user defined it
+    law: Derivative  # the derivatives of r
+    #: (m,): the derivative of the functional with respect to c, for what comes later than the current time
     carried: Array = field(init=False)
 
     def __post_init__(self) -> None:

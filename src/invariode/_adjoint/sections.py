@@ -23,21 +23,12 @@ _IN_MEMORY = 2
 
 
 class Sectioned(NamedTuple):
-    """A run, or its extension, with what it remembers of its sections.
+    """A run, or its extension, with what it remembers of its sections."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Plan by which the steps were made.
-    begins : list of (int, float, bytes)
-        For each section the accepted steps before it, its first t, and the internal state of the run there.
-    steps : int
-        The accepted steps of the whole run.
-    """
-
-    plan: Plan
+    plan: Plan  # plan by which the steps were made
+    #: For each section the accepted steps before it, its first t, and the internal state of the run there
     begins: list[tuple[int, float, bytes]]
-    steps: int
+    steps: int  # the accepted steps of the whole run
 
     @classmethod
     def of(cls, plan: Plan, run: _core.Run) -> Sectioned:

@@ -39,18 +39,12 @@ class Offsets(NamedTuple):
 
 
 class Surplus(NamedTuple):
-    """Equations that contain too few unknowns, and unknowns that are in too few equations.
+    """Equations that contain too few unknowns, and unknowns that are in too few equations."""
 
-    Attributes
-    ----------
-    equations, of : list of int
-        More equations than there are unknowns in them, and these unknowns.
-    unknowns, within : list of int
-        More unknowns than there are equations that contain them, and these equations.
-    """
-
+    #: equations, of: more equations than there are unknowns in them, and these unknowns
     equations: list[int]
     of: list[int]
+    #: unknowns, within: more unknowns than there are equations that contain them, and these equations
     unknowns: list[int]
     within: list[int]
 
@@ -99,19 +93,12 @@ def surplus(present: Array) -> Surplus:
 
 
 class Block(NamedTuple):
-    """A diagonal block of the system Jacobian.
+    """A diagonal block of the system Jacobian."""
 
-    Attributes
-    ----------
-    rows, columns : tuple of int
-        Its equations, and its unknowns in the order of the transversal.
-    needs : tuple of int
-        The numbers of the earlier blocks whose unknowns its equations contain.
-    """
-
+    #: rows, columns: its equations, and its unknowns in the order of the transversal
     rows: tuple[int, ...]
     columns: tuple[int, ...]
-    needs: tuple[int, ...]
+    needs: tuple[int, ...]  # the numbers of the earlier blocks whose unknowns its equations contain
 
 
 def blocks(match: Array, entries: list[tuple[int, int]]) -> list[Block]:

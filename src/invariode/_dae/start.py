@@ -51,21 +51,11 @@ class _UnsolvableError(Exception):
 
 
 class Point(NamedTuple):
-    """Values of a DAE and of its derivatives.
+    """Values of a DAE and of its derivatives."""
 
-    Attributes
-    ----------
-    t : float
-        The time.
-    x : ndarray, (levels, n)
-        x_j^(l).
-    p : ndarray
-        The parameters.
-    """
-
-    t: float
-    x: Array
-    p: Array
+    t: float  # the time
+    x: Array  # (levels, n): x_j^(l)
+    p: Array  # the parameters
 
 
 class Starts:
@@ -185,18 +175,10 @@ class Starts:
 
 
 class BlockCondition(NamedTuple):
-    """Measure of how well a block of J determines its unknowns at a point.
+    """Measure of how well a block of J determines its unknowns at a point."""
 
-    Attributes
-    ----------
-    quality : float
-        Smallest over largest singular value of the equilibrated block; of one number, its absolute value.
-    is_singular : bool
-        The block is singular to roundoff, or not finite.
-    """
-
-    quality: float
-    is_singular: bool
+    quality: float  # smallest over largest singular value of the equilibrated block; of one number, its absolute value
+    is_singular: bool  # the block is singular to roundoff, or not finite
     reduction: Reduction
     block: Block
     A: Array

@@ -87,21 +87,11 @@ class GenericPoints:
 
 
 class Arrangement(NamedTuple):
-    """Offsets with their system Jacobian.
+    """Offsets with their system Jacobian."""
 
-    Attributes
-    ----------
-    offsets : Offsets
-        c, d and the transversal.
-    J : dict
-        The entries of the system Jacobian, as nodes, by (i, j).
-    blocks : list of Block
-        Its block triangular form.
-    """
-
-    offsets: Offsets
-    J: dict[tuple[int, int], Node]
-    blocks: list[Block]
+    offsets: Offsets  # c, d and the transversal
+    J: dict[tuple[int, int], Node]  # the entries of the system Jacobian, as nodes, by (i, j)
+    blocks: list[Block]  # its block triangular form
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> list[tuple[int, int, Node]]:
         """Return the entries of a part of J: row and column in this part, and the node."""

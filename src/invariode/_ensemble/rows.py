@@ -67,21 +67,11 @@ Failures = Sequence[tuple[int, _core.Run]]
 
 
 class Locally(NamedTuple):
-    """Means of solving rows on this machine.
+    """Means of solving rows on this machine."""
 
-    Attributes
-    ----------
-    workers : int
-        The number of threads or processes.
-    report : callable or None
-        Called with the number of rows that are solved.
-    keep : bool
-        Whether Ctrl-C leaves the rows that are not solved, instead of ending everything.
-    """
-
-    workers: int
-    report: Callable[[float], None] | None = None
-    keep: bool = False
+    workers: int  # the number of threads or processes
+    report: Callable[[float], None] | None = None  # called with the number of rows that are solved
+    keep: bool = False  # whether Ctrl-C leaves the rows that are not solved, instead of ending everything
 
 
 def attempted(

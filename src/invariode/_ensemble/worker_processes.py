@@ -243,22 +243,13 @@ def _ctrl_c_later() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Work:
-    """Data that a worker process needs.
+    """Data that a worker process needs."""
 
-    Attributes
-    ----------
-    solve : callable
-        Solves a row.
-    folder : str
-        Where outcomes go. Through the executor's pipe they would be lost, and the reader wait for ever, when a process
-        is killed as it writes; the names of files are short enough to be written at once.
-    at : array
-        at[i] is the process that is at row i, if any.
-    """
-
-    solve: Callable[[int], Any]
+    solve: Callable[[int], Any]  # solves a row
+    #: Where outcomes go. Through the executor's pipe they would be lost, and the reader wait for ever, when a process
+    #: is killed as it writes; the names of files are short enough to be written at once.
     folder: str
-    at: Any
+    at: Any  # at[i] is the process that is at row i, if any
 
 
 _work: _Work  # of this worker

@@ -112,14 +112,9 @@ class ArgumentLayout:
 
     The numbers of all arguments follow one another in one array, `numbers`. Two layouts are equal if code for one of
     them serves the other: values count only where they are constants of the code.
-
-    Attributes
-    ----------
-    entries : tuple of Entry
-        The arguments, in their order.
     """
 
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[Entry, ...] = ()  # the arguments, in their order
 
     @classmethod
     def single(cls, count: int) -> Self:

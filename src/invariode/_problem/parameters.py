@@ -35,23 +35,12 @@ _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_O
 
 @dataclass(frozen=True, slots=True)
 class ParameterName:
-    """A parameter: its name, and where its value is.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    kind : {"args", "y0"}
-        Place of the parameter: in an argument or in an initial value.
-    index : int
-        The argument or the component.
-    item : int or None
-        The place among the numbers of the argument, in their order. None: the argument is a number.
-    """
+    """A parameter: its name, and where its value is."""
 
     name: str
-    kind: Literal["args", "y0"]
-    index: int
+    kind: Literal["args", "y0"]  # in an argument or in an initial value
+    index: int  # the argument or the component
+    #: The place among the numbers of the argument, in their order. None: the argument is a number.
     item: int | None = None
 
 

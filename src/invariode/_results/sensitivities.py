@@ -27,24 +27,12 @@ class AtEvents(NamedTuple):
 
 @dataclasses.dataclass
 class SensitivityData:
-    """S = ∂y/∂p of a solution.
+    """S = ∂y/∂p of a solution."""
 
-    Attributes
-    ----------
-    names : list of str
-        The parameters.
-    values : ndarray, (n, k, n_t)
-        At the outputs.
-    end : ndarray, (n, k)
-        Where the run ended.
-    events : AtEvents or None
-        At events, if they were recorded.
-    """
-
-    names: list[str]
-    values: Array
-    end: Array
-    events: AtEvents | None
+    names: list[str]  # the parameters
+    values: Array  # (n, k, n_t): at the outputs
+    end: Array  # (n, k): where the run ended
+    events: AtEvents | None  # at events, if they were recorded
 
     def joined(self, then: SensitivityData, points: int) -> SensitivityData:
         """Return the first outputs, and those of the rest of the run."""

@@ -153,19 +153,12 @@ class AlongAction(Along, Protocol):
 
 
 class OfRoots(NamedTuple):
-    """Derivatives of the functions of a `Roots`, and of its action, which has just been taken.
+    """Derivatives of the functions of a `Roots`, and of its action, which has just been taken."""
 
-    Attributes
-    ----------
-    fun, action : Along
-        The derivatives of all m functions, and of the action.
-    is_known : bool
-        False: the functions are conditions that cannot be traced.
-    """
-
+    #: fun, action: the derivatives of all m functions, and of the action
     fun: Along
     action: AlongAction
-    is_known: bool = True
+    is_known: bool = True  # False: the functions are conditions that cannot be traced
 
     def times(self, t: float, y: Array, f: Array, number: int, dy: Array, dp: Array) -> Array:
         """Return the derivatives of the time of a root along c directions, (c,), with f for y' before it."""
@@ -367,31 +360,16 @@ def restoration(problem: Problem, names: Sequence[ParameterName], threshold: flo
 
 
 class _Moment(NamedTuple):
-    """Actions at one time.
+    """Actions at one time."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the actions.
-    start, f : ndarray, (1 + k, n) and (n,)
-        Y and y' before all of them.
-    times : ndarray, (k,)
-        ∂τ.
-    moved : ndarray, (k, n)
-        The derivatives of the state after them at τ(p).
-    after : ndarray, (1 + k, n)
-        Y as the core has it then.
-    fixed : bool
-        The time is that of a breakpoint.
-    """
-
-    t: float
+    t: float  # time of the actions
+    #: start, f, (1 + k, n) and (n,): Y and y' before all of them
     start: Array
     f: Array
-    times: Array
-    moved: Array
-    after: Array
-    fixed: bool = False
+    times: Array  # (k,): ∂τ
+    moved: Array  # (k, n): the derivatives of the state after them at τ(p)
+    after: Array  # (1 + k, n): Y as the core has it then
+    fixed: bool = False  # the time is that of a breakpoint
 
 
 @dataclass

@@ -36,18 +36,10 @@ _ALIKE = 1e-9
 
 
 class Schedule(NamedTuple):
-    """The landings of a problem.
+    """The landings of a problem."""
 
-    Attributes
-    ----------
-    landings : Landings
-        Times of the landings, as functions of the numbers of the arguments.
-    p : ndarray
-        The numbers of the arguments, of which its graph is a function.
-    """
-
-    landings: Landings
-    p: Array
+    landings: Landings  # times of the landings, as functions of the numbers of the arguments
+    p: Array  # the numbers of the arguments, of which its graph is a function
 
     @property
     def depends_on_args(self) -> bool:

@@ -84,21 +84,12 @@ def _as_pairs(columns: Array) -> Array:
 
 
 class RealForm(NamedTuple):
-    """A problem of pairs, for the derivatives of a complex one.
-
-    Attributes
-    ----------
-    problem : Problem
-        The problem.
-    names : tuple of ParameterName
-        The parameters; an initial value stands for its real part, or for both, one after the other.
-    points : list of Breakpoint
-        The breakpoints.
-    """
+    """A problem of pairs, for the derivatives of a complex one."""
 
     problem: Problem
+    #: The parameters; an initial value stands for its real part, or for both, one after the other
     names: tuple[ParameterName, ...]
-    points: list[Breakpoint]
+    points: list[Breakpoint]  # the breakpoints
 
 
 def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: bool = False) -> RealForm:

@@ -14,23 +14,12 @@ from .._problem.sensitivities import Sensitivities
 
 
 class Sizes(NamedTuple):
-    """Sizes from which the tolerances of sensitivities follow.
+    """Sizes from which the tolerances of sensitivities follow."""
 
-    Attributes
-    ----------
-    wanted : Sensitivities
-        The option.
-    names : sequence of ParameterName
-        The parameters.
-    weights : Weights
-        Weights of y in the error test.
-    places : list of int
-        Positions of the parameters' values among the numbers of the arguments, or among the initial values.
-    """
-
-    wanted: Sensitivities
-    names: Sequence[ParameterName]
-    weights: Weights
+    wanted: Sensitivities  # the option
+    names: Sequence[ParameterName]  # the parameters
+    weights: Weights  # weights of y in the error test
+    #: Positions of the parameters' values among the numbers of the arguments, or among the initial values
     places: list[int]
 
     @classmethod

@@ -40,63 +40,25 @@ _TOGETHER = 1e-9
 
 @dataclass
 class Variations:
-    """Sensitivities as a run computes them besides y.
+    """Sensitivities as a run computes them besides y."""
 
-    Attributes
-    ----------
-    names : list of str
-        Names of the parameters.
-    start : ndarray, (k, n)
-        S at the start.
-    sizes : Sizes
-        Sizes from which the tolerances of S follow.
-    for_core : _core.Variations
-        The sensitivities as the core takes them.
-    slope : callable or machine code
-        (t, Y) -> f_y S_j + f_pj, as the core calls it.
-    tangents : list
-        (t, Y) -> G S_j + g_pj of each invariant.
-    how : dict
-        For each function, the way in which its derivatives are formed.
-    times : list of EventTime
-        Derivatives of the time of each event.
-    actions : list
-        Jump of S at the action of each event, with its log.
-    breaks : frozenset of float
-        Times of the breakpoints.
-    switches : list of EventSpec
-        Conditions at which f jumps: further events, which change S alone.
-    log : list of tuple
-        Times at which conditions of f have changed, and which conditions.
-    near : float
-        Largest distance in t between a discontinuity and the change of a condition that explains it.
-    follows_jumps : bool
-        The conditions of f are known.
-    derivatives_of : list of Derivative
-        Derivatives of all functions.
-    schedule : Schedule or None
-        Times at which f changes its branch as a function of t alone.
-    is_complex : bool
-        The state is complex; `start` has pairs then.
-    """
-
-    names: list[str]
-    start: Array
-    sizes: Sizes
-    for_core: _core.Variations
-    slope: Any
-    tangents: list[Any]
-    how: dict[str, str]
-    times: list[EventTime]
-    actions: list[ActionOfEvent | None]
-    breaks: frozenset[float]
-    switches: list[EventSpec]
-    log: list[tuple[float, str]]
-    near: float
-    follows_jumps: bool
-    derivatives_of: list[Derivative]
-    schedule: Schedule | None = None
-    is_complex: bool = False
+    names: list[str]  # names of the parameters
+    start: Array  # (k, n): S at the start
+    sizes: Sizes  # sizes from which the tolerances of S follow
+    for_core: _core.Variations  # the sensitivities as the core takes them
+    slope: Any  # callable: (t, Y) -> f_y S_j + f_pj, as the core calls it
+    tangents: list[Any]  # (t, Y) -> G S_j + g_pj of each invariant
+    how: dict[str, str]  # for each function, the way in which its derivatives are formed
+    times: list[EventTime]  # derivatives of the time of each event
+    actions: list[ActionOfEvent | None]  # jump of S at the action of each event, with its log
+    breaks: frozenset[float]  # times of the breakpoints
+    switches: list[EventSpec]  # conditions at which f jumps: further events, which change S alone
+    log: list[tuple[float, str]]  # times at which conditions of f have changed, and which conditions
+    near: float  # largest distance in t between a discontinuity and the change of a condition that explains it
+    follows_jumps: bool  # the conditions of f are known
+    derivatives_of: list[Derivative]  # derivatives of all functions
+    schedule: Schedule | None = None  # times at which f changes its branch as a function of t alone
+    is_complex: bool = False  # the state is complex; `start` has pairs then
 
     @property
     def own_to_each(self) -> str | None:

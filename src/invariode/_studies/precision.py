@@ -321,23 +321,14 @@ class _CostCurve:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The cost of projection at equal error, projected / plain, at the powers of ten that both ways reach.
+    """The cost of projection at equal error, projected / plain, at the powers of ten that both ways reach."""
 
-    Attributes
-    ----------
-    method : str
-        Its name, or '' for the best method each.
-    errors, time, f : list of float
-        The errors, from the largest on, and the ratios of costs there.
-    by : list of (str, str)
-        The methods compared at each error: plain, projected.
-    """
-
-    method: str
+    method: str  # its name, or '' for the best method each
+    #: errors, time, f: the errors, from the largest on, and the ratios of costs there
     errors: list[float]
     time: list[float]
     f: list[float]
-    by: list[tuple[str, str]] = field(default_factory=list)
+    by: list[tuple[str, str]] = field(default_factory=list)  # the methods compared at each error: plain, projected
 
     @property
     def kind(self) -> tuple[str, float | None]:

@@ -134,21 +134,12 @@ def _graph_of_event(fun: Any, problem: Problem) -> list[Node] | None:
 
 
 class SeriesSystem(NamedTuple):
-    """f of a problem as a graph.
+    """f of a problem as a graph."""
 
-    Attributes
-    ----------
-    outputs : list of Node
-        Its values, of t, y and the parameters of native functions; inputs are polynomials in t.
-    conditions : list of Node
-        Functions whose sign changes where f changes its branch, if that depends on y; none if there are too many.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    """
-
-    outputs: list[Node]
+    outputs: list[Node]  # its values, of t, y and the parameters of native functions; inputs are polynomials in t
+    #: Functions whose sign changes where f changes its branch, if that depends on y; none if there are too many
     conditions: list[Node]
-    own: bool
+    own: bool  # invariode's elementary functions are called, not the mathematical library's
 
 
 def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[Node] = ()) -> SeriesSystem:
@@ -168,36 +159,17 @@ def system_of(problem: Problem, parameters: ArgumentLayout, unknown: Iterable[No
 
 
 class Expansion(NamedTuple):
-    """Taylor series that the core expands.
+    """Taylor series that the core expands."""
 
-    Attributes
-    ----------
-    series : _core.Series
-        Series of the solution, and of its sensitivities.
-    conditions : _core.Series or None
-        Series along the solution of the functions whose sign changes where f changes its branch: a step ends there.
-    condition_count : int
-        Number of the conditions.
-    events : list of EventSpec
-        Events of the problem with their series.
-    problem : Problem
-        The problem, with f and its events on their graphs.
-    outputs : list of Node
-        y' of the solution, and of its sensitivities.
-    form : SeriesForm
-        Form of the code of the series.
-    of_any_span : bool
-        The expansion is the same on every interval: there are no bounds, which depend on the direction.
-    """
-
-    series: _core.Series
+    series: _core.Series  # series of the solution, and of its sensitivities
+    #: Series along the solution of the functions whose sign changes where f changes its branch: a step ends there
     conditions: _core.Series | None
-    condition_count: int
-    events: list[EventSpec]
-    problem: Problem
-    outputs: list[Node]
-    form: SeriesForm
-    of_any_span: bool
+    condition_count: int  # number of the conditions
+    events: list[EventSpec]  # events of the problem with their series
+    problem: Problem  # the problem, with f and its events on their graphs
+    outputs: list[Node]  # y' of the solution, and of its sensitivities
+    form: SeriesForm  # form of the code of the series
+    of_any_span: bool  # the expansion is the same on every interval: there are no bounds, which depend on the direction
 
     def for_core(self) -> dict[str, Any]:
         """Return the arguments of the core's problem that concern the series, without events."""

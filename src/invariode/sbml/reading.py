@@ -87,24 +87,15 @@ class EventRule:
 
 @dataclass
 class Contents:
-    """Contents of the file of a model.
-
-    Attributes
-    ----------
-    values : dict
-        Numbers of parameters and stoichiometries; NaN where the file has none.
-    constants : set of str
-        Symbols of these that may not change.
-    ignored : list of str
-        What has no effect on a simulation.
-    """
+    """Contents of the file of a model."""
 
     name: str
     level: int
     compartments: dict[str, Compartment] = field(default_factory=dict)
     species: dict[str, Species] = field(default_factory=dict)
+    #: Numbers of parameters and stoichiometries; NaN where the file has none
     values: dict[str, float] = field(default_factory=dict)
-    constants: set[str] = field(default_factory=set)
+    constants: set[str] = field(default_factory=set)  # symbols of these that may not change
     reactions: dict[str, Reaction] = field(default_factory=dict)
     rules: dict[str, Expression] = field(default_factory=dict)
     rates: dict[str, Expression] = field(default_factory=dict)
@@ -112,7 +103,7 @@ class Contents:
     initial: dict[str, Expression] = field(default_factory=dict)
     events: list[EventRule] = field(default_factory=list)
     done: list[str] = field(default_factory=list)
-    ignored: list[str] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)  # what has no effect on a simulation
 
 
 def contents(source: str) -> Contents:

@@ -53,27 +53,15 @@ _HALVINGS = 1100
 
 
 class Crossing(NamedTuple):
-    """Condition of t at which a branch changes.
+    """Condition of t at which a branch changes."""
 
-    Attributes
-    ----------
-    node : Node
-        The operation of the graph.
-    moving : Node
-        A continuous function of t but for changes of other conditions; where it passes a level the branch changes.
-    state : Node
-        Truth or number of the branch, which is constant between the changes.
-    levels : tuple of float or None
-        Levels of `moving` at which the state rises from k to k + 1: 0 for a truth; breaks of a table; None: k + 1.
-    inner : frozenset of Node
-        The operations inside `moving` that have branches.
-    """
-
-    node: Node
+    node: Node  # the operation of the graph
+    #: a continuous function of t but for changes of other conditions; where it passes a level the branch changes
     moving: Node
-    state: Node
+    state: Node  # truth or number of the branch, which is constant between the changes
+    #: Levels of `moving` at which the state rises from k to k + 1: 0 for a truth; breaks of a table; None: k + 1
     levels: tuple[float, ...] | None
-    inner: frozenset[Node]
+    inner: frozenset[Node]  # the operations inside `moving` that have branches
 
 
 class Source(NamedTuple):
@@ -100,17 +88,10 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Landings:
-    """The times at which a graph changes its branch as a function of t alone.
+    """The times at which a graph changes its branch as a function of t alone."""
 
-    Attributes
-    ----------
-    sources : list of Source
-        By conditions.
-    left_out : dict of Node to str
-        Operations whose changes are not known, each with the reason in words; "": it contains another one of them.
-    """
-
-    sources: list[Source]
+    sources: list[Source]  # by conditions
+    #: Operations whose changes are not known, each with the reason in words; "": it contains another one of them
     left_out: dict[Node, str]
 
     def __bool__(self) -> bool:

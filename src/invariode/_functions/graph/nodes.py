@@ -94,18 +94,12 @@ class Node:
 
 
 class LinearSystem(NamedTuple):
-    """The value of a linear system A X = B, whose arguments are entries of A, then those of B (k, m), by rows.
+    """The value of a linear system A X = B, whose arguments are entries of A, then those of B (k, m), by rows."""
 
-    Attributes
-    ----------
-    k, m : int
-        Unknowns, and columns of B.
-    places : tuple of int
-        i k + j of the entries of A that are arguments, ascending, if the others are zero; empty: all are arguments.
-    """
-
+    #: k, m: unknowns, and columns of B
     k: int
     m: int
+    #: i k + j of the entries of A that are arguments, ascending, if the others are zero; empty: all are arguments
     places: tuple[int, ...] = ()
 
     @property

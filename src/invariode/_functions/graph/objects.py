@@ -34,21 +34,12 @@ class MachineCode(NamedTuple):
 
 
 class CodeForm(NamedTuple):
-    """Form of machine code: its arguments and its results.
+    """Form of machine code: its arguments and its results."""
 
-    Attributes
-    ----------
-    returns : bool
-        The code returns its one value, as events do; otherwise it stores its values.
-    lanes : int
-        So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    """
-
-    returns: bool = False
+    returns: bool = False  # the code returns its one value, as events do; otherwise it stores its values
+    #: So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on
     lanes: int = 1
-    own: bool = True
+    own: bool = True  # invariode's elementary functions are called, not the mathematical library's
 
 
 def is_kept(key: Any) -> bool:

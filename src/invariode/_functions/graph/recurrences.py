@@ -24,19 +24,13 @@ UNWEIGHTED = (0.0, 0.0)
 
 
 class Sum(NamedTuple):
-    """Σ w_j left_j right_{k−j} over j from `first` to k − `last`.
-
-    Attributes
-    ----------
-    weight : (float, float)
-        Factors (a, b) of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1.
-    """
+    """Σ w_j left_j right_{k−j} over j from `first` to k − `last`."""
 
     left: Node
     right: Node
     first: int = 0
     last: int = 0
-    weight: tuple[float, float] = UNWEIGHTED
+    weight: tuple[float, float] = UNWEIGHTED  # factors (a, b) of j and k in w_j = a j − b k; (0, 0) stands for w_j = 1
 
     @property
     def is_square(self) -> bool:
@@ -199,24 +193,12 @@ _RULES: dict[str, Callable[..., Rule]] = {
 
 
 class Program(NamedTuple):
-    """Nodes in the order in which their coefficients k are computed.
+    """Nodes in the order in which their coefficients k are computed."""
 
-    Attributes
-    ----------
-    nodes : list of Node
-        Each after what it needs at order k.
-    degrees : dict
-        Degree of each node in s: 0 is constant, inf a series that does not end.
-    rules : dict
-        Rules of the nodes that are not linear.
-    moving : set
-        The nodes whose coefficients k ≥ 1 are needed.
-    """
-
-    nodes: list[Node]
-    degrees: Mapping[Node, float]
-    rules: Mapping[Node, Rule]
-    moving: set[Node]
+    nodes: list[Node]  # each after what it needs at order k
+    degrees: Mapping[Node, float]  # degree of each node in s: 0 is constant, inf a series that does not end
+    rules: Mapping[Node, Rule]  # rules of the nodes that are not linear
+    moving: set[Node]  # the nodes whose coefficients k ≥ 1 are needed
 
 
 def program(outputs: Sequence[Node]) -> Program:

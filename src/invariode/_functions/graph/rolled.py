@@ -24,21 +24,11 @@ class Leaf(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Trees of one form.
+    """Trees of one form."""
 
-    Attributes
-    ----------
-    nodes : list of Node
-        Nodes of the first tree, in order.
-    leaves : dict
-        Its nodes that have a place.
-    target : str
-        "out" or "work": where the values go, to `places`.
-    """
-
-    nodes: list[Node]
-    leaves: dict[Node, Leaf]
-    target: str
+    nodes: list[Node]  # nodes of the first tree, in order
+    leaves: dict[Node, Leaf]  # its nodes that have a place
+    target: str  # "out" or "work": where the values go, to `places`
     places: list[int]
 
     @property

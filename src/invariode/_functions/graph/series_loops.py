@@ -47,42 +47,20 @@ class Row(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """Coefficients that are copied together.
+    """Coefficients that are copied together."""
 
-    Attributes
-    ----------
-    row : Row
-        To where.
-    nodes : list of Node
-        Whose.
-    lag : int
-        0: before they are needed at the same order; 1: when an order is complete.
-    """
-
-    row: Row
-    nodes: list[Node]
-    lag: int
+    row: Row  # to where
+    nodes: list[Node]  # whose
+    lag: int  # 0: before they are needed at the same order; 1: when an order is complete
 
 
 class Members(NamedTuple):
-    """Nodes of one kind.
+    """Nodes of one kind."""
 
-    Attributes
-    ----------
-    nodes : list of Node
-        In the order of their places.
-    start : int
-        The place of the first one.
-    rules : list of Rule
-        Theirs, if they are not linear.
-    moving : bool
-        Coefficients of order k are needed.
-    """
-
-    nodes: list[Node]
-    start: int
-    rules: list[Rule]
-    moving: bool
+    nodes: list[Node]  # in the order of their places
+    start: int  # the place of the first one
+    rules: list[Rule]  # theirs, if they are not linear
+    moving: bool  # coefficients of order k are needed
 
 
 class Chunk(NamedTuple):

@@ -13,27 +13,14 @@ from .operations import DOUBLE, POINTER
 
 
 class SeriesForm(NamedTuple):
-    """Form of the code of Taylor coefficients: its arguments and its results.
+    """Form of the code of Taylor coefficients: its arguments and its results."""
 
-    Attributes
-    ----------
-    n : int
-        Components of y.
-    order : int
-        Order of the last coefficients.
-    along : bool
-        y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'.
-    lanes : int
-        So many numbers side by side.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    """
-
-    n: int
-    order: int
+    n: int  # components of y
+    order: int  # order of the last coefficients
+    #: y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'
     along: bool = False
-    lanes: int = 1
-    own: bool = True
+    lanes: int = 1  # so many numbers side by side
+    own: bool = True  # invariode's elementary functions are called, not the mathematical library's
 
 
 class Inverse(NamedTuple):

@@ -28,17 +28,10 @@ _SAME = 1e-9
 
 
 class Switch(NamedTuple):
-    """A condition whose branches differ where it switches.
+    """A condition whose branches differ where it switches."""
 
-    Attributes
-    ----------
-    difference : Node
-        Function that changes its sign at the switch.
-    below, above : list of Node
-        The values of the graph where the difference is negative, and where it is positive.
-    """
-
-    difference: Node
+    difference: Node  # function that changes its sign at the switch
+    #: below, above: the values of the graph where the difference is negative, and where it is positive
     below: list[Node]
     above: list[Node]
 

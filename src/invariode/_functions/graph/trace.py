@@ -44,21 +44,11 @@ IN_PASSING = TraceLimits(paths=16, decisions=8, nodes=5000, anywhere=True)
 
 
 class Traced(NamedTuple):
-    """A traced function.
+    """A traced function."""
 
-    Attributes
-    ----------
-    outputs : list of Node
-        Its values, one after the other.
-    shape : tuple of int
-        Shape of the returned value.
-    paths : int
-        Number of paths through the branches of the function.
-    """
-
-    outputs: list[Node]
-    shape: tuple[int, ...]
-    paths: int
+    outputs: list[Node]  # its values, one after the other
+    shape: tuple[int, ...]  # shape of the returned value
+    paths: int  # number of paths through the branches of the function
 
 
 def trace(

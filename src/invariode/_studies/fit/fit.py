@@ -144,20 +144,11 @@ def _uncertainty(model: Model, found: Optimum) -> Uncertainty:
 
 
 class _SearchEnd(NamedTuple):
-    """End of one of the searches.
+    """End of one of the searches."""
 
-    Attributes
-    ----------
-    number : int
-        Which of the searches.
-    found : Optimum or NoStartError
-        What it found.
-    runs, failures : int and Counter
-        What it has cost.
-    """
-
-    number: int
-    found: Optimum | NoStartError
+    number: int  # which of the searches
+    found: Optimum | NoStartError  # what it found
+    #: runs, failures: what it has cost
     runs: int
     failures: Counter[str]
 

@@ -45,21 +45,12 @@ LOSSES: dict[str, Callable[[Array], list[Array]] | None] = {
 
 
 class Weighted(NamedTuple):
-    """The loss of residuals r, ½ Σ ρ(r²), and its derivatives.
+    """The loss of residuals r, ½ Σ ρ(r²), and its derivatives."""
 
-    Attributes
-    ----------
-    cost : float
-        The loss.
-    first : ndarray, (N,)
-        ρ′: the gradient of the loss is Jᵀ (ρ′ r).
-    second : ndarray, (N,)
-        √(ρ′ + 2 ρ″ r²): factors of the rows of J for which JᵀJ is the second derivative of the loss. Residuals for
-        which it is negative count as almost nothing, as in `scipy.optimize.least_squares`.
-    """
-
-    cost: float
-    first: Array
+    cost: float  # the loss
+    first: Array  # (N,): ρ′: the gradient of the loss is Jᵀ (ρ′ r)
+    #: (N,): √(ρ′ + 2 ρ″ r²): factors of the rows of J for which JᵀJ is the second derivative of the loss. Residuals for
+    #: which it is negative count as almost nothing, as in `scipy.optimize.least_squares`.
     second: Array
 
 
@@ -73,24 +64,14 @@ def weighted(loss: str, residuals: Array) -> Weighted:
 
 
 class Optimum(NamedTuple):
-    """End of a search.
+    """End of a search."""
 
-    Attributes
-    ----------
-    at : Evaluation
-        The model there.
-    cost : float
-        Half the sum of squares, or of their losses, with those of the priors; with noise levels −log L.
-    success, message
-        Whether it arrived, and how it ended.
-    weights : ndarray, (N,)
-        Factors of the rows of the Jacobian for which JᵀJ is the second derivative of the loss; 1 without a loss.
-    """
-
-    at: Evaluation
-    cost: float
+    at: Evaluation  # the model there
+    cost: float  # half the sum of squares, or of their losses, with those of the priors; with noise levels −log L
+    #: success, message: whether it arrived, and how it ended
     success: bool
     message: str
+    #: (N,): factors of the rows of the Jacobian for which JᵀJ is the second derivative of the loss; 1 without a loss
     weights: Array
 
 

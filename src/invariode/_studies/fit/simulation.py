@@ -34,20 +34,12 @@ from .through import Curves, Settings, Through
 
 
 class Simulated(NamedTuple):
-    """The model's values for the data of an experiment, series by series, and their derivatives.
+    """The model's values for the data of an experiment, series by series, and their derivatives."""
 
-    Attributes
-    ----------
-    values : ndarray, (N,)
-        The values.
-    tangent : ndarray, (N, k)
-        Their derivatives for the parameters of the experiment; without columns if these were not wanted.
-    sigma, sigma_tangent : ndarray, (N,) and (N, k), or None
-        The same of sigma, if it is a function.
-    """
-
-    values: Array
+    values: Array  # (N,): the values
+    #: (N, k): their derivatives for the parameters of the experiment; without columns if these were not wanted
     tangent: Array
+    #: sigma, sigma_tangent, (N,) and (N, k): the same of sigma, if it is a function
     sigma: Array | None = None
     sigma_tangent: Array | None = None
 

@@ -28,21 +28,12 @@ class Curves(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Places of an experiment's parameters.
+    """Places of an experiment's parameters."""
 
-    Attributes
-    ----------
-    names : sequence of str
-        The parameters, in the order of their values.
-    entries : sequence of (int, ParameterName)
-        Numbers in the arguments and initial values, each with the parameter that sets it.
-    args : tuple
-        The arguments in which they are.
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  # the parameters, in the order of their values
+    #: Numbers in the arguments and initial values, each with the parameter that sets it
     entries: Sequence[tuple[int, ParameterName]]
-    args: tuple[Any, ...]
+    args: tuple[Any, ...]  # the arguments in which they are
 
     def changes(self, values: Any) -> dict[int, dict[int, Any]]:
         """Return the numbers of the arguments that the parameters set, by argument and place."""
