@@ -152,14 +152,9 @@ def _of_complex(run: Forward, problem: Problem, functional: CostFunctional) -> A
 class _Adjoint:
     """The equations of λ along a solution.
 
-    Parameters
-    ----------
-    run : Forward
-        The run, perhaps of complex states.
-    problem : Problem
-        The problem, of real ones: of pairs if the states of the run are complex.
-    names : sequence of ParameterName
-        The parameters.
+    - `run`: the run, perhaps of complex states
+    - `problem`: the problem, of real ones: of pairs if the states of the run are complex
+    - `names`: the parameters
     """
 
     def __init__(self, run: Forward, problem: Problem, names: Sequence[ParameterName]) -> None:

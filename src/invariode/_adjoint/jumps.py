@@ -501,10 +501,7 @@ def at_bounds(
     threshold atol / rtol, and end there within the tolerance, as those do that an event cuts, where y' leads out of the
     bounds, or is 0 since they have reached them.
 
-    Raises
-    ------
-    ValueError
-        A component is held that a singular mass matrix couples with others.
+    Raises ValueError: A component is held that a singular mass matrix couples with others.
     """
     if problem.bounds is None:
         return []

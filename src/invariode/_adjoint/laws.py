@@ -47,16 +47,10 @@ class _Law:
 class Laws:
     """The invariants of a problem, without functions that only fall or rise.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    k : int
-        Number of parameters.
-    derivatives : callable
-        Makes derivatives of its functions.
-    weights : callable
-        y -> the weights of the error test.
+    - `problem`: the problem
+    - `k`: number of parameters
+    - `derivatives`: makes derivatives of its functions
+    - `weights`: y -> the weights of the error test
     """
 
     def __init__(

@@ -79,16 +79,10 @@ def _not_the_same(t: float) -> ValueError:
 class SectionedSolution:
     """The solution as a function of t, like `DenseSolution`, of which two sections at a time are in memory.
 
-    Parameters
-    ----------
-    runs : sequence of Sectioned
-        The run, and its extensions.
-    sol : Result
-        Result of the run and its extensions.
-    y : ndarray, (n,)
-        The state at the end.
-    imposed : bool
-        The solution is projected onto its invariants.
+    - `runs`: the run, and its extensions
+    - `sol`: result of the run and its extensions
+    - `y`, (n,): the state at the end
+    - `imposed`: the solution is projected onto its invariants
     """
 
     def __init__(self, runs: Sequence[Sectioned], sol: Result, y: Array, *, imposed: bool) -> None:

@@ -145,10 +145,7 @@ _WITHOUT_UNIT = frozenset({float, int, bool, complex, str, np.ndarray, np.float6
 def require_no_unit(name: str, value: object) -> None:
     """Require that it is no quantity of a package for units, which NumPy would take for its number in whatever unit.
 
-    Raises
-    ------
-    TypeError
-        It has a unit, or is a list or tuple that contains a quantity.
+    Raises TypeError: It has a unit, or is a list or tuple that contains a quantity.
     """
     if type(value) in _WITHOUT_UNIT:
         return

@@ -33,12 +33,8 @@ _LOCK = "invariode lock"
 class Lock:
     """A locked file beside a path, which goes away when the lock is released. `what` is what the lock is for.
 
-    Raises
-    ------
-    ValueError
-        Somebody else holds it, or the file there is not a lock.
-    OSError
-        There can be no such file.
+    Raises ValueError: Somebody else holds it, or the file there is not a lock.
+    Raises OSError: There can be no such file.
     """
 
     _holds = False

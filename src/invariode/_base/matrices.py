@@ -31,25 +31,14 @@ def as_matrix(
 ) -> Any:
     """Convert what a user gives to a 2-d array or sparse matrix of numbers, whose values are not checked.
 
-    Parameters
-    ----------
-    name : str
-        Name of the matrix in messages.
-    given : array_like or sparse matrix
-        The matrix. A single row or column may be given as a 1-d array, a single number as such.
-    shape : tuple of int, optional
-        The shape that it must have.
-    is_complex : bool, default False
-        The matrix may be complex.
-    banded : bool, default False
-        The matrix is packed by its bands, for the message.
-    at : float, optional
-        The time at which a function returned it, for the message.
+    - `name`: name of the matrix in messages
+    - `given`: the matrix. A single row or column may be given as a 1-d array, a single number as such.
+    - `shape`: the shape that it must have
+    - `is_complex`: the matrix may be complex
+    - `banded`: the matrix is packed by its bands, for the message
+    - `at`: the time at which a function returned it, for the message
 
-    Raises
-    ------
-    TypeError, ValueError
-        It holds something else than numbers, or has another shape.
+    Raises TypeError, ValueError: It holds something else than numbers, or has another shape.
     """
     if hasattr(given, "matvec"):
         raise TypeError(

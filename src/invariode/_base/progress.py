@@ -42,10 +42,7 @@ def bar(shown: Progress, what: str, total: float | None) -> Iterator[Callable[..
 
     It yields None if nothing was asked for.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        rich, of the extra `cli`, is not installed.
+    Raises ModuleNotFoundError: rich, of the extra `cli`, is not installed.
     """
     if not shown:
         yield None

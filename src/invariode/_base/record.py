@@ -55,10 +55,7 @@ class Record(tuple[Any, ...]):
     def changed(self, given: Mapping[str, Any]) -> Record:
         """Return the record with other values of some parameters.
 
-        Raises
-        ------
-        ValueError
-            A name is not one of its names.
+        Raises ValueError: A name is not one of its names.
         """
         values = [*self]
         for name, value in given.items():
@@ -108,10 +105,7 @@ class RecordNames:
 def record_of(given: Any) -> Record:
     """Return the record of a dict of numbers.
 
-    Raises
-    ------
-    TypeError
-        It is not a dict from names to real numbers.
+    Raises TypeError: It is not a dict from names to real numbers.
     """
     if isinstance(given, Record):
         return given

@@ -93,14 +93,9 @@ class Start:
 class _StartOfArgs:
     """The consistent initial state as a function of the arguments: constraints with parameters move it.
 
-    Parameters
-    ----------
-    nearest : callable
-        ``nearest(p)`` returns the consistent x_j^(l).
-    states : sequence of Variable
-        The variables that are states.
-    p, y0 : ndarray
-        The numbers of some arguments, and the state for them.
+    - `nearest`: ``nearest(p)`` returns the consistent x_j^(l)
+    - `states`: the variables that are states
+    - `p`, `y0`: the numbers of some arguments, and the state for them
     """
 
     solves_equations = True

@@ -96,26 +96,16 @@ def raised(structure: Structure, arrangement: Arrangement, which: set[int]) -> A
 class Reduction:
     """An ODE with invariants that has the solutions of a DAE.
 
-    Parameters
-    ----------
-    structure : Structure
-        The equations.
-    nonlinear : {'raise', 'algebraic'}
-        What becomes of blocks that are not linear in what they determine: 'raise' differentiates them once more;
-        'algebraic' leaves them as equations of index 1, under a singular mass matrix.
+    - `structure`: the equations
+    - `nonlinear`: what becomes of blocks that are not linear in what they determine: 'raise' differentiates them once
+      more; 'algebraic' leaves them as equations of index 1, under a singular mass matrix
 
-    Attributes
-    ----------
-    arrangement : Arrangement
-        Offsets, J and blocks.
-    states : list of Variable
-        The variables of the ODE; algebraic ones are last.
-    algebraic : int
-        How many are algebraic.
-    slopes : list of Node
-        The derivatives of the states, then the residuals of the algebraic equations, in terms of the states.
-    levels : list of Level
-        The invariants.
+    Attributes:
+    - `arrangement`: offsets, J and blocks
+    - `states`: the variables of the ODE; algebraic ones are last
+    - `algebraic`: how many are algebraic
+    - `slopes`: the derivatives of the states, then the residuals of the algebraic equations, in terms of the states
+    - `levels`: the invariants
     """
 
     def __init__(self, structure: Structure, nonlinear: Literal["raise", "algebraic"]) -> None:

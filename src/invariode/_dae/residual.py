@@ -48,30 +48,18 @@ _UNTESTED = 1e10
 class ResidualForm:
     """F as a semi-explicit system of u = (w_d, w_a, z).
 
-    Parameters
-    ----------
-    F : callable
-        ``F(t, y, yp, *args)``.
-    t : float
-        The initial time.
-    y, yp : ndarray, (n,)
-        Initial values, or guesses.
-    args : tuple
-        Further arguments of F.
-    names : sequence of str
-        Names of the unknowns.
+    - `F`: ``F(t, y, yp, *args)``
+    - `t`: the initial time
+    - `y`, `yp`, (n,): initial values, or guesses
+    - `args`: further arguments of F
+    - `names`: names of the unknowns
 
-    Attributes
-    ----------
-    start : ndarray, (n + r,)
-        u at the start.
-    mass : ndarray
-        The singular mass matrix of the system.
+    Attributes:
+    - `start`, (n + r,): u at the start
+    - `mass`: the singular mass matrix of the system
 
-    Raises
-    ------
-    ValueError
-        F returns another number of values than y has; or the index is above 1, or the combinations change.
+    Raises ValueError: F returns another number of values than y has; or the index is above 1, or the combinations
+    change.
     """
 
     def __init__(

@@ -37,12 +37,8 @@ _PART_OF_IT, _IN_IT = 1e-6, 0.1
 class _UnsolvableError(Exception):
     """A stage has no solution near its guess.
 
-    Attributes
-    ----------
-    stage : _Stage
-        Its equations.
-    is_deficient : bool
-        Its Jacobian has not the full rank.
+    - `stage`: its equations
+    - `is_deficient`: its Jacobian has not the full rank
     """
 
     def __init__(self, message: str, stage: _Stage, is_deficient: bool = False) -> None:

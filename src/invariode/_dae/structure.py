@@ -51,12 +51,8 @@ _EQUAL = 1e-9
 class GenericPoints:
     """Points (t, x, x', x'', ...) beside a guess, with as many derivatives as are needed.
 
-    Parameters
-    ----------
-    t0 : float
-        The time of the guess.
-    guess : ndarray, (levels, n)
-        The values and derivatives that are known; 0 is the guess of the others.
+    - `t0`: the time of the guess
+    - `guess`, (levels, n): the values and derivatives that are known; 0 is the guess of the others
     """
 
     def __init__(self, t0: float, guess: Array) -> None:
@@ -110,38 +106,21 @@ def filled(part: Sequence[tuple[int, int, Node]], rows: int, values: Array, colu
 class Structure:
     """The structure of a system of equations, after repairs.
 
-    Parameters
-    ----------
-    equations : sequence of Node
-        f_i, i = 0, ..., n - 1.
-    points : GenericPoints
-        Where it is tested whether matrices are singular.
-    parameters : ndarray
-        The values of the parameters.
-    unknowns, names : sequence of str
-        Names of the x_j and of the f_i.
+    - `equations`: f_i, i = 0, ..., n - 1
+    - `points`: where it is tested whether matrices are singular
+    - `parameters`: the values of the parameters
+    - `unknowns`, `names`: names of the x_j and of the f_i
 
-    Attributes
-    ----------
-    equations : list of Node
-        The equations after repairs.
-    given : list of Node
-        The equations before repairs.
-    definitions : list of Node
-        The last unknowns, which substitutions introduced, as expressions of the others.
-    sigma : ndarray of int, (n, n)
-        The signature matrix.
-    arrangement : Arrangement
-        The canonical offsets, J and its blocks.
-    repairs : list of str
-        Which equations were replaced, in words.
-    derivative : TimeDerivatives
-        d/dt of equations.
+    Attributes:
+    - `equations`: the equations after repairs
+    - `given`: the equations before repairs
+    - `definitions`: the last unknowns, which substitutions introduced, as expressions of the others
+    - `sigma`, (n, n): the signature matrix
+    - `arrangement`: the canonical offsets, J and its blocks
+    - `repairs`: which equations were replaced, in words
+    - `derivative`: d/dt of equations
 
-    Raises
-    ------
-    ValueError
-        The equations do not determine the unknowns.
+    Raises ValueError: The equations do not determine the unknowns.
     """
 
     def __init__(

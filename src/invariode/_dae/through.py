@@ -19,14 +19,9 @@ Consistent: TypeAlias = Callable[[float, Array, tuple[Array, Array], tuple[Array
 class Through:
     """Makes functions of (t, state, *args) from functions of (t, y, *args).
 
-    Parameters
-    ----------
-    unknowns
-        y and y' as functions of the state, as in `Unknowns`.
-    consistent : callable
-        See `Consistent`.
-    p : ndarray
-        The parameters of a call without arguments.
+    - `unknowns`: y and y' as functions of the state, as in `Unknowns`
+    - `consistent`: see `Consistent`
+    - `p`: the parameters of a call without arguments
     """
 
     def __init__(self, unknowns: Any, consistent: Consistent, p: Array) -> None:

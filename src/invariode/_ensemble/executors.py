@@ -32,10 +32,7 @@ class Executor(Protocol):
 def executor_of(given: Any) -> Executor:
     """Return an executor, from one or from a client of Dask.
 
-    Raises
-    ------
-    TypeError
-        It is neither.
+    Raises TypeError: It is neither.
     """
     if hasattr(given, "get_executor") and hasattr(given, "nthreads"):
         executor: Executor = given.get_executor(pure=False)
@@ -109,10 +106,7 @@ def on_executor(
     """Yield each part with the value of ``call(*arguments(part))``, as an executor finishes them. If the generator is
     closed early, parts that have not begun are cancelled.
 
-    Raises
-    ------
-    RuntimeError
-        The executor cannot go on: its processes died.
+    Raises RuntimeError: The executor cannot go on: its processes died.
     """
     executor, left = executor_of(given), iter(parts)
     places = _Places(given, executor)

@@ -107,12 +107,8 @@ class StoreWriter:
     written last; the store is there once all of its arrays are. Chunks carry a CRC-32C, which Zarr tests whenever it
     reads one; the checksum of each part, over all of its arrays, shows chunks that are lost or in the wrong place.
 
-    Raises
-    ------
-    FileExistsError
-        There is a store, and it is not to be resumed.
-    ValueError
-        It belongs to another problem, is not a store of an ensemble, or another process is filling it.
+    Raises FileExistsError: There is a store, and it is not to be resumed.
+    Raises ValueError: It belongs to another problem, is not a store of an ensemble, or another process is filling it.
     """
 
     def __init__(
@@ -209,10 +205,7 @@ class StoreWriter:
     def missing(self, parts: Iterator[RowBlock]) -> Iterator[RowBlock]:
         """Yield the parts that are missing.
 
-        Raises
-        ------
-        ValueError
-            A part that is there belongs to other rows.
+        Raises ValueError: A part that is there belongs to other rows.
         """
         for part in parts:
             there = int(self._known[part.number]) if part.number < len(self._known) else 0

@@ -57,21 +57,12 @@ def may_start() -> bool:
 def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callable[[int], T]) -> Generator[list[T]]:
     """Yield lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
 
-    Parameters
-    ----------
-    solve : callable
-        Where processes are started afresh, it must be picklable. What it raises ends everything.
-    size, workers : int
-        Numbers of rows and of processes.
-    died : callable
-        ``died(i)`` stands for a row whose process died, and died again when the row was tried once more.
+    - `solve`: where processes are started afresh, it must be picklable. What it raises ends everything.
+    - `size`, `workers`: numbers of rows and of processes
+    - `died`: ``died(i)`` stands for a row whose process died, and died again when the row was tried once more
 
-    Raises
-    ------
-    TypeError
-        `solve` cannot be pickled, and must be.
-    RuntimeError
-        The processes end before they come to a row.
+    Raises TypeError: `solve` cannot be pickled, and must be.
+    Raises RuntimeError: The processes end before they come to a row.
     """
     context = _context()
     if context.get_start_method() != "fork":
@@ -134,10 +125,7 @@ def _what_is_left(chunk: range, fatal: set[int], hopeless: Sequence[int]) -> lis
 class _Workers(Generic[T]):
     """An executor, which works until everything is solved or one of its processes dies; then all of them end.
 
-    Attributes
-    ----------
-    lost : list of range
-        Chunks that were given to it and not solved.
+    - `lost`: chunks that were given to it and not solved
     """
 
     def __init__(self, context: Any, work: _Work, left: deque[range], workers: int) -> None:

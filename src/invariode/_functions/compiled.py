@@ -60,10 +60,7 @@ class Watch(Protocol):
     """Observer of the accepted steps of a run, used as its callback; it may stop the run for reasons that the run does
     not see.
 
-    Attributes
-    ----------
-    objection : str or None
-        Objection to the solution, in words; None if the solution is accepted.
+    - `objection`: objection to the solution, in words; None if the solution is accepted
     """
 
     objection: str | None
@@ -587,10 +584,7 @@ def to_native(
     """The form for the core: the address of a native `fun`, with what keeps the code alive. Python functions pass
     unchanged. `second`: as in `CompiledFunction.native`.
 
-    Raises
-    ------
-    TypeError
-        The object states a signature, and it is the wrong one.
+    Raises TypeError: The object states a signature, and it is the wrong one.
     """
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
@@ -741,10 +735,7 @@ def renew(functions: Iterable[Any]) -> None:
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> ArgumentLayout:
     """Return the arguments of native functions, whose numbers they take; none if no function is native.
 
-    Raises
-    ------
-    TypeError
-        They are not real numbers, and a function takes nothing else.
+    Raises TypeError: They are not real numbers, and a function takes nothing else.
     """
     natives = [one for one in functions if is_native(one)] if args else []
     if not natives:

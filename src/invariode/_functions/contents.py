@@ -124,10 +124,7 @@ class Captured:
     """The values that a function has captured: defaults, closure and globals, its own and those of the functions of its
     module that it uses, and the state of the object of a method.
 
-    Parameters
-    ----------
-    function : callable
-        A Python function, a method, or an object that is called.
+    - `function`: a Python function, a method, or an object that is called
     """
 
     def __init__(self, function: Any) -> None:

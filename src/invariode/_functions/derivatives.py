@@ -142,34 +142,19 @@ def derivative_of(
     steps, if they agree with finite differences; finite differences. A derivative that is not finite although F is,
     such as 0 · ∞, is replaced by one-sided differences.
 
-    Parameters
-    ----------
-    function : callable
-        F, a Python or native function; `fed` has bound its inputs.
-    shape : tuple of int
-        (m, n), the numbers of values and of components of y. m is None: F is called to see it, which a native function
-        does not say.
-    given : Given, optional
-        Derivatives that are known.
-    at : Point
-        A point at which F is defined: F is called there, to find whether it takes complex numbers.
-    args : tuple
-        Its further arguments, with the values of the parameters.
-    names : sequence of ParameterName
-        The parameters.
-    called : str, optional
-        Name of the function in messages.
-    moves_t : bool, default False
-        Derivatives with respect to t are needed too.
-    event : bool, default False
-        Machine code has the signature of events.
-    traces : bool or "unnoticed", default True
-        F may be called with symbols, to find its graph; "unnoticed": only if the call has no effect outside F.
+    - `function`: F, a Python or native function; `fed` has bound its inputs
+    - `shape`: (m, n), the numbers of values and of components of y. m is None: F is called to see it, which a native
+      function does not say.
+    - `given`: derivatives that are known
+    - `at`: a point at which F is defined: F is called there, to find whether it takes complex numbers
+    - `args`: its further arguments, with the values of the parameters
+    - `names`: the parameters
+    - `called`: name of the function in messages
+    - `moves_t`: derivatives with respect to t are needed too
+    - `event`: machine code has the signature of events
+    - `traces`: F may be called with symbols, to find its graph; "unnoticed": only if the call has no effect outside F
 
-    Raises
-    ------
-    TypeError
-        A parameter is an integer, and F takes no other number in its place.
+    Raises TypeError: A parameter is an integer, and F takes no other number in its place.
     """
     evaluate = _WithArguments(function, args, names, shape[0], called or call_name(function, "fun"), event)
     if evaluate.m is None:
@@ -181,14 +166,9 @@ def derivative_of(
 class Derivative:
     """The derivative of F(t, y, *args), as `derivative_of` returns it.
 
-    Attributes
-    ----------
-    graph : OfGraph or None
-        F as a graph, of which the derivatives are exact; None: it has none.
-    m, n, k : int
-        The number of values, of components of y and of parameters.
-    args, names, called
-        As given to `derivative_of`.
+    - `graph`: F as a graph, of which the derivatives are exact; None: it has none
+    - `m`, `n`, `k`: the number of values, of components of y and of parameters
+    - `args`, `names`, `called`: as given to `derivative_of`
     """
 
     def __init__(self, evaluate: _WithArguments, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
@@ -394,14 +374,9 @@ def with_graph(fun: Any) -> Any:
 class OfGraph:
     """A function F given by a graph, with exact derivatives.
 
-    Attributes
-    ----------
-    exact : Derived
-        The derivatives, for all values of the parameters.
-    outputs : list of Node
-        The values of F.
-    fun : compiled function or None
-        F as it was traced.
+    - `exact`: the derivatives, for all values of the parameters
+    - `outputs`: the values of F
+    - `fun`: F as it was traced
     """
 
     def __init__(self, exact: Derived, fun: Any, places: Sequence[int | None], p: Array, n: int, m: int) -> None:

@@ -207,10 +207,7 @@ def compiled_at_complex(fun: Any, n: int, parameters: ArgumentLayout) -> _core.N
 def python_at_complex(fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...]) -> Callable[..., Any]:
     """A Python f for complex y; NaN where it cannot be evaluated there, so that the core switches to differences.
 
-    Raises
-    ------
-    TypeError, ValueError
-        It does not take complex y, or drops the imaginary part.
+    Raises TypeError, ValueError: It does not take complex y, or drops the imaginary part.
     """
     if is_native(fun):
         raise TypeError(

@@ -32,10 +32,8 @@ def krylov(
     """Check a problem's matrices and its linear solver, and return them in the core's form. `exact`: returns the
     product that follows from f, or None.
 
-    Raises
-    ------
-    TypeError, ValueError
-        An argument cannot be used without a matrix; there is a mass matrix without a preconditioner.
+    Raises TypeError, ValueError: An argument cannot be used without a matrix; there is a mass matrix without a
+    preconditioner.
     """
     for name, value in (("jac_sparsity", given.jac_sparsity), ("the width of bands", given.bands)):
         if value is not None:

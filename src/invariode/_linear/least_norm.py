@@ -58,16 +58,11 @@ def newton(
 
     Steps are halved while a residual more than doubles, or is not finite.
 
-    Parameters
-    ----------
-    residual : callable
-        ``residual(x)`` returns r (m,).
-    slopes : callable
-        ``slopes(x)`` returns A = ∂r/∂x (m, n) and the sizes of the terms of r (m,), at the x of the last residual.
-    x : ndarray, (n,)
-        Where the iteration begins.
-    w : ndarray, (n,)
-        The weights.
+    - `residual`: ``residual(x)`` returns r (m,)
+    - `slopes`: ``slopes(x)`` returns A = ∂r/∂x (m, n) and the sizes of the terms of r (m,), at the x of the last
+      residual
+    - `x`, (n,): where the iteration begins
+    - `w`, (n,): the weights
     """
     r = residual(x)
     A, terms = slopes(x)
@@ -116,21 +111,12 @@ def least_norm(A: Array, r: Array) -> tuple[Array, bool]:
 def by_factors(A: Any, r: Array, metric: Any = None, *, accuracy: float) -> Array | None:
     """Return the x of least xᵀ G x with A x = r, from sparse factors of (G, Aᵀ; A, 0), or of a square A.
 
-    Parameters
-    ----------
-    A : sparse array, (m, n)
-        The rows.
-    r : ndarray, (m,)
-        The right-hand side.
-    metric : sparse array, (n, n), optional
-        G. Default: the identity.
-    accuracy : float
-        The largest permitted A x − r, relative to its terms.
+    - `A`, (m, n): the rows
+    - `r`, (m,): the right-hand side
+    - `metric`, (n, n): G. Default: the identity.
+    - `accuracy`: the largest permitted A x − r, relative to its terms
 
-    Returns
-    -------
-    ndarray, (n,), or None
-        None if the factors do not determine x to this accuracy.
+    Returns ndarray, (n, ), or None: None if the factors do not determine x to this accuracy.
     """
     from scipy.sparse import block_array, eye_array
     from scipy.sparse.linalg import splu

@@ -49,22 +49,14 @@ class Quiet:
 class Differentiable:
     """First and second derivatives of ``function(t, q)``, or ``function(t, q, v)``, with respect to t and x = (q, v).
 
-    Parameters
-    ----------
-    function : callable
-        The user's, with extra arguments; Python or native.
-    t, parts, args
-        A point at which the function is defined, q or (q, v), and its extra arguments: what it returns there tells m,
-        and whether it takes complex t and x.
-    name : str
-        For messages.
-    m : int, optional
-        Number of its values, which a native function does not say.
+    - `function`: the user's, with extra arguments; Python or native
+    - `t`, `parts`, `args`: a point at which the function is defined, q or (q, v), and its extra arguments: what it
+      returns there tells m, and whether it takes complex t and x
+    - `name`: for messages
+    - `m`: number of its values, which a native function does not say
 
-    Attributes
-    ----------
-    how : {'traced', 'complex step', 'differences'}
-        Way in which derivatives are formed.
+    Attributes:
+    - `how`: way in which derivatives are formed
     """
 
     def __init__(

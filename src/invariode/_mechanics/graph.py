@@ -71,14 +71,9 @@ def _python(one: OfState) -> Any:
 class OnTraces(TracedFunction):
     """A function of (t, (q, v), *args) whose graph is made of those of the user's functions.
 
-    Parameters
-    ----------
-    functions : sequence of OfState
-        The user's functions.
-    n_q : int
-        The length of q.
-    make : callable
-        From the values of each function, as nodes, to those of this one.
+    - `functions`: the user's functions
+    - `n_q`: the length of q
+    - `make`: from the values of each function, as nodes, to those of this one
     """
 
     def __init__(self, functions: Sequence[OfState], n_q: int, make: Callable[[list[list[Node]]], list[Node]]) -> None:
@@ -165,15 +160,10 @@ _PARTS = {
 class GraphsOfMotion:
     """The parts of a motion as functions that can be traced.
 
-    Parameters
-    ----------
-    n_q, n_v : int
-        The lengths of q and v.
-    functions : dict of OfState
-        The user's, by the names of `_PARTS`; those that the motion does not have are of size 0.
-    mass : ndarray, optional
-        M (n_v, n_v), if it is constant. Otherwise a function gives its diagonal or all entries; neither: it is sparse,
-        or too large.
+    - `n_q`, `n_v`: the lengths of q and v
+    - `functions`: the user's, by the names of `_PARTS`; those that the motion does not have are of size 0
+    - `mass`: M (n_v, n_v), if it is constant. Otherwise a function gives its diagonal or all entries; neither: it is
+      sparse, or too large.
     """
 
     def __init__(self, n_q: int, n_v: int, functions: dict[str, OfState], mass: Array | None = None) -> None:

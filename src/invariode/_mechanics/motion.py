@@ -79,21 +79,13 @@ class Functions(NamedTuple):
 class Motion:
     """M v' = Q + Aᵀ λ, q' = K(t, q, v), φ(t, q) = 0, ψ(t, q, v) = 0.
 
-    Parameters
-    ----------
-    functions : Functions
-        The user's.
-    start : MotionPoint
-        A point at which the functions are tried.
+    - `functions`: the user's
+    - `start`: a point at which the functions are tried
 
-    Attributes
-    ----------
-    kept : ndarray of bool, (m,)
-        Which constraints are imposed, those of φ first.
-    names : list of str
-        Of all constraints, for messages.
-    derivatives : dict
-        How the derivatives of each function are formed.
+    Attributes:
+    - `kept`, (m,): which constraints are imposed, those of φ first
+    - `names`: of all constraints, for messages
+    - `derivatives`: how the derivatives of each function are formed
     """
 
     def __init__(self, functions: Functions, start: MotionPoint) -> None:
@@ -416,21 +408,13 @@ class LeftOut:
     It is the callback of a run, which sees each accepted step, kept or not, and ends the run at the first one after
     which a constraint does not hold.
 
-    Parameters
-    ----------
-    motion : Motion
-        Of which constraints are left out.
-    start : MotionPoint
-        Where the run starts, with its arguments.
-    rtol, atol : array_like
-        The tolerances of the run.
-    callback : callable, optional
-        The user's.
+    - `motion`: of which constraints are left out
+    - `start`: where the run starts, with its arguments
+    - `rtol`, `atol`: the tolerances of the run
+    - `callback`: the user's
 
-    Attributes
-    ----------
-    objection : str or None
-        Which constraint does not hold, and at which t the run ends for it.
+    Attributes:
+    - `objection`: which constraint does not hold, and at which t the run ends for it
     """
 
     def __init__(

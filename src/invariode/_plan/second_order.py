@@ -23,10 +23,7 @@ _CHANGE = 1e-3
 def require_second_order(problem: Problem, method: Method) -> None:
     """Raise an error unless the problem states second-order equations.
 
-    Raises
-    ------
-    ValueError
-        It does not, its accelerations depend on the velocities, or it has what the method does not take.
+    Raises ValueError: It does not, its accelerations depend on the velocities, or it has what the method does not take.
     """
     if not problem.second_order:
         raise ValueError(
@@ -50,10 +47,7 @@ def require_no_velocities(problem: Problem, sol: Solution) -> None:
     """Raise an error if accelerations depend on velocities in the middle or at the end of a solution: a drag may have
     begun after the start.
 
-    Raises
-    ------
-    ValueError
-        They do.
+    Raises ValueError: They do.
     """
     if not states_second_order(problem.fun) and len(sol.t):
         some = [len(sol.t) // 2, -1]

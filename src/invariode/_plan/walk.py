@@ -20,10 +20,7 @@ _REFUSALS = frozenset({"invariant_refused", "start_contradicts", "start_out_of_b
 class Walk:
     """A plan that is carried out step by step.
 
-    Raises
-    ------
-    ValueError, InvariantError
-        The plan cannot start there.
+    Raises ValueError, InvariantError: The plan cannot start there.
     """
 
     def __init__(self, plan: Plan, y0: Array, span: tuple[float, float] | None = None) -> None:

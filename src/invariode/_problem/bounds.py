@@ -23,11 +23,8 @@ class Bounds(NamedTuple):
 def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Bounds | None:
     """Combine `nonnegative` and `bounds` in one pair of bounds; return None if nothing is bounded.
 
-    Raises
-    ------
-    TypeError, ValueError
-        Names and indices that do not exist or occur twice; bounds of a wrong shape, NaN, crossed, or dependent on t; a
-        complex y0.
+    Raises TypeError, ValueError: Names and indices that do not exist or occur twice; bounds of a wrong shape, NaN,
+    crossed, or dependent on t; a complex y0.
     """
     n = len(y0)
     chosen = _components(nonnegative, n, labels)

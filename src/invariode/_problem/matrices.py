@@ -48,10 +48,7 @@ def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, 
     """Return the matrices of a problem with this start, of n components. Constants are checked to be matrices of n
     components, and words to be known ones, whatever the method will use.
 
-    Raises
-    ------
-    TypeError, ValueError
-        The one that is wrong.
+    Raises TypeError, ValueError: The one that is wrong.
     """
     if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
         return NO_MATRICES

@@ -61,10 +61,7 @@ class Slope(NamedTuple):
 def checked_slope(given: Any, y: Array) -> Array:
     """Return the values of f at y (n,) as numbers of that shape, which are real if y is.
 
-    Raises
-    ------
-    TypeError, ValueError
-        It is something else.
+    Raises TypeError, ValueError: It is something else.
     """
     values = (numbers if y.dtype.kind == "c" else real_numbers)("what fun(t, y) returns", given)
     if values.shape != y.shape and not values.size == y.size == 1:

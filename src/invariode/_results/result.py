@@ -71,16 +71,10 @@ class Deferred:
 class Origin(Protocol):
     """Origin of a solution, which can continue it and differentiate it; by default a run without its functions.
 
-    Attributes
-    ----------
-    source : Solved or None
-        Problem, method and options.
-    y : ndarray
-        The state at the end of the run.
-    memory, memory_version
-        The internal state of the method there, as bytes of this version.
-    imposed : bool
-        The solution was projected afterwards, and so will be its extension.
+    - `source`: problem, method and options
+    - `y`: the state at the end of the run
+    - `memory`, `memory_version`: the internal state of the method there, as bytes of this version
+    - `imposed`: the solution was projected afterwards, and so will be its extension
     """
 
     source: Any

@@ -190,10 +190,7 @@ def kept(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Array]]:
 def restored(fields: Mapping[str, Any], own: Collection[str]) -> dict[str, Any]:
     """Return the fields that the user had added, from those of a file.
 
-    Raises
-    ------
-    ValueError
-        One of them has the name of one of the `own` fields: the file has been changed.
+    Raises ValueError: One of them has the name of one of the `own` fields: the file has been changed.
     """
     held = fields["added"].items()
     if taken := sorted(set(own) & fields["added"].keys()):

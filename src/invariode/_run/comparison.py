@@ -17,10 +17,7 @@ def compare(problem: Problem, sol: Solution, check: bool | Literal["strict"]) ->
     """Compare f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run and near
     its end.
 
-    Raises
-    ------
-    ValueError
-        They differ by more than roundoff, and `check` is "strict". Otherwise that is a warning.
+    Raises ValueError: They differ by more than roundoff, and `check` is "strict". Otherwise that is a warning.
     """
     if problem.delays is not None:
         return

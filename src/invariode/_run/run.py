@@ -290,12 +290,8 @@ def _solved(plan: Plan, source: Solved) -> Solution:
 def concluded(sol: Solution, on_failure: OnFailure | None) -> Solution:
     """Return the solution as the user gets it; if it failed, with the warning that `on_failure` requests.
 
-    Raises
-    ------
-    SolveError
-        It failed, and is to raise.
-    InvariantError
-        f contradicts an invariant, and the solution is not to be returned.
+    Raises SolveError: It failed, and is to raise.
+    Raises InvariantError: f contradicts an invariant, and the solution is not to be returned.
     """
     y_events = sol["y_events"]  # items are faster than attributes: see `Result`
     if y_events is not None:

@@ -51,14 +51,9 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     """The landings of a problem, of f and of its invariants; None: there are none. Conditions that change too often, or
     in a way that is not understood, are left out, with a warning.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    parameters : ndarray
-        Parameters of the problem's native functions.
-    graph : sequence of Node, optional
-        Graph of f, if f has been traced for its derivatives.
+    - `problem`: the problem
+    - `parameters`: parameters of the problem's native functions
+    - `graph`: graph of f, if f has been traced for its derivatives
     """
     if problem.delays is not None and (problem.sensitivities is not None or problem.y0.dtype.kind == "c"):
         return None  # sensitivities do not follow them

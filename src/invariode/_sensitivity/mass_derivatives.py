@@ -38,19 +38,12 @@ class _MassByRows:
 class MassDerivatives:
     """(∂M/∂p_j) y' of a problem.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    names : sequence of ParameterName
-        The parameters.
-    rate : callable
-        (t, y) -> y'.
+    - `problem`: the problem
+    - `names`: the parameters
+    - `rate`: (t, y) -> y'
 
-    Attributes
-    ----------
-    derivatives : Derivative
-        Derivatives of the mass matrix.
+    Attributes:
+    - `derivatives`: derivatives of the mass matrix
     """
 
     def __init__(self, problem: Problem, names: Sequence[ParameterName], rate: Callable[[float, Array], Array]) -> None:

@@ -34,12 +34,8 @@ _BESIDE, _ANALYTIC = (0.0, 0.1, -0.07), 1e-6
 class OfPairs:
     """A Python function of (t, y, *args) with complex y as one of pairs.
 
-    Parameters
-    ----------
-    fun : callable
-        The function.
-    complex_values : bool
-        The values are complex, and pairs of real numbers take their place.
+    - `fun`: the function
+    - `complex_values`: the values are complex, and pairs of real numbers take their place
     """
 
     def __init__(self, fun: Callable[..., Any], complex_values: bool) -> None:
@@ -96,10 +92,7 @@ def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: boo
     """The problem with real states. It has no Jacobians: those of complex problems are of analytic functions.
     `both_parts`: both parts of initial values are parameters, so that nothing needs to be analytic.
 
-    Raises
-    ------
-    ValueError
-        It has something whose derivatives are not known.
+    Raises ValueError: It has something whose derivatives are not known.
     """
     wanted, names = problem.sensitivities, problem.parameter_names()
     assert wanted is not None
@@ -208,10 +201,7 @@ def in_complex(pairs: Array, axis: int) -> Array:
 def require_analytic(slope: Derivative, at: Point, name: str) -> None:
     """Raise an error unless f satisfies the Cauchy–Riemann equations, so that y has a derivative with respect to y0.
 
-    Raises
-    ------
-    ValueError
-        It does not.
+    Raises ValueError: It does not.
     """
     for part in _BESIDE:
         J = slope.jacobian(at.t, at.y + part * somewhere(at.y))

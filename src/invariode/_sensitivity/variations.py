@@ -74,10 +74,7 @@ class Variations:
     def tangent_nodes(self) -> list[Node]:
         """f_y S + f_p as a graph, of (t, Y).
 
-        Raises
-        ------
-        TypeError
-            A parameter is a constant of the graph of f.
+        Raises TypeError: A parameter is a constant of the graph of f.
         """
         graph = self.derivatives_of[0].graph
         if graph is None:
@@ -202,10 +199,8 @@ def make_variations(
 ) -> Variations:
     """The sensitivities that a problem asks for.
 
-    Raises
-    ------
-    TypeError, ValueError
-        An unknown parameter; a derivative of a wrong shape; something for which there are no sensitivities.
+    Raises TypeError, ValueError: An unknown parameter; a derivative of a wrong shape; something for which there are no
+    sensitivities.
     """
     names, sizes, is_complex = problem.parameter_names(), np.abs(y0), y0.dtype.kind == "c"
     require_possible(problem)

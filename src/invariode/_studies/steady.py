@@ -232,19 +232,12 @@ def steady_state(
 class SteadyStates:
     """Steady states of a problem for any arguments and initial values.
 
-    Parameters
-    ----------
-    problem : Problem
-        f is taken at t0.
-    names : sequence of ParameterName
-        The parameters of the derivatives.
-    method, totals, tol
-        As in `steady_state`.
+    - `problem`: f is taken at t0
+    - `names`: the parameters of the derivatives
+    - `method`, `totals`, `tol`: as in `steady_state`
 
-    Attributes
-    ----------
-    totals : ndarray, (m, n)
-        As in `SteadyState`.
+    Attributes:
+    - `totals`, (m, n): as in `SteadyState`
     """
 
     def __init__(

@@ -63,14 +63,9 @@ def order_of(method: Method, rtol: float, given: int | None, sums: float) -> int
 def on_graph(problem: Problem, method: Method) -> Problem:
     """The problem with f, and events if they can be, as functions that are compiled from their graphs.
 
-    Raises
-    ------
-    TypeError
-        f is machine code, or belongs to the core.
-    ValueError
-        There are no components.
-    ModuleNotFoundError
-        The compiler of graphs is not installed.
+    Raises TypeError: f is machine code, or belongs to the core.
+    Raises ValueError: There are no components.
+    Raises ModuleNotFoundError: The compiler of graphs is not installed.
     """
     extra("llvmlite", f"method={method.name!r} needs", "compiled")
     events = [_on_graph(event, problem) for event in problem.events] if problem.records_events else None

@@ -46,14 +46,9 @@ class Part(NamedTuple):
 class Experiments:
     """The experiments of a problem.
 
-    Parameters
-    ----------
-    model : Model
-        The model, in which all symbols that parameters or conditions set are given.
-    tables : Tables
-        The problem.
-    method, rtol, atol
-        Of the runs.
+    - `model`: the model, in which all symbols that parameters or conditions set are given
+    - `tables`: the problem
+    - `method`, `rtol`, `atol`: of the runs
     """
 
     def __init__(self, model: Model, tables: Tables, method: MethodName, rtol: float, atol: float) -> None:

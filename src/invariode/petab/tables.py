@@ -75,10 +75,7 @@ class Tables:
 def tables(path: str) -> Tables:
     """Read the files of a problem.
 
-    Raises
-    ------
-    ValueError
-        It is of another version, or describes several problems, or a model that is not in SBML.
+    Raises ValueError: It is of another version, or describes several problems, or a model that is not in SBML.
     """
     yaml = extra("yaml", "invariode.petab needs PyYAML, which provides", "petab")
     folder = os.path.dirname(path)
@@ -337,10 +334,7 @@ def fit_prior(one: ParameterRow) -> Any:
 def log_density(kind: str, numbers: tuple[float, ...], value: float, scaled: float) -> tuple[float, float, bool]:
     """Return the logarithm of a prior's density, its derivative, and whether that is on the parameter's scale.
 
-    Raises
-    ------
-    ValueError
-        There is no such prior.
+    Raises ValueError: There is no such prior.
     """
     on_scale = kind.startswith("parameterScale")
     plain = kind.removeprefix("parameterScale").lower()

@@ -84,20 +84,12 @@ class _Part:
 class EventCode:
     """The events of a model.
 
-    Attributes
-    ----------
-    comparisons : list of Comparison
-        All comparisons in triggers.
-    differences : list of Node
-        Their differences.
-    roots, slopes : ArrayFunction
-        These, and their derivatives along the solution.
-    nodes : list of Node
-        All values that events use.
-    holds : callable
-        Whether each trigger holds, of the truths of all comparisons.
-    has_delays : bool
-        Whether an event may be executed later than it is triggered.
+    - `comparisons`: all comparisons in triggers
+    - `differences`: their differences
+    - `roots`, `slopes`: these, and their derivatives along the solution
+    - `nodes`: all values that events use
+    - `holds`: whether each trigger holds, of the truths of all comparisons
+    - `has_delays`: whether an event may be executed later than it is triggered
     """
 
     def __init__(self, equations: Equations) -> None:
@@ -194,18 +186,11 @@ class EventCode:
 class Waiting:
     """An event that was triggered and waits for its execution.
 
-    Attributes
-    ----------
-    time : float
-        The time of its execution.
-    event : int
-        Its number.
-    values : list of float or None
-        The values to assign, if they are evaluated at the time of the trigger.
-    trigger : (float, ndarray)
-        Time and state of the trigger.
-    slopes : (ndarray, ndarray) or None
-        The derivatives of `time`, (k,), and of `values`, (k, m); None: not known yet.
+    - `time`: the time of its execution
+    - `event`: its number
+    - `values`: the values to assign, if they are evaluated at the time of the trigger
+    - `trigger`: time and state of the trigger
+    - `slopes`: the derivatives of `time`, (k,), and of `values`, (k, m); None: not known yet
     """
 
     __slots__ = ("event", "slopes", "time", "trigger", "values")
@@ -226,14 +211,9 @@ class _Taken(NamedTuple):
 class Machine:
     """The course of the events of a run.
 
-    Parameters
-    ----------
-    code : EventCode
-        The events.
-    equations : Equations
-        The model.
-    seed : int
-        Of the order in which events of one priority, or of none, are executed at one time.
+    - `code`: the events
+    - `equations`: the model
+    - `seed`: of the order in which events of one priority, or of none, are executed at one time
     """
 
     def __init__(self, code: EventCode, equations: Equations, seed: int = 0) -> None:

@@ -97,10 +97,7 @@ def number(value: float) -> Expression:
 def read(node: Any) -> Expression:
     """Return the expression of a node of libSBML.
 
-    Raises
-    ------
-    UnsupportedError
-        It uses what there is no equation for.
+    Raises UnsupportedError: It uses what there is no equation for.
     """
     L = libsbml()
     kind = node.getType()
@@ -123,10 +120,7 @@ def read(node: Any) -> Expression:
 def parse(text: str) -> Expression:
     """Return the expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
 
-    Raises
-    ------
-    ValueError
-        It is none.
+    Raises ValueError: It is none.
     """
     L = libsbml()
     settings = L.L3ParserSettings()
@@ -150,16 +144,10 @@ def _operations() -> dict[int, str]:
 class Translator:
     """Expressions as nodes of a graph.
 
-    Parameters
-    ----------
-    graph : Graph
-        Where the nodes are made.
-    value, rate : function
-        The node of a symbol, and that of its time derivative.
-    time : Node
-        The time.
-    delay : function, optional
-        The node of a value at an earlier time, of its expression, its node and the delay.
+    - `graph`: where the nodes are made
+    - `value`, `rate`: the node of a symbol, and that of its time derivative
+    - `time`: the time
+    - `delay`: the node of a value at an earlier time, of its expression, its node and the delay
     """
 
     def __init__(

@@ -10,10 +10,7 @@ from .._base.package import extra
 def libsbml() -> Any:
     """Return the module libsbml.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        The extra `sbml` is not installed.
+    Raises ModuleNotFoundError: The extra `sbml` is not installed.
     """
     return extra("libsbml", "invariode.sbml needs", "sbml", called="python-libsbml")
 

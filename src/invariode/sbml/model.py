@@ -102,10 +102,7 @@ class _Start:
     """The initial state of a problem as a function of its parameters, a record: after events at the start, and
     consistent with algebraic rules.
 
-    Attributes
-    ----------
-    formula : Formula or None
-        The initial state as a formula of (t, y, p); None if events at the start or algebraic rules change it.
+    - `formula`: the initial state as a formula of (t, y, p); None if events at the start or algebraic rules change it
     """
 
     def __init__(self, model: Model, t0: float, p: Array, machine: Machine | None) -> None:

@@ -19,10 +19,7 @@ from .reading import Contents, EventRule
 def with_past_as_states(contents: Contents) -> None:
     """Replace each delay() in events by a new state.
 
-    Raises
-    ------
-    UnsupportedError
-        An event assigns a variable whose past an event uses.
+    Raises UnsupportedError: An event assigns a variable whose past an event uses.
     """
     found: dict[Expression, str] = {}
 

@@ -109,14 +109,9 @@ class Contents:
 def contents(source: str) -> Contents:
     """Read a model from a path, or from its text.
 
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    ValueError
-        It is no valid model.
-    UnsupportedError
-        It uses what has no equations here.
+    Raises FileNotFoundError: There is no such file.
+    Raises ValueError: It is no valid model.
+    Raises UnsupportedError: It uses what has no equations here.
     """
     L = libsbml()
     document, folder = _document(L, source)

@@ -163,10 +163,7 @@ class _Words:
     def node(self, expression: Any) -> Node:
         """Return the node of an expression.
 
-        Raises
-        ------
-        ValueError
-            It has a function that is not known.
+        Raises ValueError: It has a function that is not known.
         """
         expression = sympy.sympify(expression)
         waiting = [expression]
@@ -260,10 +257,7 @@ def _divides(factor: Any) -> bool:
 def _rewritten(one: Any) -> Any:
     """Return a function that has no node of its own by functions that have one.
 
-    Raises
-    ------
-    ValueError
-        SymPy does not know it by such functions.
+    Raises ValueError: SymPy does not know it by such functions.
     """
     for others in (sympy.Piecewise, sympy.tan, sympy.cos, sympy.sin, sympy.cosh, sympy.exp):
         found = one.rewrite(others)

@@ -68,10 +68,7 @@ class Vocabulary:
     def coded(self, what: str, expression: Any) -> Any:
         """Return the expression in the symbols of the code.
 
-        Raises
-        ------
-        ValueError
-            It has symbols or functions that are neither state nor parameter nor time.
+        Raises ValueError: It has symbols or functions that are neither state nor parameter nor time.
         """
         given = parsed(what, expression)
         if self._specified:

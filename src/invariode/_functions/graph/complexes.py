@@ -23,10 +23,7 @@ _BILINEAR = {"dot", "inner", "outer", "cross", "kron", "matmul", "tensordot", "c
 class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
     """A traced array of complex numbers.
 
-    Attributes
-    ----------
-    real, imag : TracedArray
-        Its parts, of one shape.
+    - `real`, `imag`: its parts, of one shape
     """
 
     __slots__ = ("imag", "real")

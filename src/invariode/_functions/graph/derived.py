@@ -25,21 +25,13 @@ _MOST_TERMS, _MANY_TIMES, _LONGER = 10_000, 4, 16
 class Derived:
     """The derivatives of a function of t, y (n,) and parameters.
 
-    Parameters
-    ----------
-    name : str
-        Name of the function.
-    outputs : sequence of Node
-        Values of the function.
-    n : int
-        Number of components of y.
-    elementary : {"own", "libm"}
-        As in `compile`.
+    - `name`: name of the function
+    - `outputs`: values of the function
+    - `n`: number of components of y
+    - `elementary`: as in `compile`
 
-    Attributes
-    ----------
-    outputs, elementary
-        As given.
+    Attributes:
+    - `outputs`, `elementary`: as given
     """
 
     def __init__(self, name: str, outputs: Sequence[Node], n: int, elementary: str) -> None:
@@ -228,10 +220,7 @@ class Derived:
 def derived(fun: Any, n: int, size: int, parameters: ArgumentLayout = NO_ARGUMENTS, second: int = 0) -> Derived | None:
     """The derivatives of a function with `size` values. None: it is not compiled, or has no graph.
 
-    Raises
-    ------
-    TypeError
-        It had to be traced, and cannot be.
+    Raises TypeError: It had to be traced, and cannot be.
     """
     if isinstance(fun, NativeWithInputs):
         return derived(fun.fun, n, size, fun.arguments(parameters), second)

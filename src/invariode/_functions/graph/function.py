@@ -24,10 +24,7 @@ if TYPE_CHECKING:  # the tracer is imported when a function is traced
 class OnGraph(CompiledFunction):
     """A function that is compiled from a graph, by LLVM alone.
 
-    Attributes
-    ----------
-    exact : dict
-        Its derivatives, by `Shape`.
+    - `exact`: its derivatives, by `Shape`
     """
 
     def __init__(self, fun: Any, inplace: bool, elementary: str) -> None:
@@ -71,12 +68,8 @@ class OnGraph(CompiledFunction):
 class GraphFunction(OnGraph):
     """A formula as a compiled function.
 
-    Parameters
-    ----------
-    formula : Formula
-        The function.
-    elementary : {"own", "libm"}
-        As in `compile`.
+    - `formula`: the function
+    - `elementary`: as in `compile`
     """
 
     fun: Formula
@@ -110,12 +103,8 @@ _SAFETY = 16.0
 class TracedFunction(OnGraph):
     """A Python function that is called once with symbolic values when it is used in a problem.
 
-    Parameters
-    ----------
-    fun, inplace, elementary
-        As in `compile`.
-    by : {"trace", "auto"}
-        With "auto" numba may compile a function that cannot be traced.
+    - `fun`, `inplace`, `elementary`: as in `compile`
+    - `by`: with "auto" numba may compile a function that cannot be traced
     """
 
     _takes_any = True

@@ -205,10 +205,7 @@ class _OverTime:
     def __call__(self, node: Node, t: Array) -> Array:
         """Return the values of a node at times t, (m,), as numbers also where the node is a truth value.
 
-        Raises
-        ------
-        NotImplementedError
-            An operation that is no function of arrays, such as the solution of a linear system.
+        Raises NotImplementedError: An operation that is no function of arrays, such as the solution of a linear system.
         """
         if node not in self._functions:
             self._functions[node] = ArrayFunction([node])
@@ -337,14 +334,9 @@ class _UnknownError(Exception):
 def landings(crossings: Sequence[Crossing], p: Array, t0: float, tf: float) -> Landings:
     """Find the times from t0 to tf at which conditions of t change, for these values of the parameters.
 
-    Parameters
-    ----------
-    crossings : sequence of Crossing
-        From `timed`.
-    p : ndarray, (k,)
-        The parameters.
-    t0, tf : float
-        The interval; tf may be infinite.
+    - `crossings`: from `timed`
+    - `p`, (k,): the parameters
+    - `t0`, `tf`: the interval; tf may be infinite
     """
     return _landings(tuple(crossings), np.asarray(p, dtype=float).tobytes(), t0, tf)
 
@@ -382,10 +374,7 @@ class _ChangeSearch:
     def of(self, crossing: Crossing, inner: Sequence[Source]) -> Source:
         """Return the source of the changes of one crossing: single times, or progressions with a period.
 
-        Raises
-        ------
-        _UnknownError
-            They are too many, or cannot be found.
+        Raises _UnknownError: They are too many, or cannot be found.
         """
         try:
             form = self._forms.of(crossing.moving)

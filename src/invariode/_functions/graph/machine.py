@@ -62,18 +62,11 @@ def _optimise(module: Any, target: Any, level: int, loop_vectorization: bool) ->
 class Writer:
     """Writes one function of LLVM's.
 
-    Parameters
-    ----------
-    module : llvmlite.ir.Module
-        Module that the function is written to.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    lanes : int
-        Numbers in each value.
-    arguments : mapping
-        The names and types of its arguments.
-    returned : type
-        Type of the returned value.
+    - `module`: module that the function is written to
+    - `own`: invariode's elementary functions are called, not the mathematical library's
+    - `lanes`: numbers in each value
+    - `arguments`: the names and types of its arguments
+    - `returned`: type of the returned value
     """
 
     def __init__(self, module: Any, own: bool, lanes: int, arguments: Mapping[str, Any], returned: Any) -> None:

@@ -27,18 +27,12 @@ class TraceError(TypeError):
 class Node:
     """A value in a graph: an operation on other nodes, or a number, t, y[i], p[i].
 
-    Attributes
-    ----------
-    graph : Graph
-        Graph of the node, in which equal nodes are one object.
-    op : str
-        "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2",
-        "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor", "ceil", "and", "or", "not", "select"; "solve",
-        a linear system, and "entry", a number of its solution.
-    arguments : tuple of Node
-        Nodes that it is computed from.
-    value : float, int, tuple or None
-        The number, the index in y or p or in the solution, the sizes of a linear system; see `System`.
+    - `graph`: graph of the node, in which equal nodes are one object
+    - `op`: "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2",
+      "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor", "ceil", "and", "or", "not", "select"; "solve", a
+      linear system, and "entry", a number of its solution
+    - `arguments`: nodes that it is computed from
+    - `value`: the number, the index in y or p or in the solution, the sizes of a linear system; see `System`
     """
 
     __slots__ = ("arguments", "graph", "op", "value")
@@ -129,10 +123,7 @@ class Graph:
     """Makes nodes. Identities are applied only where they are exact in floating point: x·1, x/1, −(−x), x − 0 and
     operations on two numbers; x + 0 is not x if x is −0.
 
-    Parameters
-    ----------
-    most : int, optional
-        More nodes than this are an error, a TraceError.
+    - `most`: more nodes than this are an error, a TraceError
     """
 
     def __init__(self, most: int | None = None) -> None:

@@ -29,23 +29,14 @@ def constants(module: Any, kind: Any, numbers: Sequence[float]) -> Any:
 class Operations:
     """Writes operations where a builder stands.
 
-    Parameters
-    ----------
-    build : llvmlite.ir.IRBuilder
-        Builder, at the position where operations are written.
-    own : bool
-        invariode's elementary functions are called, not the mathematical library's.
-    lanes : int, default 1
-        Numbers in each value.
-    beside : Operations, optional
-        Operations of the same module, which share elementary functions and tables with these.
+    - `build`: builder, at the position where operations are written
+    - `own`: invariode's elementary functions are called, not the mathematical library's
+    - `lanes`: numbers in each value
+    - `beside`: operations of the same module, which share elementary functions and tables with these
 
-    Attributes
-    ----------
-    kind
-        LLVM's type of a value.
-    build, lanes
-        As given.
+    Attributes:
+    - `kind`: LLVM's type of a value
+    - `build`, `lanes`: as given
     """
 
     def __init__(self, build: Any, own: bool, lanes: int = 1, beside: Operations | None = None) -> None:

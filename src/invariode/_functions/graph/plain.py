@@ -118,12 +118,8 @@ def only_calculates(fun: Any) -> bool:
 class PlainGraph:
     """The graph of a function.
 
-    Attributes
-    ----------
-    outputs : list of Node
-        Its values.
-    exact : Derived or None
-        Its derivatives, once they have been formed.
+    - `outputs`: its values
+    - `exact`: its derivatives, once they have been formed
     """
 
     def __init__(self, outputs: list[Node]) -> None:
@@ -145,23 +141,13 @@ def plain_graph(
 ) -> PlainGraph | None:
     """The values of a Python function of (t, y, *args) as a graph, found without an effect that could be noticed.
 
-    Parameters
-    ----------
-    fun : callable
-        The function.
-    n : int
-        The reals that make up y.
-    args : ArgumentLayout
-        Its further arguments.
-    size : int, optional
-        The number of its values. Default: n.
-    is_complex : bool, default False
-        As in `trace`.
+    - `fun`: the function
+    - `n`: the reals that make up y
+    - `args`: its further arguments
+    - `size`: the number of its values. Default: n.
+    - `is_complex`: as in `trace`
 
-    Returns
-    -------
-    PlainGraph or None
-        None: it cannot be traced, or not within the limits, or tracing could be noticed.
+    Returns PlainGraph or None: None: it cannot be traced, or not within the limits, or tracing could be noticed.
     """
     function = _function_of(fun)
     if function is None or n > MOST_COMPONENTS:
@@ -296,10 +282,7 @@ class _NoticedError(Exception):
 def _contents(function: FunctionType, around: tuple[CodeType, ...]) -> Hashable:
     """The code of a function with all that it uses: equal for functions that have equal graphs.
 
-    Raises
-    ------
-    _NoticedError
-        Tracing the function could be noticed.
+    Raises _NoticedError: Tracing the function could be noticed.
     """
     if function.__code__ in around:
         return function

@@ -66,16 +66,10 @@ class Formula:
     """A graph as a Python function of (t, y, *args); it can be pickled. Where Python raises, its values are those of
     IEEE arithmetic: exp(1000) is infinite, and 1 / exp(1000) is 0.
 
-    Parameters
-    ----------
-    name : str
-        Name of the function.
-    outputs : function
-        Makes its values, one after the other, when they are first needed.
-    layout : tuple of int or Pattern
-        The shape of what it returns, or where the values of a sparse matrix are.
-    parameters : sequence of str, default ()
-        Names of its further arguments, if it takes them one by one.
+    - `name`: name of the function
+    - `outputs`: makes its values, one after the other, when they are first needed
+    - `layout`: the shape of what it returns, or where the values of a sparse matrix are
+    - `parameters`: names of its further arguments, if it takes them one by one
     """
 
     def __init__(

@@ -102,14 +102,9 @@ def _times(a: _Monomial, b: _Monomial) -> _Monomial:
 def staying_zero(outputs: Sequence[Node], zeros: set[int], constants: set[int]) -> tuple[set[int], set[int]]:
     """Return the components of y' = f that stay zero, and all components that stay constant because of that.
 
-    Parameters
-    ----------
-    outputs : sequence of Node
-        f.
-    zeros : set of int
-        Components that are zero.
-    constants : set of int
-        Parameters that are zero.
+    - `outputs`: f
+    - `zeros`: components that are zero
+    - `constants`: parameters that are zero
 
     Notes
     -----

@@ -64,33 +64,19 @@ def trace(
 ) -> Traced:
     """The graph of a function of (t, y, *args).
 
-    Parameters
-    ----------
-    fun : callable
-        The function.
-    n : int
-        The components of y.
-    args : ArgumentLayout, optional
-        Its further arguments, whose numbers are the parameters, one after the other.
-    second : int, default 0
-        The function takes two vectors, of n - second and second components, which follow each other in y.
-    inplace : int, default 0
-        Number of values that the function writes to an argument after these; 0: it returns them.
-    is_complex : bool, default False
-        The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
-    conditions : bool, default False
-        Truth values count as 1 or -1, as those of events do, not as 1 or 0.
-    limits : TraceLimits, optional
-        Beyond them it is refused.
+    - `fun`: the function
+    - `n`: the components of y
+    - `args`: its further arguments, whose numbers are the parameters, one after the other
+    - `second`: the function takes two vectors, of n - second and second components, which follow each other in y
+    - `inplace`: number of values that the function writes to an argument after these; 0: it returns them
+    - `is_complex`: the function takes complex y, of n / 2 components, and returns complex values: all as pairs of real
+      numbers
+    - `conditions`: truth values count as 1 or -1, as those of events do, not as 1 or 0
+    - `limits`: beyond them it is refused
 
-    Returns
-    -------
-    Traced
+    Returns Traced:
 
-    Raises
-    ------
-    TraceError
-        It cannot be traced: the message names the line and the reason.
+    Raises TraceError: It cannot be traced: the message names the line and the reason.
     """
     args, limits = ArgumentLayout() if args is None else args, limits or TraceLimits()
     given = (fun, n - second, second, args, inplace, limits, is_complex, conditions)

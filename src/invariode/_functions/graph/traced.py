@@ -35,12 +35,8 @@ def _method(name: str) -> Callable[..., Any]:
 class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array of nodes, of any shape; of shape () for one number.
 
-    Attributes
-    ----------
-    cells : ndarray of object
-        The nodes.
-    decide : function
-        Returns the truth value of a condition where Python asks for one.
+    - `cells`: the nodes
+    - `decide`: returns the truth value of a condition where Python asks for one
     """
 
     __slots__ = ("cells", "decide")

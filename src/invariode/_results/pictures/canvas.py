@@ -114,15 +114,10 @@ def drawable(name: str) -> str:
 def legend(ax: Axes, title: str | None = None, *, by_height: bool = False) -> None:
     """Draw a legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it.
 
-    Parameters
-    ----------
-    ax : Axes
-        The axes, with everything drawn.
-    title : str, optional
-        The title of the legend.
-    by_height : bool, default False
-        Whether curves are listed from the one with the highest peak to the lowest. False: in the order in which they
-        were drawn. Marks come last.
+    - `ax`: the axes, with everything drawn
+    - `title`: the title of the legend
+    - `by_height`: whether curves are listed from the one with the highest peak to the lowest. False: in the order in
+      which they were drawn. Marks come last.
     """
     from matplotlib.lines import Line2D
 

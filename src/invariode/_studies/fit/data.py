@@ -61,20 +61,12 @@ def read(t: Any, data: Any, m: int) -> Data:
 def in_order(t: Any, values: Any, what: str) -> Any:
     """Return values with labels of time in the order of the times `t`; values without labels unchanged.
 
-    Parameters
-    ----------
-    t : array_like
-        The times, of shape (n_t,). If it has an index itself (a column of a table), values with an index are matched
-        with that; otherwise numeric labels are times.
-    values : array_like, or a table as a dict of columns
-        What is to be put in order, with the times along its last axis, or along the rows of a table.
-    what : str
-        Its name in messages.
+    - `t`: the times, of shape (n_t,). If it has an index itself (a column of a table), values with an index are matched
+      with that; otherwise numeric labels are times.
+    - `values`: what is to be put in order, with the times along its last axis, or along the rows of a table
+    - `what`: its name in messages
 
-    Raises
-    ------
-    ValueError
-        The labels are other times, or repeat themselves where t has an index.
+    Raises ValueError: The labels are other times, or repeat themselves where t has an index.
     """
     if isinstance(values, Mapping) and not hasattr(values, "dims"):
         return {name: in_order(t, one, f"{what} of {name}") for name, one in values.items()}

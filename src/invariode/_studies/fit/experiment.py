@@ -288,10 +288,7 @@ class Experiment:
 class _Where:
     """A problem of which some numbers have values of their own, and others the names of parameters of the fit.
 
-    Attributes
-    ----------
-    problem : Problem
-        The problem with these values.
+    - `problem`: the problem with these values
     """
 
     def __init__(self, problem: Problem, where: Mapping[str, str | float] | None, option: str) -> None:
@@ -374,16 +371,10 @@ def _noises(given: Noise | Sequence[Noise], m: int) -> list[str]:
 class Observation:
     """The observed quantities: components, or a function of the state.
 
-    Attributes
-    ----------
-    function : callable or None
-        ``observe(t, y, *args, **extras)``.
-    components : list of int
-        Without a function.
-    size : int
-        The number of quantities.
-    extras : dict
-        The keyword-only arguments of the function with their defaults.
+    - `function`: ``observe(t, y, *args, **extras)``
+    - `components`: without a function
+    - `size`: the number of quantities
+    - `extras`: the keyword-only arguments of the function with their defaults
     """
 
     def __init__(self, problem: Problem, observe: Observed) -> None:

@@ -238,12 +238,8 @@ class Priors(NamedTuple):
 class Space:
     """Parameters of a fit: the free ones, their coordinates, and those of each experiment.
 
-    Attributes
-    ----------
-    free : list of Free
-        Those that are searched for, in the order given.
-    names : list of list of str
-        The parameters that each experiment takes.
+    - `free`: those that are searched for, in the order given
+    - `names`: the parameters that each experiment takes
     """
 
     def __init__(self, parameters: Mapping[str, Parameter], experiments: Sequence[Taker]) -> None:

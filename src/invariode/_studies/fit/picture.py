@@ -40,12 +40,8 @@ _SHOWN, _ROOM = 1e3, 3.0
 def times(experiment: Experiment, sol: Solution) -> tuple[Array, Array]:
     """Return the times at which the model is drawn, and the places among them where it jumps.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    sol : Solution
-        Its solution, with dense output: knots that occur twice are jumps.
+    - `experiment`: the experiment
+    - `sol`: its solution, with dense output: knots that occur twice are jumps
     """
     t0, tf = experiment.problem.t_span
     grid = np.linspace(t0, tf if np.isfinite(tf) else experiment.last, _POINTS)

@@ -99,18 +99,11 @@ class _OnProfile(NamedTuple):
 class ProfileWalk:
     """Walk along the profile from the best fit towards one end of the interval.
 
-    Parameters
-    ----------
-    model, found : Model, Optimum
-        The fit.
-    place : int
-        The parameter.
-    direction : ndarray, (k,)
-        How all of them move along the profile, in coordinates, for a unit step of this one.
-    step : float
-        The first step, with its sign.
-    scale : Scale
-        The quantile to reach.
+    - `model`, `found`: the fit
+    - `place`: the parameter
+    - `direction`, (k,): how all of them move along the profile, in coordinates, for a unit step of this one
+    - `step`: the first step, with its sign
+    - `scale`: the quantile to reach
     """
 
     def __init__(self, model: Model, found: Optimum, place: int, direction: Array, step: float, scale: Scale) -> None:

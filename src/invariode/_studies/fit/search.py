@@ -82,10 +82,7 @@ class NoStartError(Exception):
 def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Optimum:
     """Return the best parameters near a start; those `held` stay there.
 
-    Raises
-    ------
-    NoStartError
-        The runs fail at the start.
+    Raises NoStartError: The runs fail at the start.
     """
     _require(model, start)
     levels = [i for i, one in enumerate(model.space.free) if one.level and i not in held]

@@ -89,18 +89,11 @@ class _Runs:
 class Simulation:
     """Runs of an experiment for values of its parameters.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    names : sequence of str
-        Its parameters, in the order of their values.
-    values : ndarray, (k,)
-        Where a search starts, for the sizes of the parameters.
-    method, options
-        Of the runs.
-    states : dict
-        Steady states that are known, which experiments share.
+    - `experiment`: the experiment
+    - `names`: its parameters, in the order of their values
+    - `values`, (k,): where a search starts, for the sizes of the parameters
+    - `method`, `options`: of the runs
+    - `states`: steady states that are known, which experiments share
     """
 
     def __init__(

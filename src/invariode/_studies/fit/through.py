@@ -51,20 +51,13 @@ class Settings(NamedTuple):
 class Through:
     """The values of functions F(t, y, *args, **extras), one after the other, with derivatives along runs.
 
-    Parameters
-    ----------
-    functions : sequence of callable
-        The functions. Formulas are evaluated at all times at once, and so are Python functions that can be traced.
-    extras : sequence of dict
-        Keyword-only arguments of each function, with defaults.
-    settings : Settings
-        The parameters, which may be keyword-only arguments as well.
-    at : Point
-        A point at which the functions are defined.
-    guesses : ndarray, (k,)
-        Values of the parameters there.
-    called : str
-        Name of the functions in messages.
+    - `functions`: the functions. Formulas are evaluated at all times at once, and so are Python functions that can be
+      traced.
+    - `extras`: keyword-only arguments of each function, with defaults
+    - `settings`: the parameters, which may be keyword-only arguments as well
+    - `at`: a point at which the functions are defined
+    - `guesses`, (k,): values of the parameters there
+    - `called`: name of the functions in messages
     """
 
     def __init__(
@@ -137,12 +130,8 @@ class Through:
 class OfNumbers:
     """A real function of numbers, with its derivatives.
 
-    Parameters
-    ----------
-    called : str
-        Name of the function in messages.
-    function : callable
-        The user's, of one or more numbers.
+    - `called`: name of the function in messages
+    - `function`: the user's, of one or more numbers
     """
 
     def __init__(self, called: str, function: Callable[..., Any]) -> None:

@@ -63,14 +63,9 @@ def minimise(
 ) -> End:
     """Return a local minimum within the bounds.
 
-    Parameters
-    ----------
-    at : callable
-        The cost at u; None where there is none: such a step is refused. It is not None at the start.
-    start, lower, upper : ndarray, (k,)
-        Where the search starts, and the bounds.
-    ends : callable
-        The reason to end at u without success, or None.
+    - `at`: the cost at u; None where there is none: such a step is refused. It is not None at the start.
+    - `start`, `lower`, `upper`, (k,): where the search starts, and the bounds
+    - `ends`: the reason to end at u without success, or None
     """
     u, here = start, at(start)
     assert here is not None
