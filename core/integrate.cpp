@@ -134,6 +134,7 @@ Integration::Course Integration::start_memory(double t, const double* y) {
     forget_at_bounds(*manifold_.bounds(), extent_, bounded_slope_->held(), at_rest.data());
     y = at_rest.data();
   }
+  if (bounded_slope_ != nullptr) bounded_slope_->start_at(y);
   switch (step_->start(t, y, aim_.span(t))) {
     case Outcome::ok: return settings_.first_step > 0 || t == settings_.tf ? Course::goes_on : resolve_first_step(t, y);
     case Outcome::stop: return end(State::interrupted);
@@ -231,6 +232,7 @@ Integration::Course Integration::meet_bounds() {
 
 Integration::Verdict Integration::attempt() {
   assert(aim_.defined());
+  if (bounded_slope_ != nullptr) bounded_slope_->start_at(y0_.data());
   Step::Attempt proposal = propose();
   if (attempt_.disagrees) return reject(Cause::overlap);
   if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
@@ -247,6 +249,7 @@ Integration::Verdict Integration::attempt() {
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};
   if (manifold_.any())
     if (const Verdict verdict = place(ends); verdict != Verdict::accepted) return verdict;
+  if (bounded_slope_ != nullptr) bounded_slope_->start_at(ends.y1);
   switch (step_->accept(ends.y1)) {
     case Outcome::stop: return end_attempt(State::interrupted);
     case Outcome::not_finite: return reject(Cause::not_finite);

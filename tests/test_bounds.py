@@ -622,3 +622,16 @@ def test_messages_about_bounds_give_labels():
     doses = [(0.5, lambda t, y: [y[0], -1.0])]
     sol = iv.Problem(lambda t, y: 0 * y, (0, 1), [0.5, 1.0], nonnegative=True, breakpoints=doses, **about).solve()
     assert "component 1 (fox) is outside its bounds" in sol.message
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "taylor"])
+def test_a_visit_of_a_bound_is_seen(method):
+    """Where f leads y out of a bound and back within few steps, y has risen since by what f has since it turned."""
+    for rate in (0.6333, 0.8, 1.1333):  # free solutions would be outside by 0.09 to 0.47
+        end = 0.4 + rate / 1.3 * np.sin(7.8) - (0.4 - rate / 1.3)
+        for rtol in (1e-3, 1e-6):
+            sol = iv.solve_ivp(
+                lambda t, y, rate=rate: [rate * np.cos(1.3 * t), -0.4 * y[1]], (0, 6), [0.4, 1.0], method, rtol=rtol,
+                atol=rtol / 10, nonnegative=[0],
+            )  # fmt: skip
+            assert abs(sol.y[0, -1] - end) < 300 * rtol * (end + 0.1), (rate, rtol)

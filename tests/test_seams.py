@@ -41,6 +41,14 @@ def test_wrong_answers_are_found():
     assert seams.wrong_solution(posed, sol) is not None
 
 
+@pytest.mark.parametrize("case", ["77:35208", "77:69120"])
+def test_what_a_campaign_has_found(case):
+    """A run with S that is cut at a landing has the same knots; a bound is not passed late by an estimate of chance."""
+    random = Random(f"seams:{case}")
+    row = seams.random_row(random, [name for name, one in iv.METHODS.items() if one.equations != "second-order"])
+    assert seams.wrong_case(row, random) is None
+
+
 @explicit_and_implicit
 def test_an_action_that_takes_a_component_off_its_bound(method):
     """Before the action at τ, y1 rests: its derivative in y1(T) = 0.7 - r (T - τ) is r ∂τ/∂k, forward and adjoint."""

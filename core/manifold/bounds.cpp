@@ -76,15 +76,11 @@ bool Bounds::leads_out(const Interval& one, const double* y, double forward, con
   return (s < 0 && y[i] <= lower) || (s > 0 && y[i] >= upper);
 }
 
-void Bounds::find_outward(const double* y, double forward, const double* slope, std::vector<std::size_t>& found) const {
-  found.clear();
-  for (const Interval& one : intervals_)
-    if (leads_out(one, y, forward, slope)) found.push_back(one.component);
-}
-
 BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
                            std::vector<double> mass)
     : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method), mass_(std::move(mass)) {
+  inside_.resize(bounds.intervals().size());
+  passed_.resize(bounds.intervals().size());
   if (!by_step_) return;
   rests_.resize(bounds.intervals().size());
   at_bound_.assign(bounds.intervals().size(), 1);  // at the start nothing has come to a bound
@@ -159,6 +155,37 @@ void BoundedSlope::find_held(const double* slope) {
   }
 }
 
+/// The components at or beyond a bound that the slope would lead out, but those that follow f there in this step.
+void BoundedSlope::find_outward(const double* y, const double* slope) {
+  for (std::size_t k = 0; k < inside_.size(); ++k) {
+    const Bounds::Interval& one = bounds_.intervals()[k];
+    if (!Bounds::leads_out(one, y, forward_, slope)) continue;
+    const double value = y[one.component];
+    if (inside_[k] != 0)
+      passed_[k] = std::max({passed_[k], one.lower - value, value - one.upper});
+    else
+      held_.push_back(one.component);
+  }
+}
+
+void BoundedSlope::start_at(const double* y) {
+  for (std::size_t k = 0; k < inside_.size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    inside_[k] = lower < y[i] && y[i] < upper;
+    passed_[k] = 0;
+  }
+}
+
+Bounds::Excess BoundedSlope::passed(const Weights& weights) const {
+  Bounds::Excess most;
+  for (std::size_t k = 0; k < passed_.size(); ++k) {
+    const std::size_t i = bounds_.intervals()[k].component;
+    const double size = passed_[k] / weights.threshold()[i];
+    if (size > most.size) most = {size, static_cast<int>(i)};
+  }
+  return most;
+}
+
 double BoundedSlope::settle_held(const Weights& weights, double* y) const {
   double most = 0;
   for (std::size_t k = 0; k < rests_.size(); ++k) {
@@ -210,7 +237,7 @@ Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   } else if (bounded.by_step_) {
     if (any_rests) bounded.find_held(out);
   } else {
-    bounded.bounds_.find_outward(y, bounded.forward_, out, bounded.held_);
+    bounded.find_outward(y, out);
   }
   bounded.rest(out);
   return status;

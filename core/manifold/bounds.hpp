@@ -46,11 +46,9 @@ class Bounds {
   /// Moves components that have come to a bound, but for roundoff, or for what the slope moves them in `shortest`, the
   /// smallest step, onto it, if the slope leads them there. Returns whether there were any.
   bool settle(const Weights& weights, double forward, const double* slope, double shortest, double* y) const;
-  /// Returns whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
+  /// Returns whether a slope leads out of an interval at whose lower or upper end, or beyond, y is. `forward`: +1 or
+  /// −1, the direction of integration.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
-  /// Lists the components of a slope at y that lead out of the bounds where y is at one or beyond. `forward`: +1 or −1,
-  /// the direction of integration.
-  void find_outward(const double* y, double forward, const double* slope, std::vector<std::size_t>& found) const;
 
  private:
   std::size_t n_;
@@ -62,7 +60,8 @@ class Bounds {
 /// For explicit methods that depends on where y is: at or beyond a bound. It jumps there, and Newton's iteration would
 /// find no solution across the jump. So for implicit methods it depends on where the step starts: components that rest
 /// at a bound there, since f leads out, or is 0 where they have just come, are not led out anywhere in the step; the
-/// others follow f.
+/// others follow f. With explicit methods too a component that is not at a bound where the step starts follows f: no
+/// step goes over the jump, whose error estimate may be small by chance.
 class BoundedSlope {
  public:
   ///
@@ -79,6 +78,10 @@ class BoundedSlope {
   /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f. `changed`: it
   /// is another slope now, which the method's memory does not know.
   Status begin_step(double t, const double* y, bool& changed);
+  /// What is evaluated from now on belongs to a step that starts at y.
+  void start_at(const double* y);
+  /// How far, since then, a component that followed f was beyond its bound where f led it out.
+  [[nodiscard]] Bounds::Excess passed(const Weights& weights) const;
   /// The number of evaluations of f by that.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// Archives the components held too, which slopes of sensitivities at other points take from the last evaluation of
@@ -102,6 +105,7 @@ class BoundedSlope {
  private:
   Status look(double t, const double* y);
   void find_held(const double* slope);
+  void find_outward(const double* y, const double* slope);
   Status evaluate(double t, const double* y, double* slope);
   [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
@@ -116,6 +120,9 @@ class BoundedSlope {
   // Of the bounded components, for implicit methods: whether they rest, now and in the step before; whether they are at
   // a bound, and have come there in the step before.
   std::vector<char> rests_, rested_, at_bound_, arrived_;
+  // Of the bounded components, for explicit methods: whether the step starts inside, and how far stages were outside.
+  std::vector<char> inside_;
+  std::vector<double> passed_;
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
   std::vector<std::size_t> held_;

@@ -135,7 +135,9 @@ double Manifold::settle(StepEnds& ends) {
 
 /// Returns false if the candidate is outside the bounds by more than the tolerance.
 bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
-  const Bounds::Excess outside = bounds_->excess(ends.y1, weights_);
+  Bounds::Excess outside = bounds_->excess(ends.y1, weights_);
+  const Bounds::Excess passed = bounded_slope_ != nullptr ? bounded_slope_->passed(weights_) : Bounds::Excess{};
+  if (passed.size > std::max(outside.size, weights_.rtol())) outside = passed;
   outside_ = {.off_bounds = outside.component >= 0, .component = outside.component};
   step.moved_onto_bounds(outside_.off_bounds);
   projected_ = {};
