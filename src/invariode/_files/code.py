@@ -6,17 +6,15 @@ from __future__ import annotations
 import dis
 import hashlib
 import inspect
-from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from itertools import chain
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._functions.compiled import CompiledFunction, CoreFunction
-from .._functions.contents import captured, nested
+from .._functions.contents import ATOMS, Contents, captured, nested
 from .._functions.forms import FirstOrderForm
 from .._functions.graph.python import Formula
 
@@ -27,9 +25,6 @@ _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove
 #: Instructions that load, bind or delete something else than local variables of the function, by their endings.
 _KINDS = {"GLOBAL": "name", "DEREF": "name", "ATTR": "attribute", "METHOD": "attribute"}
 
-#: Elements of a list of numbers that is taken as a whole.
-_FEW = 8
-
 
 class BoundFunction(NamedTuple):
     """A function, and the object whose attributes it uses: None if it is a function alone."""
@@ -38,35 +33,49 @@ class BoundFunction(NamedTuple):
     owner: Any
 
 
+class _Contents(Contents):
+    """Takes values apart into what is equal in every process: no types of users, and no identity of equal values.
+    Arrays become digests; other objects are noted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.others: list[Any] = []
+
+    def of(self, value: Any) -> Any:
+        if isinstance(value, ATOMS):
+            return repr(value)
+        if isinstance(value, np.ndarray) and value.dtype != object:
+            return str(value.dtype), hashlib.sha256(value.tobytes()).digest()
+        around = id(value) in self._seen
+        found = super().of(value)
+        if not around:
+            del self._seen[id(value)]
+        return found
+
+    def other(self, value: Any) -> None:
+        self.others.append(value)
+
+
+def digest(value: Any) -> str:
+    """Return a short number for numbers, text and arrays, alone or in containers; other objects do not count."""
+    return hashlib.blake2b(repr(_Contents().of(value)).encode(), digest_size=6).hexdigest()
+
+
 def digest_of_code(value: Any) -> str | None:
-    """A number for the code of a function; None: it has no code of Python's."""
+    """Return a number for the code of a function; None: it has no code of Python's."""
     if isinstance(value, partial):
         inner = digest_of_code(value.func)
-        return inner and digest(chain([inner.encode()], _content(value.args), _content(value.keywords)))
+        return inner and digest((inner, value.args, value.keywords))
     if isinstance(value, CoreFunction):
         codes = [digest_of_code(one) for one in value.functions]
-        return digest(iter([repr(codes).encode()])) if any(codes) else None
+        return digest(codes) if any(codes) else None
     formula = value.fun if isinstance(value, CompiledFunction) else value
     if isinstance(formula, Formula):
-        return digest(iter([formula.text.encode()]))
+        return digest(formula.text)
     method = _method(value)
     if method is None or (method.function.__module__ or "").startswith("invariode."):
         return None
     return digest(_code(method))
-
-
-def digest(parts: Iterable[bytes]) -> str:
-    """A short number for bytes."""
-    found = hashlib.blake2b(digest_size=6)
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()
-
-
-def parts_of_array(value: np.ndarray[Any, Any]) -> Iterator[bytes]:
-    """The bytes of an array."""
-    yield str(value.dtype).encode()
-    yield np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode()
 
 
 def _method(value: Any) -> BoundFunction | None:
@@ -170,56 +179,25 @@ def _reached(first: BoundFunction) -> list[_Uses]:
             continue
         seen.add(key)
         found.append(_Uses(method))
-        called = (one for _, _, value in found[-1].values for one in _elements(value) if callable(one))
-        inner = [_method(one) for one in called]
+        values = _Contents()
+        values.of([value for _, _, value in found[-1].values])
+        inner = [_method(one) for one in values.others if callable(one)]
         waiting += [one for one in inner if one and one.function.__module__ == method.function.__module__]
     return found
 
 
-def _code(method: BoundFunction) -> Iterator[bytes]:
-    """The code of a function and of those that it uses, with their constants, and the content of what they use."""
+def _code(method: BoundFunction) -> list[Any]:
+    """Return the code of a function and of those that it uses, with their constants, and what they use."""
     reached = _reached(method)
     changed = set().union(*(uses.changed for uses in reached))
-    for uses in reached:
-        for code in uses.codes:
-            yield code.co_code
-            yield repr((code.co_names, code.co_varnames)).encode()
-            yield from (repr(_in_order(one)).encode() for one in code.co_consts if not isinstance(one, CodeType))
-        for kind, name, value in uses.values:
-            if (kind, name) not in changed:
-                yield from _content(value)
+    return [
+        (
+            [(code.co_code, code.co_names, code.co_varnames, _without_code(code.co_consts)) for code in uses.codes],
+            [value for kind, name, value in uses.values if (kind, name) not in changed],
+        )
+        for uses in reached
+    ]
 
 
-def _elements(value: Any) -> Iterator[Any]:
-    """A value, or what a container of values holds, without those that hold each other."""
-    waiting, seen = deque([value]), set()
-    while waiting:
-        one = waiting.popleft()
-        if isinstance(one, partial):
-            waiting += [one.func, one.args, one.keywords]
-        elif (
-            isinstance(one, (tuple, list)) and len(one) > _FEW and all(type(x) is float or type(x) is int for x in one)
-        ):
-            yield repr(one)
-        elif isinstance(one, (tuple, list, dict)):
-            if id(one) not in seen:
-                seen.add(id(one))
-                waiting += chain(*one.items()) if isinstance(one, dict) else one
-        else:
-            yield one
-
-
-def _content(value: Any) -> Iterator[bytes]:
-    """Numbers, text and arrays, alone or in containers."""
-    for one in _elements(value):
-        if isinstance(one, np.ndarray):
-            yield from parts_of_array(one)
-        elif isinstance(one, (bool, int, float, complex, str, bytes, np.generic)):
-            yield repr(one).encode()
-
-
-def _in_order(constant: Any) -> Any:
-    """A constant of a function, without the order that a set has in this process only."""
-    if isinstance(constant, frozenset):
-        return sorted(map(repr, constant))
-    return tuple(map(_in_order, constant)) if isinstance(constant, tuple) else constant
+def _without_code(constants: tuple[Any, ...]) -> list[Any]:
+    return [one for one in constants if not isinstance(one, CodeType)]

@@ -17,7 +17,7 @@ from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
 from .._problem.problem import Problem
-from .code import digest, digest_of_code, parts_of_array
+from .code import digest, digest_of_code
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
@@ -47,7 +47,7 @@ def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, int) and value.bit_length() >= LONGEST_INT:
-        return f"{shown(value)} {digest([hex(value).encode()])}"
+        return f"{shown(value)} {digest(hex(value))}"
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, (float, complex, np.number)):  # the last has digits that the others lack
@@ -60,7 +60,7 @@ def in_words(value: Any, *, code: bool = True, depth: int = 0) -> Any:
     if isinstance(value, np.ndarray):
         large = value.size > _FEW and value.dtype.kind in "biufc" and value.dtype.char not in "gG"
         if large or value.dtype == object:
-            return f"array {value.shape} {digest(parts_of_array(value))}"
+            return f"array {value.shape} {digest(value)}"
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(name): in_words(one, code=code, depth=depth + 1) for name, one in value.items()}

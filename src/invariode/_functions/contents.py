@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-_ATOMS = (type(None), bool, int, float, complex, str, bytes, np.generic, CodeType)
+ATOMS = (type(None), bool, int, float, complex, str, bytes, np.generic, CodeType)
 #: Values that cannot change: if the object is the same, so is its content.
-_IMMUTABLE = (*_ATOMS, ModuleType, type, BuiltinFunctionType, np.ufunc)
+_IMMUTABLE = (*ATOMS, ModuleType, type, BuiltinFunctionType, np.ufunc)
 
 
 class _Opaque:
@@ -38,51 +38,68 @@ class _Opaque:
 
 def content(value: Any) -> Any:
     """Return the content of a value at this moment, as nested tuples that are equal for equal contents."""
-    return _content(value, {}, None)
+    return Contents().of(value)
 
 
-def _content(value: Any, seen: dict[int, int], module: str | None) -> Any:
-    kind = type(value)
-    if isinstance(value, _ATOMS):
-        return kind, value if kind in (int, bool, str, bytes) or isinstance(value, CodeType) else repr(value)
-    if isinstance(value, (ModuleType, type, np.ufunc)):
-        return _Opaque(value)
-    if id(value) in seen:
-        return "again", seen[id(value)]
-    seen[id(value)] = len(seen)
+class Contents:
+    """Takes values apart into nested tuples: numbers, text, arrays and containers by value, others by `other`."""
 
-    def inner(one: Any) -> Any:
-        return _content(one, seen, module)
+    def __init__(self) -> None:
+        self._seen: dict[int, int] = {}
+        self._module: str | None = None  # of the function whose captured values are taken apart
 
-    if isinstance(value, np.ndarray):
-        entries = tuple(map(inner, value.ravel().tolist())) if value.dtype == object else value.tobytes()
-        return kind, value.dtype.str, value.shape, entries
-    if kind in (list, tuple):
-        return kind, tuple(map(inner, value))
-    if kind is dict:
-        return kind, tuple((inner(name), inner(one)) for name, one in value.items())
-    if isinstance(value, partial):
-        return kind, inner(value.func), inner(value.args), inner(value.keywords)
-    if isinstance(value, MethodType):
-        return kind, inner(value.__func__), inner(value.__self__)
-    if isinstance(value, BuiltinFunctionType):
-        owner = value.__self__
-        return _Opaque(value) if owner is None or isinstance(owner, ModuleType) else (value.__name__, inner(owner))
-    if isinstance(value, FunctionType):
-        if _named_elsewhere(value, module):
+    def of(self, value: Any) -> Any:
+        """Return the content of a value, of which no part is taken apart twice."""
+        kind = type(value)
+        if isinstance(value, ATOMS):
+            return kind, value if kind in (int, bool, str, bytes) or isinstance(value, CodeType) else repr(value)
+        if id(value) in self._seen:
+            return "again", self._seen[id(value)]
+        self._seen[id(value)] = len(self._seen)
+        if isinstance(value, np.ndarray):
+            entries = tuple(map(self.of, value.ravel().tolist())) if value.dtype == object else value.tobytes()
+            return kind, value.dtype.str, value.shape, entries
+        if kind in (list, tuple):
+            return kind, tuple(map(self.of, value))
+        if kind in (set, frozenset):  # in an order that does not depend on the process
+            return kind, sorted(repr(self.of(one)) for one in value)
+        if kind is dict:
+            return kind, tuple((self.of(name), self.of(one)) for name, one in value.items())
+        if isinstance(value, partial):
+            return kind, self.of(value.func), self.of(value.args), self.of(value.keywords)
+        return self.other(value)
+
+    def other(self, value: Any) -> Any:
+        """Return the content of a function or of another object, as it is in this process."""
+        kind = type(value)
+        if isinstance(value, (ModuleType, type, np.ufunc)):
             return _Opaque(value)
-        uses = captured(value)
-        module = value.__module__ if module is None else module
-        return kind, value.__code__, tuple((name, _content(one, seen, module)) for name, _, one in uses)
-    try:
-        reduced = value.__reduce_ex__(4)
-    except Exception:  # it cannot be copied, and so not be taken apart
-        return _Opaque(value)
-    if isinstance(reduced, str):  # it is found by its name
-        return _Opaque(value)
-    maker, arguments, *state = reduced
-    parts = [tuple(one) if index and one is not None else one for index, one in enumerate(state[:3])]
-    return kind, _Opaque(maker), inner(arguments), *map(inner, parts)
+        if isinstance(value, MethodType):
+            return kind, self.of(value.__func__), self.of(value.__self__)
+        if isinstance(value, BuiltinFunctionType):
+            owner = value.__self__
+            return (
+                _Opaque(value) if owner is None or isinstance(owner, ModuleType) else (value.__name__, self.of(owner))
+            )
+        if isinstance(value, FunctionType):
+            return self._function(value)
+        try:
+            reduced = value.__reduce_ex__(4)
+        except Exception:  # it cannot be copied, and so not be taken apart
+            return _Opaque(value)
+        if isinstance(reduced, str):  # it is found by its name
+            return _Opaque(value)
+        maker, arguments, *state = reduced
+        parts = [tuple(one) if index and one is not None else one for index, one in enumerate(state[:3])]
+        return kind, _Opaque(maker), self.of(arguments), *map(self.of, parts)
+
+    def _function(self, value: FunctionType) -> Any:
+        if _named_elsewhere(value, self._module):
+            return _Opaque(value)
+        before, self._module = self._module, value.__module__ if self._module is None else self._module
+        uses = tuple((name, self.of(one)) for name, _, one in captured(value))
+        self._module = before
+        return type(value), value.__code__, uses
 
 
 def _named_elsewhere(function: FunctionType, module: str | None) -> bool:
