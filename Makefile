@@ -26,11 +26,11 @@ LOWEST := .venv-lowest
 paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/python -m paper --output paper-report.html
 
-# Each worker starts with half of the files, and takes over from the other at the end: what tests of one file share,
-# such as compiled functions, is made once.
+# Each worker starts with a third of the files, and takes over from the others at the end: what tests of one file share,
+# such as compiled functions, is made once. Three for two cores: some tests wait, for a signal, a process or a disk.
 # Without the plugins of other packages: at each start pytest would import, and rewrite, all of Zarr and of hypothesis.
 # What a dependency deprecates is shown to users, and an error in CI only.
-PYTEST := -m pytest -q -p xdist.plugin -n 2 --dist worksteal \
+PYTEST := -m pytest -q -p xdist.plugin -n 3 --dist worksteal \
   $(if $(CI),-W error::DeprecationWarning -W error::PendingDeprecationWarning)
 test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 

@@ -13,13 +13,13 @@ import campaign
 
 CASES = {
     "calls": 500,
-    "runs": 30,
+    "runs": 20,
     "files": 100,
     "fields": 50,
     "exceptions": 100,
     "networks": 10,
     "patterns": 30,
-    "seams": 20,
+    "seams": 10,
 }
 SEED = 2026
 

@@ -1,6 +1,6 @@
 // The projection is the minimum-norm Newton correction in the norm of the weights, whatever the units and rank of g.
 
-#include <Eigen/QR>
+#include <Eigen/Core>
 #include <algorithm>
 #include <complex>
 #include <random>
@@ -113,24 +113,30 @@ TEST(one_iteration_is_the_correction_of_least_weighted_norm) {
 }
 
 TEST(rows_that_nearly_depend_on_each_other_cost_their_condition_and_not_its_square) {
-  // The reference is the minimum-norm solution in long double, by an orthogonal factorisation.
+  // The reference is the minimum-norm solution in long double: the rows one after the other, each corrected along its
+  // part that is orthogonal to those before it, by Gram and Schmidt's process twice.
+  using Precise = Eigen::Matrix<long double, Eigen::Dynamic, 1>;
   for_samples([](const Sample& s) {
     if (s.J.rows() < 2) return;
     for (const double apart : {1e-1, 1e-3, 1e-5}) {
-      using Precise = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
       Sample near = s;
       near.J.row(1) = s.J.row(0) + apart * s.J.row(1);
       near.value = near.J * near.from;
-      Vector w(near.y.size());
-      near.weights.fill(near.from.data(), near.y.data(), w.data());
-      const Precise JW = near.J.cast<long double>() * w.cast<long double>().asDiagonal();
-      const Precise r = near.J.cast<long double>() * near.y.cast<long double>() - near.value.cast<long double>();
-      const Precise scale = JW.rowwise().norm().cwiseInverse();
-      Eigen::CompleteOrthogonalDecomposition<Precise> reference;
-      reference.setThreshold(1e-15L);
-      reference.compute(scale.col(0).asDiagonal() * JW);
-      const Precise moved = w.cast<long double>().asDiagonal() * reference.solve(scale.cwiseProduct(r));
-      const Vector expected = near.y - moved.cast<double>();
+      Vector weight(near.y.size());
+      near.weights.fill(near.from.data(), near.y.data(), weight.data());
+      const Precise w = weight.cast<long double>(), y = near.y.cast<long double>();
+      Precise moved = Precise::Zero(y.size());
+      std::vector<Precise> basis;
+      for (Eigen::Index i = 0; i < near.J.rows(); ++i) {
+        const Precise J = near.J.row(i).cast<long double>(), row = J.cwiseProduct(w);
+        Precise along = row / row.norm();
+        for (int pass = 0; pass < 2; ++pass)
+          for (const Precise& before : basis) along -= before.dot(along) * before;
+        along.normalize();
+        moved += (J.dot(y) - static_cast<long double>(near.value[i]) - row.dot(moved)) / row.dot(along) * along;
+        basis.push_back(along);
+      }
+      const Vector expected = near.y - moved.cwiseProduct(w).cast<double>();
       const check::Case label("rows apart by ", apart);
       std::vector<char> dropped;
       CHECK_CLOSE(near.difference(near.project(near.J, near.value, &dropped), expected), 0, near.roundoff(1));
