@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections import Counter
 from collections.abc import Iterable
 
+import numpy as np
 import pytest
 
 import invariode as iv
@@ -41,23 +41,21 @@ LOOKED_UP = ("problem", "run", "draw", "code", "algebraic_code")
 def places(count: int, lengths: tuple[int, ...]) -> list[tuple[int, ...]]:
     """`count` rows of the product of lists of such lengths, as places in them: each next one takes values that came
     least so far, and of those the pairs of values that came least."""
-    left = list(itertools.product(*map(range, lengths)))
-    came: Counter[object] = Counter()
-
-    def singles(row: tuple[int, ...]) -> list[object]:
-        return list(enumerate(row))
-
-    def often(row: tuple[int, ...]) -> tuple[int, int]:
-        alone = singles(row)
-        return sum(came[one] for one in alone), sum(came[pair] for pair in itertools.combinations(alone, 2))
-
+    left = np.array(list(itertools.product(*map(range, lengths))))
+    sets = [[i] for i in range(len(lengths))], [*map(list, itertools.combinations(range(len(lengths)), 2))]
+    came = [[np.zeros([lengths[i] for i in one], int) for one in several] for several in sets]
     rows = []
     for _ in range(count):
-        row = min(left, key=often)
-        left.remove(row)
-        came.update(singles(row))
-        came.update(itertools.combinations(singles(row), 2))
-        rows.append(row)
+        often = [
+            sum((counts[tuple(left[:, one].T)] for one, counts in zip(*both, strict=True)), np.zeros(len(left), int))
+            for both in zip(sets, came, strict=True)
+        ]
+        least = np.lexsort(often[::-1])[0]
+        row, left = left[least], np.delete(left, least, axis=0)
+        for both in zip(sets, came, strict=True):
+            for one, counts in zip(*both, strict=True):
+                counts[tuple(row[one])] += 1
+        rows.append(tuple(row.tolist()))
     return rows
 
 
