@@ -589,7 +589,7 @@ def report(names: Sequence[str], repetitions: int, write: bool) -> str:
             plot(p, lines)
             parts.append(f"![{p.title}: time against error]({plot_file(p).name})")
         untimed = "\n".join(["Not timed, with the tolerances:", "", *said]) if (said := remarks(lines)) else ""
-        parts += [summary(lines), folded("Every contestant", all_times(lines), untimed)]
+        parts += [summary(lines), folded("Every package", all_times(lines), untimed)]
         print(f"{name} done in {perf_counter() - start:.0f} s", file=sys.stderr)
     return "\n\n".join(parts)
 

@@ -33,6 +33,7 @@ extensions = [
     "mathml",
     "formulas",
     "tables",
+    "widths",
 ]
 html_math_renderer = "mathml"
 exclude_patterns = ["**.ipynb", "howto/sbml-conformance.md", "gallery/*.py", "gallery/*.zip", "gallery/*.json"]
@@ -99,7 +100,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "show_toc_level": 2,
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 6,
     "navbar_end": ["version", "theme-switcher", "navbar-icon-links"],
     "icon_links": [
         {"name": name, "url": url, "icon": icon}

@@ -234,6 +234,19 @@ def test_cells_of_wide_tables_have_the_headings_of_their_columns(monkeypatch):
     assert stacked(numbers) == numbers
 
 
+def test_pages_that_a_telephone_cannot_show_are_found(monkeypatch, tmp_path):
+    """Pages that scroll sideways, and pages that are cut off instead; not those of which a part scrolls."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    widths = importlib.import_module("widths")
+    if widths.browser() is None:
+        pytest.skip("there is no Chromium")
+    page = '<!doctype html><body><main style="overflow-x:{}"><pre style="width:{}px">code</pre></main></body>'
+    for name, overflow, width in (("fits", "visible", 300), ("scrolls", "auto", 900), ("wide", "visible", 900)):
+        (tmp_path / f"{name}.html").write_text(page.format(overflow, width))
+    (tmp_path / "cut.html").write_text(page.format("hidden", 900))
+    assert [name for name, _ in widths.too_wide(tmp_path)] == ["cut.html", "wide.html"]
+
+
 def test_benchmarks_are_of_this_version_or_say_why_not():
     """A page that an earlier version was measured for has the reason above its figures."""
     version = metadata.version("invariode")

@@ -822,7 +822,10 @@ def refused(name: str) -> TypeError:
     """The error for an option that a run cannot have."""
     if name in ProblemArguments.__annotations__:
         where = "Problem or solve_ivp" if name in TABLE else "Problem"
-        return TypeError(f"{name} describes the problem: it is an argument of {where}, not an option")
+        return TypeError(
+            f"{name} describes the problem: it is an argument of {where}, not an option of a run; "
+            f"for another one, problem.replace({name}=...).solve(...)"
+        )
     if name in TABLE:
         where = "solve_ensemble" if name in ManyOptions.__annotations__ else "solve_ivp"
         return TypeError(f"{name} is an option of {where}, not of a run")
