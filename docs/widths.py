@@ -71,12 +71,13 @@ def too_wide(folder: Path) -> list[tuple[str, str]]:
         """The pages, and the one that looks at them."""
 
         def do_GET(self) -> None:
-            if self.path != "/":
-                return super().do_GET()
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(look)
+            if self.path == "/":
+                self.send_response(200)
+                self.send_header("Content-Type", "text/html")
+                self.end_headers()
+                self.wfile.write(look)
+            else:
+                super().do_GET()
 
         def log_message(self, *_: Any) -> None:
             pass
