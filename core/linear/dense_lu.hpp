@@ -37,11 +37,22 @@ class Stretches<double> {
     double* x = values_.data() + from;
     for (std::size_t i = 0; i < count; ++i) x[i] /= pivot;
   }
+  void subtract(std::size_t from, double factor, const Stretches& other, std::size_t there) {
+    values_[from] -= factor * other.values_[there];
+  }
   /// Subtracts, from the stretch, `factor` times a stretch of `other`, which lies elsewhere.
   void subtract(std::size_t from, std::size_t count, double factor, const Stretches& other, std::size_t there) {
     double* __restrict x = values_.data() + from;
     const double* __restrict y = other.values_.data() + there;
     for (std::size_t i = 0; i < count; ++i) x[i] -= factor * y[i];
+  }
+  /// Subtracts one multiple of a stretch, then another: what two calls do, in one pass.
+  void subtract(std::size_t from, std::size_t count, double first, std::size_t there, double second,
+                std::size_t there_second, const Stretches& other) {
+    double* __restrict x = values_.data() + from;
+    const double* __restrict y = other.values_.data() + there;
+    const double* __restrict z = other.values_.data() + there_second;
+    for (std::size_t i = 0; i < count; ++i) x[i] = (x[i] - first * y[i]) - second * z[i];
   }
 
  private:
@@ -90,6 +101,11 @@ class Stretches<std::complex<double>> {
   void divide(std::size_t from, std::size_t count, Complex pivot) {
     for (std::size_t i = from; i < from + count; ++i) set(i, divided((*this)[i], pivot));
   }
+  void subtract(std::size_t from, Complex factor, const Stretches& other, std::size_t there) {
+    const Complex x = (*this)[from], u = other[there];
+    const double a = factor.real(), b = factor.imag();
+    set(from, {x.real() - (a * u.real() - b * u.imag()), x.imag() - (a * u.imag() + b * u.real())});
+  }
   void subtract(std::size_t from, std::size_t count, Complex factor, const Stretches& other, std::size_t there) {
     const double a = factor.real(), b = factor.imag();
     double* __restrict x = re_.data() + from, * __restrict y = im_.data() + from;
@@ -98,6 +114,11 @@ class Stretches<std::complex<double>> {
       x[i] -= a * u[i] - b * v[i];
       y[i] -= a * v[i] + b * u[i];
     }
+  }
+  void subtract(std::size_t from, std::size_t count, Complex first, std::size_t there, Complex second,
+                std::size_t there_second, const Stretches& other) {
+    subtract(from, count, first, other, there);
+    subtract(from, count, second, other, there_second);
   }
 
  private:
@@ -113,29 +134,32 @@ class DenseLu {
   void clear() { a_.clear(); }
   void add(std::size_t i, std::size_t j, Scalar value) { a_.add(place(i, j), value); }
 
-  /// Replaces A by its factors. Returns false if it is singular, or not finite.
+  /// Replaces A by its factors, two columns at a time. Returns false if it is singular, or not finite.
   [[nodiscard]] bool factor() {
-    for (std::size_t k = 0; k < n_; ++k) {
-      if (!bring_up_pivot(k)) return false;
-      const Scalar pivot = Numbers::stored(a_[place(k, k)]);
-      const std::size_t below = n_ - k - 1;
-      a_.set(place(k, k), pivot);
-      a_.divide(place(k, k) + 1, below, pivot);
-      for (std::size_t j = k + 1; j < n_; ++j)
-        a_.subtract(place(k, j) + 1, below, a_[place(k, j)], a_, place(k, k) + 1);
+    for (std::size_t k = 0; k < n_; k += 2) {
+      if (!make_column(k)) return false;
+      if (k + 1 == n_) break;
+      a_.subtract(place(k + 1, k + 1), n_ - k - 1, a_[place(k, k + 1)], a_, place(k + 1, k));
+      if (!make_column(k + 1)) return false;
+      for (std::size_t j = k + 2; j < n_; ++j) eliminate_two(k, a_, j * n_);
     }
     return a_.finite();
   }
 
   void solve(Scalar* b) {
-    for (std::size_t k = 0; k < n_; ++k) std::swap(b[k], b[swapped_with_[k]]);
-    for (std::size_t k = 0; k < n_; ++k) x_.set(k, b[k]);
-    for (std::size_t k = 0; k < n_; ++k) x_.subtract(k + 1, n_ - k - 1, x_[k], a_, place(k, k) + 1);
-    for (std::size_t k = n_; k-- > 0;) {
-      x_.set(k, Numbers::divided(x_[k], a_[place(k, k)]));
-      x_.subtract(0, k, x_[k], a_, place(0, k));
+    for (std::size_t k = 0; k < n_; ++k) {
+      std::swap(b[k], b[swapped_with_[k]]);
+      x_.set(k, b[k]);
     }
-    for (std::size_t k = 0; k < n_; ++k) b[k] = x_[k];
+    std::size_t k = 0;
+    for (; k + 2 <= n_; k += 2) eliminate_two(k, x_, 0);
+    for (k = n_; k >= 2; k -= 2) {
+      const Scalar last = substituted(k - 1, b);
+      x_.subtract(k - 2, last, a_, place(k - 2, k - 1));
+      const Scalar before = substituted(k - 2, b);
+      x_.subtract(0, k - 2, last, place(0, k - 1), before, place(0, k - 2), a_);
+    }
+    if (k == 1) substituted(0, b);
   }
 
  private:
@@ -144,6 +168,26 @@ class DenseLu {
   [[nodiscard]] std::size_t place(std::size_t i, std::size_t j) const {
     assert(i < n_ && j < n_);
     return j * n_ + i;
+  }
+  /// Column k of L, with its pivot on the diagonal. Returns false if that is 0, or not finite.
+  bool make_column(std::size_t k) {
+    if (!bring_up_pivot(k)) return false;
+    const Scalar pivot = Numbers::stored(a_[place(k, k)]);
+    a_.set(place(k, k), pivot);
+    a_.divide(place(k, k) + 1, n_ - k - 1, pivot);
+    return true;
+  }
+  /// Subtracts x_k times column k of L from the x below, then x_{k+1} times the next one. x begins at that place.
+  void eliminate_two(std::size_t k, Numbers& x, std::size_t at) {
+    const Scalar first = x[at + k];
+    x.subtract(at + k + 1, first, a_, place(k + 1, k));
+    const Scalar second = x[at + k + 1];
+    if (k + 2 < n_) x.subtract(at + k + 2, n_ - k - 2, first, place(k + 2, k), second, place(k + 2, k + 1), a_);
+  }
+  /// x_k of the solution, when the later ones have been subtracted; it is kept in b.
+  Scalar substituted(std::size_t k, Scalar* b) {
+    x_.set(k, Numbers::divided(x_[k], a_[place(k, k)]));
+    return b[k] = x_[k];
   }
   /// The largest entry of column k on or below the diagonal, by exchange of rows. False: it is 0, or not finite.
   bool bring_up_pivot(std::size_t k) {

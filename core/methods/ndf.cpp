@@ -98,11 +98,12 @@ void Ndf::rescale_memory(double h) {
   assert(k >= 1 && k <= options_.max_order && memory_h_ > 0);
   const double rho = h / memory_h_;
   if (rho != 1) {
-    const Small R = differences_at(rho, k), U = differences_at(1, k);
+    static const Small U = differences_at(1, highest_order);  // upper triangular: [l][j] is 0 where l > j
+    const Small R = differences_at(rho, k);
     Small RU{};
     for (std::size_t i = 1; i <= static_cast<std::size_t>(k); ++i)
       for (std::size_t j = 1; j <= static_cast<std::size_t>(k); ++j)
-        for (std::size_t l = 1; l <= static_cast<std::size_t>(k); ++l) RU[i][j] += R[i][l] * U[l][j];
+        for (std::size_t l = 1; l <= j; ++l) RU[i][j] += R[i][l] * U[l][j];
     for (std::size_t c = 0; c < n(); ++c) {
       double row[most];
       for (int j = 1; j <= k; ++j) row[j] = D(j)[c];
@@ -148,13 +149,18 @@ std::size_t Ndf::directions(const double** vectors) const {
 /// step.
 void Ndf::predict() {
   const double scale = gamma_inverse(order_);
-  std::copy(y_.begin(), y_.end(), predictor_.begin());
-  std::fill(psi_.begin(), psi_.end(), 0);
-  for (int j = 1; j <= order_; ++j)
-    for (std::size_t i = 0; i < n(); ++i) {
-      predictor_[i] += D(j)[i];
-      psi_[i] += D(j)[i] * (gamma[static_cast<std::size_t>(j)] * scale);
+  std::array<double, most> factor{};
+  for (std::size_t j = 1; j <= static_cast<std::size_t>(order_); ++j) factor[j] = gamma[j] * scale;
+  for (std::size_t i = 0; i < n(); ++i) {
+    double p = y_[i], psi = 0;
+    const double* difference = D(1) + i;
+    for (std::size_t j = 1; j <= static_cast<std::size_t>(order_); ++j, difference += n()) {
+      p += *difference;
+      psi += *difference * factor[j];
     }
+    predictor_[i] = p;
+    psi_[i] = psi;
+  }
   weights_.fill(y(), predictor_.data(), weight_.data());
 }
 

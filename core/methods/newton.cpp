@@ -675,14 +675,16 @@ Newton::Result Newton::filter(double* v) {
 
 /// c f − M (ψ + d) of the blocks from `first` to `end`, with f at hand.
 void Newton::residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end) {
-  for (std::size_t i = first; i < end; ++i) sum_[i] = psi[i] + d[i];
   const Matrix* M = mass_matrix();
-  if (M != nullptr && first < coupled())
-    for (std::size_t block = first; block < end; block += extent().n)
-      M->multiply(sum_.data() + block, residual_.data() + block);
-  else
-    std::swap(sum_, residual_);
-  for (std::size_t i = first; i < end; ++i) residual_[i] = c * f_value_[i] - residual_[i];
+  const double* f = f_value_.data();
+  double* __restrict r = residual_.data();
+  if (M == nullptr || first >= coupled()) {
+    for (std::size_t i = first; i < end; ++i) r[i] = c * f[i] - (psi[i] + d[i]);
+    return;
+  }
+  for (std::size_t i = first; i < end; ++i) sum_[i] = psi[i] + d[i];
+  for (std::size_t block = first; block < end; block += extent().n) M->multiply(sum_.data() + block, r + block);
+  for (std::size_t i = first; i < end; ++i) r[i] = c * f[i] - r[i];
 }
 
 }  // namespace invariode
