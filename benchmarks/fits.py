@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from statistics import median
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ import invariode as iv
 
 LEVEL = 0.95
 RTOL = 1e-6
-#: Fits of each contestant that are timed.
-TIMED = 5
+#: Fits of each contestant that are timed, and evaluations of the log-likelihood that are timed together.
+TIMED, EVALUATIONS = 5, 20
 
 
 @dataclass
@@ -293,15 +294,27 @@ def timed(case: Case) -> list[str]:
     errors = np.array([ours.standard_errors[name] for name in case.truth])
     apart = float(np.max(np.abs(best - theirs) / errors))
     times = interleaved(contestants, TIMED)
+    evaluation = interleaved({"one": _evaluations(case, compiled, data)}, TIMED, process_time)["one"]
     cells = [f"{1e3 * median(times[name]):.1f}" for name in contestants]
     return [
         case.name,
         str(ours.runs),
+        f"{1e6 * median(evaluation) / EVALUATIONS:.0f}",
         *cells,
         f"{ratio(times['scipy'], times['compiled']):.0f}",
         f"{ratio(times['scipy'], times['python']):.1f}",
         f"{apart:.0e}",
     ]
+
+
+def _evaluations(case: Case, fun: Any, data: np.ndarray) -> Callable[[], object]:
+    """Evaluations of the log-likelihood with its gradient, each at another point, after the first ones."""
+    known = case.sigma if case.known else None
+    observed = dict(zip([f"y{i}" for i in case.observe], data, strict=True))
+    described: dict[str, Any] = {"sigma": known, "noise": case.noise, **case.options(fun)}
+    objective = iv.objective(case.problem(fun), case.t, observed, case.parameters(), **described)
+    points = [np.array([case.truth[name] for name in objective.names]) * (1 + 1e-6 * i) for i in range(EVALUATIONS)]
+    return lambda: [objective.both(one) for one in points]
 
 
 def report(repetitions: int) -> str:
@@ -315,6 +328,7 @@ def report(repetitions: int) -> str:
     header = [
         "Fit",
         "runs",
+        "an evaluation, µs",
         "ms: compiled",
         "Python",
         "SciPy",

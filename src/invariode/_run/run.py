@@ -337,7 +337,6 @@ def _carried_out(
 class Finished:
     """A run of the core that has ended, and what is reported of it, which is put together when somebody asks."""
 
-    sensitivities: SensitivityData | None = None
     y_end: Array | None = None  # None: the end of the run is that of y
     sectioned: tuple[Sectioned, ...] = ()
     roots: tuple[Any, ...] = ()
@@ -380,7 +379,7 @@ class Finished:
         return bound
 
     def private(self) -> dict[str, Any]:
-        """Return the private attributes of the solution, besides its items."""
+        """Return the private attributes of the solution, besides its items and those that it has already."""
         run, plan = self.run, self.plan
         y_end = run.end if self.y_end is None else self.y_end
         next_h = run.next_h if plan.method.fixed_order and run.steps else None
@@ -390,7 +389,7 @@ class Finished:
             "_atol": plan.atol,
             "_drift": BeforeProjection(*run.drift) if plan.names else _NO_DRIFT,
             "_names": plan.called,
-            "_sensitivities": self.sensitivities,
+            "_sensitivities": None,
             "_y_end": y_end,
             "_origin": RunOrigin(
                 self.source,
@@ -521,7 +520,8 @@ def _solution(finished: Finished) -> Solution:
     happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
     if plan.varied is not None:
         parts = _parted(plan, plan.varied, sol["y"], run.end, happened or [])
-        sol["y"], finished.y_end, happened, finished.sensitivities = parts
+        sol["y"], finished.y_end, happened, sol._sensitivities = parts
+        sol._y_end = finished.y_end
         plan.varied.tell_of_steps(sol["t"], sol["y"])
     settings = plan.settings
     if settings.sections:

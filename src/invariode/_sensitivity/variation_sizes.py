@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,12 @@ class Sizes(NamedTuple):
         """Return the sizes for a problem with these arguments."""
         places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index for one in names]
         return cls(wanted, names, weights, places)
+
+    @property
+    def of_any_start(self) -> bool:
+        """True if the tolerances are those of every start: all sizes are given, and no atol is 0."""
+        scale = self.wanted.scale
+        return scale is not None and not isinstance(scale, Mapping) and bool(np.all(self.weights.threshold))
 
     def tolerances(self, y0: Array, values: Array) -> Array:
         """Return the tolerances of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,8 +85,16 @@ class Variations:
             )
         return graph.tangent_nodes()
 
+    @cached_property
+    def _same_tolerances(self) -> Array | None:
+        """The tolerances of S, if every start has them."""
+        k, n = self.start.shape
+        return self.sizes.tolerances(np.zeros(n), np.ones(k)) if self.sizes.of_any_start else None
+
     def tolerances_at(self, y: Array, args: tuple[Any, ...]) -> Array:
         """Return the tolerances of S, (k, n), from another start with other arguments."""
+        if self._same_tolerances is not None:
+            return self._same_tolerances
         numbers = np.array(args) if all(type(one) is float for one in args) else layout_of(args).numbers
         pairs = zip(self.sizes.names, self.sizes.places, strict=True)
         return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))

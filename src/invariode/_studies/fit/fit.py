@@ -122,7 +122,7 @@ def fit(
     choice("loss", loss, LOSSES)
     flag("absolute_sigma", absolute_sigma)
     model = to_model(problem, t, data, parameters, described, absolute_sigma, method, options, weighs_priors=True)
-    if loss != "linear" and (model.relative or model.estimates_noise or model.laplace.any()):
+    if loss != "linear" and (model.relative or model.estimates_noise or model.has_laplace):
         raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
     points = start_points(model, positive_integer("starts", starts), seed)
     best, ends = _best(_searched(model, points, loss, positive_integer("workers", workers)))

@@ -6,6 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +41,8 @@ class NoiseLevel(NamedTuple):
     slope: Array  # (k,)
 
 
-class Evaluation(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Evaluation:
     """The model at values of the free parameters.
 
     Attributes
@@ -67,12 +70,12 @@ class Evaluation(NamedTuple):
     spread: Array | None
     levels: list[NoiseLevel]
 
-    @property
+    @cached_property
     def residuals(self) -> Array:
         """Differences in units of sigma, (N,)."""
         return self.difference / self.sigma
 
-    @property
+    @cached_property
     def jacobian(self) -> Array:
         """The derivatives of `residuals` for the free parameters except through sigma, (N, k)."""
         return self.slopes / self.sigma[:, None]
@@ -129,6 +132,7 @@ class Model:
         self.measured = np.concatenate([one.values for one in series])
         self.lognormal = np.concatenate([np.full(len(one.values), one.lognormal) for one in series])
         self.laplace = np.concatenate([np.full(len(one.values), one.laplace) for one in series])
+        self.has_lognormal, self.has_laplace = bool(self.lognormal.any()), bool(self.laplace.any())
         self._compared = np.where(self.lognormal, np.log(np.where(self.lognormal, self.measured, 1.0)), self.measured)
         self.relative = _is_relative(series, absolute_sigma)
         #: A unit for data of unknown noise, so that the search sees numbers of size 1.
@@ -185,11 +189,14 @@ class Model:
         compared = self._scaled(model)
         if isinstance(compared, Failed):
             return compared
-        rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
+        if self.has_lognormal:
+            rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
         return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, spread, levels)
 
     def _scaled(self, model: Array) -> Array | Failed:
         """Return the model's values as they are compared with the data: logarithms where the noise is log-normal."""
+        if not self.has_lognormal:
+            return model
         if (model[self.lognormal] <= 0).any():
             return Failed("the model is not positive, where the noise is log-normal")
         return np.where(self.lognormal, np.log(np.where(self.lognormal, model, 1.0)), model)
@@ -232,7 +239,7 @@ class Model:
     def gradient(self, at: Evaluation, variance: float = 1.0) -> Array:
         """Return the gradient of the log-likelihood for the free parameters, (k,)."""
         r = at.residuals
-        found: Array = -at.jacobian.T @ np.where(self.laplace, np.sign(r), r) / variance
+        found: Array = -at.jacobian.T @ (np.where(self.laplace, np.sign(r), r) if self.has_laplace else r) / variance
         if at.spread is not None:
             found += at.spread.T @ (np.where(self.laplace, np.abs(r), r**2) / variance - 1.0)
         return found

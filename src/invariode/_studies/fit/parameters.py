@@ -359,8 +359,15 @@ class Space:
     def _priors(self) -> list[tuple[int, Prior]]:
         return [(i, one.prior) for i, one in enumerate(self.free) if one.prior is not None]
 
+    @cached_property
+    def _no_priors(self) -> Priors:
+        k = len(self.free)
+        return Priors(np.zeros(0), np.zeros((0, k)), 0.0, np.zeros(k))
+
     def priors(self, free: Array) -> Priors:
         """Return the priors at these values."""
+        if not self._priors:
+            return self._no_priors
         every = [(i, prior.at(float(free[i]))) for i, prior in self._priors]
         rows = [one.slope * np.eye(len(free))[i] for i, one in every]
         factors = np.zeros(len(free))

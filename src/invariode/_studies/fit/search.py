@@ -10,6 +10,7 @@ import numpy as np
 
 from ..._base.arguments import EPS, Array
 from .likelihood import Evaluation, Model
+from .parameters import Priors
 from .trust_region import QuadraticModel, minimise
 
 #: A noise level below this part of the data is that of a model that fits without errors.
@@ -58,7 +59,8 @@ def weighted(loss: str, residuals: Array) -> Weighted:
     """Return the loss of the residuals of data."""
     rho, z = LOSSES[loss], residuals**2
     if rho is None:
-        return Weighted(0.5 * float(z.sum()), np.ones_like(z), np.ones_like(z))
+        ones = np.ones_like(z)
+        return Weighted(0.5 * float(z.sum()), ones, ones)
     value, first, second = rho(z)
     return Weighted(0.5 * float(value.sum()), first, np.sqrt(np.maximum(first + 2 * second * z, EPS)))
 
@@ -118,6 +120,8 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Opt
         degrees = max(model.size - len(moving), 1)
         known = loss != "linear" or model.estimates_noise
         unit = 1.0 if known else float(np.sum(here.residuals**2)) / degrees
+        if len(moving) == len(start):
+            return found._replace(unit=unit)
         return QuadraticModel(found.cost, found.gradient[moving], found.information[np.ix_(moving, moving)], unit)
 
     def ends(u: Array) -> str | None:
@@ -129,16 +133,17 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Opt
     end = minimise(at, np.clip(whole[moving], lower[moving], upper[moving]), lower[moving], upper[moving], ends)
     best = model.evaluate(free(end.u))
     assert isinstance(best, Evaluation)
-    return Optimum(best, _cost(model, best, loss), end.success, end.message, weighted(loss, best.residuals).second)
+    cost = _cost(model, best, loss, space.priors(best.free))
+    return Optimum(best, cost, end.success, end.message, weighted(loss, best.residuals).second)
 
 
-def _cost(model: Model, at: Evaluation, loss: str) -> float:
+def _cost(model: Model, at: Evaluation, loss: str, priors: Priors) -> float:
     """Return half the sum of squares, or of their losses, with those of the priors; −log L if sigma is estimated."""
-    if model.estimates_noise or model.laplace.any():
+    if model.estimates_noise or model.has_laplace:
         data = -model.log_likelihood(at, at.sigma)
     else:
         data = weighted(loss, at.residuals).cost
-    return data + model.space.priors(at.free).cost
+    return data + priors.cost
 
 
 def quadratic(model: Model, at: Evaluation, loss: str) -> QuadraticModel:
@@ -153,7 +158,7 @@ def quadratic(model: Model, at: Evaluation, loss: str) -> QuadraticModel:
         rows *= known.second[:, None]
     of_priors = priors.slopes * slope
     gradient = gradient + of_priors.T @ priors.residuals
-    return QuadraticModel(_cost(model, at, loss), gradient, rows.T @ rows + of_priors.T @ of_priors, 1.0)
+    return QuadraticModel(_cost(model, at, loss, priors), gradient, rows.T @ rows + of_priors.T @ of_priors, 1.0)
 
 
 def _size(model: Model) -> float:

@@ -120,8 +120,11 @@ def within(u: Array, g: Array, F: Array, lower: Array, upper: Array, radius: flo
     while free.any():
         step = point - u
         left = math.sqrt(max(radius**2 - float(step @ step), EPS * radius**2))
-        outwards = np.zeros_like(u)
-        outwards[free] = _unbounded((g - F @ step)[free], F[np.ix_(free, free)], left)
+        if free.all():
+            outwards = _unbounded(g - F @ step, F, left)
+        else:
+            outwards = np.zeros_like(u)
+            outwards[free] = _unbounded((g - F @ step)[free], F[np.ix_(free, free)], left)
         beyond = free & ((point + outwards < lower) | (point + outwards > upper))
         if not beyond.any():
             return point + outwards
@@ -139,13 +142,14 @@ def _unbounded(g: Array, F: Array, radius: float) -> Array:
     """Return the maximum of g·s − sᵀ F s / 2 with |s| ≤ radius: by the eigenvalues of F, and bisection of the shift."""
     values, V = np.linalg.eigh(F)
     c = V.T @ g
-    size = float(np.linalg.norm(c))
+    size = math.sqrt(float(c @ c))
     if size == 0.0:
         return np.zeros_like(g)
     values = values - min(float(values[0]), 0.0)  # directions of negative curvature end at the radius
 
     def length(shift: float) -> float:
-        return float(np.linalg.norm(c / (values + shift)))
+        s = c / (values + shift)
+        return math.sqrt(float(s @ s))
 
     low = _SINGULAR * max(float(values[-1]), size / radius)
     if length(low) <= radius:
