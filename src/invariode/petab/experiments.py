@@ -35,7 +35,7 @@ from .tables import Measurement, Tables
 LN10 = math.log(10.0)
 
 
-class Part(NamedTuple):
+class Period(NamedTuple):
     """An experiment with the places of its data: row and column of each measurement by its number."""
 
     experiment: Experiment
@@ -82,14 +82,14 @@ class Experiments:
         volume = e._number(one.compartment)
         return number * volume if one.is_amount else number / volume
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[Period]:
         """Return the experiments, in the order of the measurement table."""
         found: dict[tuple[str, str], list[int]] = defaultdict(list)
         for i, one in enumerate(self._tables.measurements):
             found[one.before, one.condition].append(i)
         return [self._part(*key, rows) for key, rows in found.items()]
 
-    def _part(self, before: str, condition: str, rows: list[int]) -> Part:
+    def _part(self, before: str, condition: str, rows: list[int]) -> Period:
         measured = [self._tables.measurements[i] for i in rows]
         groups = [*dict.fromkeys(map(_group, measured))]
         places = {group: row for row, group in enumerate(groups)}
@@ -130,7 +130,7 @@ class Experiments:
             rtol=self._rtol,
             atol=self._atol,
         )
-        return Part(experiment, rows, where)
+        return Period(experiment, rows, where)
 
     def _resets(self, condition: str) -> list[str]:
         """Return the states that a condition sets after a pre-equilibration."""
@@ -271,7 +271,7 @@ def _name(group: tuple[str, tuple[str | float, ...], tuple[str | float, ...]]) -
     return f"{group[0]}({', '.join(map(str, placeholders))})" if placeholders else group[0]
 
 
-def numbers(parts: Sequence[Part], by_part: Sequence[Array], count: int) -> Array:
+def numbers(parts: Sequence[Period], by_part: Sequence[Array], count: int) -> Array:
     """Return values (q, m) of experiments in the order of the measurement table."""
     found = np.empty(count)
     for part, values in zip(parts, by_part, strict=True):

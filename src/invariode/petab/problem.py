@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, real_numbers
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
-from .._studies.fit.likelihood import Model as Fitted
+from .._studies.fit.likelihood import FittedModel as Fitted
 from .._studies.fit.parameters import Parameter
-from ..sbml.model import Model
+from ..sbml.model import FittedModel
 from ..sbml.reading import contents
-from .experiments import LN10, Experiments, Part, numbers
+from .experiments import LN10, Experiments, Period, numbers
 from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
 
 
@@ -106,14 +106,14 @@ class Problem:
         self._rows = [one for one in given.parameters.values() if one.estimated]
         self.names = [one.name for one in self._rows]
         columns = {name for one in given.conditions.values() for name in one}
-        self.model = Model(contents(given.model), given={*given.parameters, *columns})
+        self.model = FittedModel(contents(given.model), given={*given.parameters, *columns})
         self._all = Experiments(self.model, given, method, rtol, atol)
         self.nominal = np.array([_scaled(one, one.nominal) for one in self._rows])
         self.lower = np.array([_scaled(one, one.lower) for one in self._rows])
         self.upper = np.array([_scaled(one, one.upper) for one in self._rows])
 
     @cached_property
-    def _parts(self) -> list[Part]:
+    def _parts(self) -> list[Period]:
         return self._all.parts()
 
     @property

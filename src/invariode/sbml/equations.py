@@ -492,16 +492,16 @@ class Equations:
         return ArrayFunction([self.state_at_start(name) for name in self.states])
 
     @cached_property
-    def _at_start(self) -> Solved:
+    def _at_start(self) -> SolvedModel:
         """Solver for the numbers that algebraic rules determine at the start."""
         residuals = [self._then.number(self.contents.algebraic[i]) for i in self.matched.values()]
-        return Solved(residuals, [self.graph.p(i) for i in self._unknown.values()])
+        return SolvedModel(residuals, [self.graph.p(i) for i in self._unknown.values()])
 
     @cached_property
-    def _in_course(self) -> Solved:
+    def _in_course(self) -> SolvedModel:
         """Solver for the states that algebraic rules determine at any time."""
         places = [self.place[name] for name in self.matched]
-        return Solved([self.slopes[i] for i in places], [self.graph.y(i) for i in places])
+        return SolvedModel([self.slopes[i] for i in places], [self.graph.y(i) for i in places])
 
     def parameters(self, changes: dict[str, float]) -> Array:
         """Return p with other numbers of the file."""
@@ -567,7 +567,7 @@ class Equations:
         return [{places[i]: x for i, x in one.items()} for one in left_null_space(rows)]
 
 
-class Solved:
+class SolvedModel:
     """Newton's method for some of the numbers that values depend on, so that the values are zero."""
 
     def __init__(self, residuals: Sequence[Node], unknown: Sequence[Node]) -> None:

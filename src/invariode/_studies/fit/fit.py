@@ -15,7 +15,7 @@ from ..._base.types import MethodName
 from ..._ensemble.worker_processes import may_start, solve_rows
 from ..._problem.options import Options
 from .experiment import Noise
-from .likelihood import Model, to_model
+from .likelihood import FittedModel, to_model
 from .result import Fit
 from .search import LOSSES, NoStartError, Optimum, search, start_points
 from .uncertainty import Uncertainty, uncertainty, unknown_uncertainty
@@ -132,7 +132,7 @@ def fit(
     return found
 
 
-def _uncertainty(model: Model, found: Optimum) -> Uncertainty:
+def _uncertainty(model: FittedModel, found: Optimum) -> Uncertainty:
     """Return the uncertainty of the best parameters: NaN, with a warning, if it cannot be computed. The search may have
     taken hours, and its result does not depend on the uncertainty."""
     try:
@@ -153,7 +153,7 @@ class _SearchEnd(NamedTuple):
     failures: Counter[str]
 
 
-def _searched(model: Model, points: list[Array], loss: str, workers: int) -> list[_SearchEnd]:
+def _searched(model: FittedModel, points: list[Array], loss: str, workers: int) -> list[_SearchEnd]:
     """Run all searches, in this process or in others, and return their ends in order."""
     if workers > 1 and not may_start():
         warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
@@ -170,7 +170,7 @@ def _searched(model: Model, points: list[Array], loss: str, workers: int) -> lis
     return sorted(ends, key=lambda one: one.number)
 
 
-def _search(model: Model, points: list[Array], loss: str, i: int) -> _SearchEnd:
+def _search(model: FittedModel, points: list[Array], loss: str, i: int) -> _SearchEnd:
     runs, failures = model.runs, model.failures.copy()
     found: Optimum | NoStartError
     try:

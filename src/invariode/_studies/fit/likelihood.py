@@ -42,7 +42,7 @@ class NoiseLevel(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class ModelValues:
     """The model at values of the free parameters.
 
     Attributes
@@ -81,7 +81,7 @@ class Evaluation:
         return self.slopes / self.sigma[:, None]
 
 
-class Model:
+class FittedModel:
     """Experiments with parameters: everything that a fit evaluates.
 
     Attributes
@@ -143,11 +143,11 @@ class Model:
         self.size = len(self.measured)
         self.failures: Counter[str] = Counter()
         self.runs = 0
-        self._last: Evaluation | None = None
+        self._last: ModelValues | None = None
         #: Whether parameters change sigma, so that its logarithm counts.
         self.estimates_noise = any(one.level is not None or one.formula for one in series)
 
-    def evaluate(self, free: Array) -> Evaluation | Failed:
+    def evaluate(self, free: Array) -> ModelValues | Failed:
         """Return the model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
         other."""
         if self._last is not None and np.array_equal(self._last.free, free):
@@ -160,7 +160,7 @@ class Model:
         self._last = found
         return found
 
-    def _evaluated(self, free: Array) -> Evaluation | Failed:
+    def _evaluated(self, free: Array) -> ModelValues | Failed:
         values, slopes, levels, place = [], [], [], 0
         sigma = self._factors.copy()
         spread = np.zeros((self.size, len(free))) if self.estimates_noise else None
@@ -191,7 +191,7 @@ class Model:
             return compared
         if self.has_lognormal:
             rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
-        return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, spread, levels)
+        return ModelValues(free.copy(), model, compared - self._compared, rows, sigma, spread, levels)
 
     def _scaled(self, model: Array) -> Array | Failed:
         """Return the model's values as they are compared with the data: logarithms where the noise is log-normal."""
@@ -224,7 +224,7 @@ class Model:
             return -math.inf
         return self._log_likelihood(compared - self._compared, sigma)
 
-    def log_likelihood(self, at: Evaluation, sigma: Array) -> float:
+    def log_likelihood(self, at: ModelValues, sigma: Array) -> float:
         """Return the log-likelihood of the data with these standard deviations, without priors."""
         return self._log_likelihood(at.difference, sigma)
 
@@ -236,7 +236,7 @@ class Model:
         factors = np.where(self.laplace, math.log(2), _HALF_LOG_2PI)
         return -exponents - logs - float(np.sum(factors))
 
-    def gradient(self, at: Evaluation, variance: float = 1.0) -> Array:
+    def gradient(self, at: ModelValues, variance: float = 1.0) -> Array:
         """Return the gradient of the log-likelihood for the free parameters, (k,)."""
         r = at.residuals
         found: Array = -at.jacobian.T @ (np.where(self.laplace, np.sign(r), r) if self.has_laplace else r) / variance
@@ -244,14 +244,14 @@ class Model:
             found += at.spread.T @ (np.where(self.laplace, np.abs(r), r**2) / variance - 1.0)
         return found
 
-    def information(self, at: Evaluation) -> Array:
+    def information(self, at: ModelValues) -> Array:
         """Return a matrix A with AᵀA the expected information of data with normal or Laplace noise: a datum determines
         its value with 1 / σ², and ln σ with 2, or 1 of Laplace's distribution."""
         if at.spread is None:
             return at.jacobian
         return np.concatenate([at.jacobian, at.spread * np.where(self.laplace, 1.0, math.sqrt(2))[:, None]])
 
-    def variance(self, at: Evaluation, unknowns: int = 0) -> float:
+    def variance(self, at: ModelValues, unknowns: int = 0) -> float:
         """Return the factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if
         none are left, 1 if sigma is known."""
         if not self.relative:
@@ -308,7 +308,7 @@ def to_model(
     options: Options,
     *,
     weighs_priors: bool = False,
-) -> Model:
+) -> FittedModel:
     """Make the model from the arguments of `fit` and `objective`. `weighs_priors`: an unknown sigma is a parameter if
     there are priors, which have to be weighed against the data."""
     for name in options:
@@ -332,7 +332,7 @@ def to_model(
         implied = f"{IMPLIED}[data]" if taken else IMPLIED
         experiments = [_with_level(one, implied) for one in experiments]
         wanted, absolute_sigma = {**wanted, implied: Parameter()}, True
-    model = Model(experiments, wanted, absolute_sigma, method, options)
+    model = FittedModel(experiments, wanted, absolute_sigma, method, options)
     model.implied = implied
     return model
 

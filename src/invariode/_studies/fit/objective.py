@@ -13,7 +13,7 @@ from ..._base.package import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .experiment import Noise
-from .likelihood import Evaluation, Model, to_model
+from .likelihood import FittedModel, ModelValues, to_model
 from .search import start_points
 
 
@@ -37,7 +37,7 @@ class Objective:
         The number of failed runs by reason.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: FittedModel) -> None:
         self._model = model
         self.names = tuple(one.name for one in model.space.free)
         self.start: Array = start_points(model, 1, None)[0]
@@ -64,18 +64,18 @@ class Objective:
         if not inside or any(one.log and value <= 0 for one, value in zip(self._model.space.free, free, strict=True)):
             return nothing
         at = self._model.evaluate(free)
-        if not isinstance(at, Evaluation):
+        if not isinstance(at, ModelValues):
             return nothing
         return self._value(at), self._gradient(at)
 
-    def _value(self, at: Evaluation) -> float:
+    def _value(self, at: ModelValues) -> float:
         model = self._model
         priors = model.space.priors(at.free)
         constant = 0.5 * len(priors.residuals) * np.log(2 * np.pi)
         sigma = at.sigma * np.sqrt(model.variance(at))
         return float(model.log_likelihood(at, sigma) + priors.log_factor - priors.cost - constant)
 
-    def _gradient(self, at: Evaluation) -> Array:
+    def _gradient(self, at: ModelValues) -> Array:
         model = self._model
         found = model.gradient(at, model.variance(at))
         priors = model.space.priors(at.free)

@@ -11,7 +11,7 @@ import numpy as np
 from ..._base.arguments import Array
 from ..._base.package import public
 from . import picture
-from .likelihood import Evaluation, Model
+from .likelihood import FittedModel, ModelValues
 from .search import NoStartError, Optimum, search
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
@@ -106,7 +106,9 @@ class ProfileWalk:
     - `scale`: the quantile to reach
     """
 
-    def __init__(self, model: Model, found: Optimum, place: int, direction: Array, step: float, scale: Scale) -> None:
+    def __init__(
+        self, model: FittedModel, found: Optimum, place: int, direction: Array, step: float, scale: Scale
+    ) -> None:
         self._model, self._found, self._place, self._scale = model, found, place, scale
         self._direction = direction
         self._start = model.space.coordinates(found.at.free)
@@ -180,9 +182,9 @@ class ProfileWalk:
         return float(self._model.space.natural(free)[self._place])
 
 
-def profile(model: Model, found: Optimum, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
+def profile(model: FittedModel, found: Optimum, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
     """Return the profile of a parameter; `covariance` of all in coordinates."""
-    assert isinstance(found.at, Evaluation)
+    assert isinstance(found.at, ModelValues)
     own = covariance[place, place]
     determined = bool(np.isfinite(own) and own > 0)
     k = len(covariance)

@@ -17,7 +17,7 @@ from ..._base.suggestions import meant
 from ..._results.solution import Solution
 from . import picture
 from .experiment import Failed
-from .likelihood import Model
+from .likelihood import FittedModel
 from .profile import Profile, Scale, profile
 from .search import Optimum
 from .uncertainty import Prediction, Uncertainty, degrees_of_freedom, unit_of_variance
@@ -76,7 +76,9 @@ class Fit:
         is infinite if the model could not be evaluated at the start.
     """
 
-    def __init__(self, model: Model, found: Optimum, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]):
+    def __init__(
+        self, model: FittedModel, found: Optimum, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]
+    ):
         self._model, self._found, self._known, self._loss = model, found, known, loss
         self.starts = starts
         self.success, self.message = found.success, found.message

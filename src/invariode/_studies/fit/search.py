@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import EPS, Array
-from .likelihood import Evaluation, Model
+from .likelihood import ModelValues, FittedModel
 from .parameters import Priors
 from .trust_region import QuadraticModel, minimise
 
@@ -68,7 +68,7 @@ def weighted(loss: str, residuals: Array) -> Weighted:
 class Optimum(NamedTuple):
     """End of a search."""
 
-    at: Evaluation  # the model there
+    at: ModelValues  # the model there
     cost: float  # half the sum of squares, or of their losses, with those of the priors; with noise levels −log L
     #: success, message: whether it arrived, and how it ended
     success: bool
@@ -81,7 +81,7 @@ class NoStartError(Exception):
     """The model cannot be evaluated at a start."""
 
 
-def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Optimum:
+def search(model: FittedModel, start: Array, loss: str = "linear", held: Sequence[int] = ()) -> Optimum:
     """Return the best parameters near a start; those `held` stay there.
 
     Raises NoStartError: The runs fail at the start.
@@ -94,7 +94,7 @@ def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int]
     return _searched(model, start, loss, held)
 
 
-def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Optimum:
+def _searched(model: FittedModel, start: Array, loss: str, held: Sequence[int]) -> Optimum:
     """Return the minimum of −log L, or of the loss, over the parameters that are not held."""
     space = model.space
     moving = np.array([i for i in range(len(start)) if i not in held], dtype=int)
@@ -114,7 +114,7 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Opt
 
     def at(u: Array) -> QuadraticModel | None:
         here = model.evaluate(free(u))
-        if not isinstance(here, Evaluation):
+        if not isinstance(here, ModelValues):
             return None
         found = quadratic(model, here, loss)
         degrees = max(model.size - len(moving), 1)
@@ -132,12 +132,12 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Opt
 
     end = minimise(at, np.clip(whole[moving], lower[moving], upper[moving]), lower[moving], upper[moving], ends)
     best = model.evaluate(free(end.u))
-    assert isinstance(best, Evaluation)
+    assert isinstance(best, ModelValues)
     cost = _cost(model, best, loss, space.priors(best.free))
     return Optimum(best, cost, end.success, end.message, weighted(loss, best.residuals).second)
 
 
-def _cost(model: Model, at: Evaluation, loss: str, priors: Priors) -> float:
+def _cost(model: FittedModel, at: ModelValues, loss: str, priors: Priors) -> float:
     """Return half the sum of squares, or of their losses, with those of the priors; −log L if sigma is estimated."""
     if model.estimates_noise or model.has_laplace:
         data = -model.log_likelihood(at, at.sigma)
@@ -146,7 +146,7 @@ def _cost(model: Model, at: Evaluation, loss: str, priors: Priors) -> float:
     return data + priors.cost
 
 
-def quadratic(model: Model, at: Evaluation, loss: str) -> QuadraticModel:
+def quadratic(model: FittedModel, at: ModelValues, loss: str) -> QuadraticModel:
     """Return the cost with its derivatives in coordinates."""
     slope, priors = model.space.slope(at.free), model.space.priors(at.free)
     rows = model.information(at) * slope
@@ -161,18 +161,18 @@ def quadratic(model: Model, at: Evaluation, loss: str) -> QuadraticModel:
     return QuadraticModel(_cost(model, at, loss, priors), gradient, rows.T @ rows + of_priors.T @ of_priors, 1.0)
 
 
-def _size(model: Model) -> float:
+def _size(model: FittedModel) -> float:
     return float(np.abs(model._compared).max(initial=0.0)) or 1.0
 
 
-def _require(model: Model, free: Array) -> None:
+def _require(model: FittedModel, free: Array) -> None:
     at = model.evaluate(free)
-    if not isinstance(at, Evaluation):
+    if not isinstance(at, ModelValues):
         values = ", ".join(f"{one.name} = {value:.6g}" for one, value in zip(model.space.free, free, strict=True))
         raise NoStartError(f"the model cannot be evaluated at the start, {values}: {at.reason}")
 
 
-def _with_levels(model: Model, at: Evaluation, levels: Sequence[int]) -> Array:
+def _with_levels(model: FittedModel, at: ModelValues, levels: Sequence[int]) -> Array:
     """Return the parameters, with the noise levels that the residuals give, within their bounds."""
     free = at.free.copy()
     for i in levels:
@@ -185,7 +185,7 @@ def _with_levels(model: Model, at: Evaluation, levels: Sequence[int]) -> Array:
     return free
 
 
-def start_points(model: Model, count: int, seed: Any) -> list[Array]:
+def start_points(model: FittedModel, count: int, seed: Any) -> list[Array]:
     """Return the first start, and others that fill the bounds evenly: a Latin hypercube."""
     space = model.space
     first = np.array([1.0 if one.start is None else one.start for one in space.free])
@@ -203,8 +203,8 @@ def start_points(model: Model, count: int, seed: Any) -> list[Array]:
     return [first, *(space.natural(lower + one * (upper - lower)) for one in part)]
 
 
-def _with_first_levels(model: Model, free: Array) -> Array:
+def _with_first_levels(model: FittedModel, free: Array) -> Array:
     """Return the start with noise levels, where they have no start, of the size of the first residuals."""
     unknown = [i for i, one in enumerate(model.space.free) if one.level and one.start is None]
     at = model.evaluate(free) if unknown else None
-    return _with_levels(model, at, unknown) if isinstance(at, Evaluation) else free
+    return _with_levels(model, at, unknown) if isinstance(at, ModelValues) else free

@@ -11,7 +11,7 @@ import numpy as np
 from ..._base.arguments import Array
 from ..._base.package import public
 from ..._results.result import DataRecord
-from .likelihood import Evaluation, Model
+from .likelihood import FittedModel, ModelValues
 from .search import Optimum
 
 #: Singular values of the Jacobian, its columns scaled to length 1, below this part of the largest are zero: derivatives
@@ -50,7 +50,7 @@ def unknown_uncertainty(k: int) -> Uncertainty:
     return Uncertainty(nothing, nothing.copy(), [], [], math.inf)
 
 
-def uncertainty(model: Model, found: Optimum) -> Uncertainty:
+def uncertainty(model: FittedModel, found: Optimum) -> Uncertainty:
     """Compute the uncertainty of the best parameters."""
     space, at = model.space, found.at
     at_bound = _at_bounds(model, at)
@@ -74,7 +74,7 @@ def uncertainty(model: Model, found: Optimum) -> Uncertainty:
     return Uncertainty(scaled, fisher / np.outer(slope, slope), named, undetermined, degrees)
 
 
-def _information(model: Model, found: Optimum, variance: float) -> Array:
+def _information(model: FittedModel, found: Optimum, variance: float) -> Array:
     """Return a matrix A with AᵀA / variance the expected information in coordinates: of the data, of sigma,
     and of the priors, whose standard deviations that variance does not change."""
     at, slope = found.at, model.space.slope(found.at.free)
@@ -84,24 +84,24 @@ def _information(model: Model, found: Optimum, variance: float) -> Array:
     return np.concatenate([*rows, priors * math.sqrt(variance) if math.isfinite(variance) else priors])
 
 
-def _inner(model: Model, at: Evaluation) -> list[int]:
+def _inner(model: FittedModel, at: ModelValues) -> list[int]:
     """Return parameters that are not at a bound."""
     held = {place for place, _ in _at_bounds(model, at)}
     return [i for i in range(len(model.space.free)) if i not in held]
 
 
-def _estimates_sigma(model: Model, at: Evaluation) -> bool:
+def _estimates_sigma(model: FittedModel, at: ModelValues) -> bool:
     """Return whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
     inner = _inner(model, at)
     return model.relative or any(bool(one.slope[inner].any()) for one in at.levels)
 
 
-def degrees_of_freedom(model: Model, at: Evaluation) -> int:
+def degrees_of_freedom(model: FittedModel, at: ModelValues) -> int:
     """Return how many data the parameters leave to estimate sigma, or 0; noise levels do not count as parameters."""
     return max(model.size - sum(not model.space.free[i].level for i in _inner(model, at)), 0)
 
 
-def unit_of_variance(model: Model, at: Evaluation) -> float:
+def unit_of_variance(model: FittedModel, at: ModelValues) -> float:
     """Return the factor of σ² that the residuals give, infinite if no degrees of freedom are left. Noise levels by
     maximum likelihood are too small by the degrees of freedom that the parameters take."""
     if not _estimates_sigma(model, at):
@@ -112,7 +112,7 @@ def unit_of_variance(model: Model, at: Evaluation) -> float:
     return model.variance(at, model.size - degrees) if model.relative else model.size / degrees
 
 
-def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
+def _at_bounds(model: FittedModel, at: ModelValues) -> list[tuple[int, str]]:
     """Return parameters at their bounds, where the search has put them."""
     limits = [one.parameter.limits for one in model.space.free]
     sides = ("lower", "upper")
