@@ -7,7 +7,7 @@ import pytest
 
 import invariode as iv
 from cases import FAMILIES, dealt, families
-from test_adjoint import both_ways
+from gradients import both_ways
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 ANGLE = 1.2

@@ -177,7 +177,23 @@ ONLY_IN = {
     r"\b(TINY|INCREMENT|NOT_COMPLEX)\b": {"_functions/increments.py", "_functions/derivatives.py"},
     r"^def (compared|takes_complex|somewhere|sizes)\b": {"_functions/increments.py"},
     r"__signature__ = .*Problem|Problem\.__init__\.__qualname__": set(),
+    r"\.__reduce_ex__\(|\.co_code\b": {"_functions/contents.py", "_files/code.py"},
+    r"^class \w*Contents\(Contents\)": {"_files/code.py"},
 }
+
+#: Names of `invariode.petab`, which are PEtab's, beside those of the package.
+NAMES_OF_TWO_CLASSES = {"Problem", "Objective"}
+
+
+def test_a_class_name_means_one_thing():
+    """Also without the underscore that makes it private"""
+    places = {}
+    for _, path in SOURCES:
+        if path.suffix == ".py":
+            for node in ast.walk(tree(path)):
+                if isinstance(node, ast.ClassDef):
+                    places.setdefault(node.name.lstrip("_"), []).append(path.name)
+    assert {name for name, files in places.items() if len(files) > 1} == NAMES_OF_TWO_CLASSES
 
 
 def test_each_thing_has_one_mechanism():

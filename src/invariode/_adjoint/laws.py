@@ -26,7 +26,7 @@ from .._problem.problem import Problem
 
 
 @dataclass
-class _Law:
+class _ImposedInvariant:
     """An invariant r = c."""
 
     about: Invariants  # the invariant as the user defined it
@@ -62,7 +62,7 @@ class Laws:
             if one.sense:  # not an equation
                 continue
             law = derivatives(one.fun, f"invariant {one.fun}", given=Given.of(one.jac), moves_t=False)
-            self._laws.append(_Law(one, law))
+            self._laws.append(_ImposedInvariant(one, law))
 
     def on_tangent(self, t: float, y: Array, cost: Array, *, taking: bool = False) -> tuple[Array, Array]:
         """A cost before S is moved onto the tangent, and what that adds to the gradient here. `taking`: laws without a

@@ -11,7 +11,7 @@ from .._results.solution import Solution
 from .expressions import Values
 from .reduction import Reduction
 from .solution import Unknowns
-from .start import Point, conditions
+from .start import ConsistentPoint, conditions
 
 #: Residuals are compared with changes of F where its arguments change by this part, times random numbers: even if
 #: leading derivatives have lost half of the digits, they are smaller.
@@ -129,7 +129,7 @@ def _jumping(
     return None
 
 
-def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:
+def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> ConsistentPoint:
     """Return the x_j^(l), l <= d_j, at a state."""
     n, d = reduction.n, reduction.arrangement.offsets.d
     variables = [(order, j) for j in range(n) for order in range(int(d[j]) + 1)]
@@ -137,7 +137,7 @@ def point_of(reduction: Reduction, t: float, state: Array, p: Array) -> Point:
     x = np.zeros((int(d.max(initial=0)) + 1, n))
     for (order, j), value in zip(variables, values, strict=True):
         x[order, j] = value
-    return Point(t, x, p)
+    return ConsistentPoint(t, x, p)
 
 
 def impasse(sol: Solution, reduction: Reduction, p: Array) -> str:

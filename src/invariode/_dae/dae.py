@@ -46,11 +46,11 @@ from .._results.solution import Solution
 from .._run.run import concluded
 from .checks import impasse, jump, point_of, require_no_jump, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
-from .reduction import Given, Reduction, Variable
+from .reduction import GivenValues, Reduction, Variable
 from .solution import Unknowns, in_unknowns
-from .start import Point, Starts
+from .start import ConsistentPoint, Starts
 from .structure import GenericPoints, Structure
-from .through import Through
+from .through import ThroughUnknowns
 
 #: Changes of initial values below this part of them are roundoff, above the second they are reported in a warning.
 _MOVED, _LARGE_MOVE = 1e-10, 1e-6
@@ -62,7 +62,7 @@ _ROWS = 24
 Nonlinear: TypeAlias = Literal["raise", "algebraic"]
 
 
-class _Functions(NamedTuple):
+class _DaeFunctions(NamedTuple):
     """The functions of a reduced problem."""
 
     slope: Any
@@ -115,7 +115,7 @@ class UntracedError(TypeError):
     """F has no graph: its structure is not known."""
 
 
-class _Traced(NamedTuple):
+class _TracedEquations(NamedTuple):
     """F as a graph of t, y, y', ..., and the parameters that stay variable."""
 
     outputs: list[Node]
@@ -232,7 +232,8 @@ class Dae:
         kept = [j for j in range(n) if j not in renamed]
         place = {j: b for b, j in enumerate(kept)}
         self._of = [
-            Given(place[j], 0, 1.0) if j in place else Given(place[renamed[j].j], *renamed[j][1:]) for j in range(n)
+            GivenValues(place[j], 0, 1.0) if j in place else GivenValues(place[renamed[j].j], *renamed[j][1:])
+            for j in range(n)
         ]
         m, mapping = len(kept), {}
         for one in sorted(leaves(outputs)):
@@ -251,7 +252,7 @@ class Dae:
             [one for i, one in enumerate(self.equations) if i not in gone],
         )
         self._reductions: dict[str, tuple[Reduction, Starts]] = {}
-        self._made: dict[Reduction, _Functions] = {}
+        self._made: dict[Reduction, _DaeFunctions] = {}
 
     def _guess(self, y: Array, yp: Array | None, fixed: Collection[int] = ()) -> tuple[Array, int]:
         """Return values and derivatives of the unknowns that are left, and how many levels of them were given. The
@@ -393,7 +394,7 @@ class Dae:
         guess, known = self._guess(y, yp, {u for order, u in stay if order == 0})
         guess, levels = self._structure.completed(t, guess, p), self._structure.known(np.full(len(self._kept), known))
         held = {(order + self._of[u].order, self._of[u].j) for order, u in stay}
-        return starts.nearest(Point(t, guess, p), levels, held)
+        return starts.nearest(ConsistentPoint(t, guess, p), levels, held)
 
     def _variable(self, given: object) -> tuple[int, int]:
         """Return the order and the number of an unknown that is named with primes, or given by its index."""
@@ -547,12 +548,12 @@ class Dae:
                 self._reductions["raise"] = self._reductions["algebraic"] = made
         return self._reductions[nonlinear]
 
-    def _functions(self, reduction: Reduction) -> _Functions:
+    def _functions(self, reduction: Reduction) -> _DaeFunctions:
         """Return the functions of the reduced problem, compiled if llvmlite is installed, made once."""
         if reduction not in self._made:
             slopes = reduction.slopes or [reduction.graph.node(1.0)]
             levels = [self._function(f"level{k}", level.in_states) for k, level in enumerate(reduction.levels)]
-            self._made[reduction] = _Functions(
+            self._made[reduction] = _DaeFunctions(
                 self._function(self.name, slopes), levels, Unknowns(self._of, self._structure.given, reduction)
             )
         return self._made[reduction]
@@ -608,7 +609,7 @@ class Dae:
         x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
         self._tell_move(x)
         unknowns = self._functions(reduction).unknowns
-        through = Through(unknowns, partial(self._after_action, reduction, starts), self._p)
+        through = ThroughUnknowns(unknowns, partial(self._after_action, reduction, starts), self._p)
         on_failure = options.pop("on_failure", None)
         options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
         if (callback := options.get("callback")) is not None:
@@ -644,7 +645,7 @@ class Dae:
         levels = min(len(x), len(after))
         x[:levels, : len(self._kept)] += after[:levels] - before[:levels]
         x = self._structure.completed(t, x, p)
-        found = starts.nearest(Point(t, x, p), np.full(x.shape[1], len(x)), ())
+        found = starts.nearest(ConsistentPoint(t, x, p), np.full(x.shape[1], len(x)), ())
         return np.array([found[one] for one in reduction.states])
 
     def _atol(self, reduction: Reduction, options: Options) -> Array | None:
@@ -734,7 +735,7 @@ def _names(names: Sequence[str], n: int) -> list[str]:
     return found
 
 
-def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
+def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _TracedEquations:
     """Return the graph of F. Arguments without which it cannot be traced, such as counts of loops, are constants of
     it."""
     fun = F.fun if isinstance(F, TracedFunction) else F
@@ -772,7 +773,7 @@ def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _Traced:
     graph = outputs[0].graph
     used = [node for node in in_order(outputs) if node.op == "p"]
     outputs = substituted(outputs, {node: graph.p(renumbered[node.value]) for node in used})
-    return _Traced(outputs, tuple(kept), tuple(kept_names))
+    return _TracedEquations(outputs, tuple(kept), tuple(kept_names))
 
 
 def _is_variable(entry: Any, rank: int) -> bool:
@@ -798,12 +799,12 @@ def _argument_names(fun: Any, count: int, order: int) -> list[str]:
     return [known[i] if i < len(known) else f"args[{i}]" for i in range(count)]
 
 
-def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, Given], set[int]]:
+def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, GivenValues], set[int]]:
     """Find equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
 
     Without them the first-order form of an equation has the structure of the equation itself.
     """
-    found: dict[int, Given] = {}
+    found: dict[int, GivenValues] = {}
     gone: set[int] = set()
     for i, equation in enumerate(equations):
         used = sorted(leaves([equation]))
@@ -819,6 +820,6 @@ def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, Given], set[i
         k, (order, j) = low % n, divmod(high, n)
         if low >= n or k == j or k in found or j in found or any(k == one.j for one in found.values()):
             continue
-        found[k] = Given(j, order, -row[high].value / row[low].value)
+        found[k] = GivenValues(j, order, -row[high].value / row[low].value)
         gone.add(i)
     return found, gone

@@ -27,7 +27,7 @@ from .structure import Arrangement, Structure
 Variable = tuple[int, int]
 
 
-class Given(NamedTuple):
+class GivenValues(NamedTuple):
     """An unknown of the user's in terms of the unknowns that are left after aliases: sign x_j^(order)."""
 
     j: int

@@ -31,7 +31,7 @@ from .._results.solution import Solution
 from .._run.run import concluded
 from .linear_systems import SINGULAR, condition
 from .solution import in_unknowns
-from .through import Through
+from .through import ThroughUnknowns
 
 #: Where ∂F/∂y' is formed: distances from the start in units of 1 + |y|.
 _DISTANCES, _SEED = (0.0, 1e-3, 1e-2), 11
@@ -358,7 +358,7 @@ def solve_residual(
     ) -> Array:
         return np.concatenate([form.states(new[0]), state[form.n :]])
 
-    through = Through(unknowns, after_action, none)
+    through = ThroughUnknowns(unknowns, after_action, none)
     on_failure = options.pop("on_failure", None)
     options["on_failure"] = "return"
     if (callback := options.get("callback")) is not None:

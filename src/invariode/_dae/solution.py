@@ -27,7 +27,7 @@ from .._results.result import Names, Origin
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .expressions import leaves, substituted
-from .reduction import Given, Reduction
+from .reduction import GivenValues, Reduction
 
 #: Operations of Python's code, at all points together, beyond which machine code is made instead.
 _MANY_OPERATIONS = 1_000_000
@@ -121,7 +121,7 @@ class Unknowns:
         Their reduction.
     """
 
-    def __init__(self, given: Sequence[Given], equations: Sequence[Node], reduction: Reduction) -> None:
+    def __init__(self, given: Sequence[GivenValues], equations: Sequence[Node], reduction: Reduction) -> None:
         def user(more: int) -> list[Node]:
             found = reduction.of([(order + more, j) for j, order, _ in given])
             return [x if one.sign > 0 else x.graph.negative(x) for x, one in zip(found, given, strict=True)]
@@ -204,7 +204,7 @@ class _OnStates(BoundInvariants):
         return super().distance(t, self.states, *self.tolerances, pieces)
 
 
-class _Origin(Origin):
+class _OriginOfUnknowns(Origin):
     """Origin of a solution of a DAE: the reduced solution, and the way back to the unknowns.
 
     Parameters
@@ -316,7 +316,7 @@ class DaeSolution(Solution):
         """The solution of the reduced problem, in its states."""
         if self._origin is None:
             raise ValueError("this solution comes from a file or a pickle, without its reduced problem")
-        return cast("_Origin", self._origin).reduced
+        return cast("_OriginOfUnknowns", self._origin).reduced
 
     def impose(self) -> Solution:
         """Project the values to roundoff onto all constraints.
@@ -326,7 +326,7 @@ class DaeSolution(Solution):
         Solution
         """
         reduced = self.reduced.impose()
-        return cast("_Origin", self._origin).present(reduced)
+        return cast("_OriginOfUnknowns", self._origin).present(reduced)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save t, y, yp, events, counts and residuals to a file that ``invariode.load`` reads.
@@ -373,7 +373,7 @@ def in_unknowns(
         "_names": Names(names.problem, names.title, list(labels), len(labels), names.events),
         "_sensitivities": _sensitivities(sol, unknowns, p),
         "_rates": lambda: unknowns.yp(sol.t, states, p),
-        "_origin": _Origin(
+        "_origin": _OriginOfUnknowns(
             sol, reduction, present, lambda t, state: unknowns.y.at(t, state, p), _derivatives(sol, unknowns, p)
         ),
     }

@@ -46,7 +46,7 @@ class _UnsolvableError(Exception):
         self.stage, self.is_deficient = stage, is_deficient
 
 
-class Point(NamedTuple):
+class ConsistentPoint(NamedTuple):
     """Values of a DAE and of its derivatives."""
 
     t: float  # the time
@@ -83,7 +83,7 @@ class Starts:
         nodes = [one for stage in self._stages[: None if reduction.algebraic else -1] for one in stage.equations]
         return any(node.op == "p" for node in in_order([*nodes, *reduction.structure.definitions]))
 
-    def nearest(self, guess: Point, known: Array, fixed: Collection[Variable]) -> Array:
+    def nearest(self, guess: ConsistentPoint, known: Array, fixed: Collection[Variable]) -> Array:
         """Return the consistent x_j^(l), l <= d_j, (levels, n), nearest to a guess.
 
         Parameters
@@ -122,7 +122,7 @@ class Starts:
         self._require_regular(found)
         return found.x
 
-    def _together(self, found: Point, w: Array, fixed: Collection[Variable]) -> Point:
+    def _together(self, found: ConsistentPoint, w: Array, fixed: Collection[Variable]) -> ConsistentPoint:
         """Solve all stages at once: values of an early stage give way to fixed ones of a later one."""
         n, d = self._reduction.n, self._reduction.arrangement.offsets.d
         equations = [one for stage in self._stages for one in stage.equations]
@@ -136,7 +136,7 @@ class Starts:
             raise InvariantError(text or str(error)) from None
         return found
 
-    def _overdetermined(self, stage: _Stage, at: Point, fixed: Collection[Variable]) -> str:
+    def _overdetermined(self, stage: _Stage, at: ConsistentPoint, fixed: Collection[Variable]) -> str:
         """Return which fixed values follow from others, and by which equations: rows u with uᵀ A = 0 on what is
         free."""
         _, A = stage.evaluate(at)
@@ -163,7 +163,7 @@ class Starts:
             + f". The equations leave {free_values} value{'s' * (free_values != 1)} free: fix fewer, or correct them"
         )
 
-    def _require_regular(self, at: Point) -> None:
+    def _require_regular(self, at: ConsistentPoint) -> None:
         for one in conditions(self._reduction, at):
             if one.is_singular:
                 text = f"the start is a singular point: {one.in_words()}. Start elsewhere"
@@ -205,7 +205,7 @@ class BlockCondition(NamedTuple):
         )
 
 
-def conditions(reduction: Reduction, at: Point) -> list[BlockCondition]:
+def conditions(reduction: Reduction, at: ConsistentPoint) -> list[BlockCondition]:
     """Return how well each block of J determines its unknowns at a point."""
     found = []
     for block in reduction.arrangement.blocks:
@@ -246,7 +246,7 @@ class _Stage:
             self._made = [place for place, _ in kept], Values(nodes), levels
         return self._made
 
-    def evaluate(self, at: Point) -> tuple[Array, Array]:
+    def evaluate(self, at: ConsistentPoint) -> tuple[Array, Array]:
         """Return the residuals and their derivatives with respect to all that the stage may move."""
         places, values, levels = self._code()
         room = np.zeros((max(levels, len(at.x)), self._n))
@@ -259,7 +259,7 @@ class _Stage:
             A[rows, columns] = found[m:]
         return found[:m], A
 
-    def solve(self, at: Point, w: Array, fixed: Collection[Variable]) -> None:
+    def solve(self, at: ConsistentPoint, w: Array, fixed: Collection[Variable]) -> None:
         """Move the x of a point onto the equations, by the smallest change in the weights, without moving what is
         fixed."""
         t, x, _ = at

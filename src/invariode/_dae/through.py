@@ -16,7 +16,7 @@ from .._problem.events import Event
 Consistent: TypeAlias = Callable[[float, Array, tuple[Array, Array], tuple[Array, Array], Sequence[Any]], Array]
 
 
-class Through:
+class ThroughUnknowns:
     """Makes functions of (t, state, *args) from functions of (t, y, *args).
 
     - `unknowns`: y and y' as functions of the state, as in `Unknowns`

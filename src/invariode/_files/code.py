@@ -33,7 +33,7 @@ class BoundFunction(NamedTuple):
     owner: Any
 
 
-class _Contents(Contents):
+class _PortableContents(Contents):
     """Takes values apart into what is equal in every process: no types of users, and no identity of equal values.
     Arrays become digests; other objects are noted."""
 
@@ -58,7 +58,7 @@ class _Contents(Contents):
 
 def digest(value: Any) -> str:
     """Return a short number for numbers, text and arrays, alone or in containers; other objects do not count."""
-    return hashlib.blake2b(repr(_Contents().of(value)).encode(), digest_size=6).hexdigest()
+    return hashlib.blake2b(repr(_PortableContents().of(value)).encode(), digest_size=6).hexdigest()
 
 
 def digest_of_code(value: Any) -> str | None:
@@ -179,7 +179,7 @@ def _reached(first: BoundFunction) -> list[_Uses]:
             continue
         seen.add(key)
         found.append(_Uses(method))
-        values = _Contents()
+        values = _PortableContents()
         values.of([value for _, _, value in found[-1].values])
         inner = [_method(one) for one in values.others if callable(one)]
         waiting += [one for one in inner if one and one.function.__module__ == method.function.__module__]

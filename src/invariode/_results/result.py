@@ -261,7 +261,7 @@ class Steps(DataRecord):
     correction : ndarray of float
         The size of the correction by projection, in the same norm and unit.
     method : ndarray of str
-        The method that made the step: with ``method="auto"`` one of two. '' in files of former versions.
+        The method that made the step: with ``method="auto"`` one of two.
     """
 
     def __init__(self, rows: Array | Run, methods: Sequence[str]) -> None:

@@ -221,7 +221,7 @@ def odeint(
     return _rows(sol.y, asked), _information(sol, asked, counter, message)
 
 
-class _Call(NamedTuple):
+class _OdeintCall(NamedTuple):
     """Checked arguments of `odeint` that are the same in many calls."""
 
     tfirst: bool
@@ -254,7 +254,7 @@ def _call(
     printmessg: Any,
     tfirst: Any,
     method: Any,
-) -> _Call:
+) -> _OdeintCall:
     idle = {"hmin": number("hmin", hmin), "ixpr": _switch("ixpr", ixpr), "mxhnil": number("mxhnil", mxhnil)}
     texts = [f"{name} has no effect: it controls ODEPACK's internals; leave it out" for name in idle if idle[name]]
     chosen: MethodName = "auto" if method is None else method
@@ -266,7 +266,7 @@ def _call(
         "keep": "all" if full else "outputs",
         **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}, texts),
     }
-    return _Call(
+    return _OdeintCall(
         tfirst=_switch("tfirst", tfirst),
         transposed=_switch("col_deriv", col_deriv),
         full=full,
@@ -289,7 +289,7 @@ def _size(name: str, value: Any) -> float:
 
 
 def _problem(
-    call: _Call,
+    call: _OdeintCall,
     counter: _Counter | None,
     func: Any,
     span: tuple[float, float],
@@ -444,7 +444,7 @@ def _rows(y: Array, asked: _Times) -> Array:
     return rows if asked.place is None else rows[asked.place]
 
 
-def _tell(found: Outputs, call: _Call) -> str:
+def _tell(found: Outputs, call: _OdeintCall) -> str:
     """Return the message on how the run ended; issue a warning if it did not reach the last time."""
     status = found.status
     message = "Integration successful." if status == 0 else found.message

@@ -116,7 +116,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparedMethod:
     """The runs of a method at one tolerance; `projected` is None if there is nothing to project."""
 
     method: str
@@ -216,7 +216,7 @@ def _names(pair: Sequence[tuple[MethodName, dict[str, Any]]], rtol: float) -> st
 
 def compare_runs(
     problem: Problem, methods: Sequence[str], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
-) -> Iterator[Row]:
+) -> Iterator[ComparedMethod]:
     """Yield all runs, method by method, by names that `solve` takes, from the largest tolerance on. A method that takes
     too long is not run at smaller tolerances.
 
@@ -226,7 +226,7 @@ def compare_runs(
     for method in methods:
         for rtol in rtols:
             options = {"method": method, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
-            row = Row(method, rtol, *_measured(problem, plain, options, seconds, truth))
+            row = ComparedMethod(method, rtol, *_measured(problem, plain, options, seconds, truth))
             yield row
             if any(run is not None and run.problem == "too long" for run in (row.plain, row.projected)):
                 break
@@ -352,7 +352,7 @@ def judge(errors: Sequence[float], ratios: Sequence[float]) -> tuple[str, float 
     return "mixed", None
 
 
-def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
+def judgements(rows: Sequence[ComparedMethod], floor: float) -> list[Judgement]:
     """Judge each method, projected against plain."""
     found = []
     for method, group in groupby(rows, key=lambda row: row.method):
@@ -364,7 +364,7 @@ def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
     return found
 
 
-def best(rows: Sequence[Row], floor: float) -> Judgement:
+def best(rows: Sequence[ComparedMethod], floor: float) -> Judgement:
     """Compare, at each error, the cheapest methods that reach it, plain and projected.
 
     Errors are left out that a method which is cheaper so far might reach with a tighter tolerance than those tried.
@@ -392,7 +392,7 @@ def _cheapest(curves: Mapping[str, tuple[_CostCurve, _CostCurve]], way: int, err
     return (math.inf if open_ended else cost), method
 
 
-def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | None:
+def cheapest(rows: Sequence[ComparedMethod], floor: float) -> tuple[float, str, float] | None:
     """Return an error in the middle of those that plain runs reach, the method cheapest there, and its time; or
     None."""
     by_method = {method: list(group) for method, group in groupby(rows, key=lambda row: row.method)}
@@ -405,7 +405,7 @@ def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | No
     return error, method, seconds
 
 
-def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_CostCurve, _CostCurve]:
+def _curves(rows: Sequence[ComparedMethod], cost: str, floor: float) -> tuple[_CostCurve, _CostCurve]:
     return (
         _CostCurve([row.plain for row in rows], cost, floor),
         _CostCurve([row.projected for row in rows if row.projected is not None], cost, floor),

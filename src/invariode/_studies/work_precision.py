@@ -17,7 +17,7 @@ from .._base.style import COLOURS as PALETTE
 from .._problem.methods import METHODS, find_method
 from .._problem.problem import Problem
 from .._results.pictures.canvas import drawable, log_axis, require_matplotlib
-from .precision import WAYS, NoReferenceError, Reference, Row, able, compare_runs
+from .precision import WAYS, ComparedMethod, NoReferenceError, Reference, able, compare_runs
 from .precision import reference as agreed_reference
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _truth(problem: Problem, given: Any, ratio: float, limit: float) -> Referenc
     return Reference(along[:, -1], size, "the reference given", int(getattr(given, "status", 0)), 0.0)
 
 
-def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
+def draw(rows: Sequence[ComparedMethod], truth: Reference, name: str, path: Path) -> None:
     """Write the figure to a file, in the style of the paper's."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -150,14 +150,14 @@ def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
         figure.savefig(path, dpi=200)
 
 
-def _draw_costs(axes: Any, rows: Sequence[Row], truth: Reference) -> None:
+def _draw_costs(axes: Any, rows: Sequence[ComparedMethod], truth: Reference) -> None:
     for one, cost in zip(axes, ("f", "seconds"), strict=True):
         _curves(one, rows, cost, truth)
     axes[0].set(xlabel="evaluations of $f$", ylabel="error of the final state")
     axes[1].set(xlabel="time in seconds")
 
 
-def _finish(figure: Any, rows: Sequence[Row], name: str) -> None:
+def _finish(figure: Any, rows: Sequence[ComparedMethod], name: str) -> None:
     """Add title and legend."""
     figure.suptitle(drawable(name), fontsize=10.5, color=INK)
     drawn = [row for row in rows for way in WAYS if (run := row.run(way)) and math.isfinite(run.error)]
@@ -166,7 +166,7 @@ def _finish(figure: Any, rows: Sequence[Row], name: str) -> None:
     figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=2.4, columnspacing=1.4)
 
 
-def _curves(axes: Axes, rows: Sequence[Row], cost: str, truth: Reference) -> None:
+def _curves(axes: Axes, rows: Sequence[ComparedMethod], cost: str, truth: Reference) -> None:
     for method, group in groupby(rows, key=lambda row: row.method):
         own = list(group)
         for way in WAYS:

@@ -20,10 +20,10 @@ from .._problem.methods import Method
 from .._problem.problem import Problem
 from .._studies.precision import (
     WAYS,
+    ComparedMethod,
     Judgement,
     NoReferenceError,
     Reference,
-    Row,
     Run,
     able,
     best,
@@ -130,7 +130,7 @@ def compare(
 
 
 def _print_all(
-    console: Console, problem: Problem, rows: list[Row], truth: Reference, limit: float, quiet: bool
+    console: Console, problem: Problem, rows: list[ComparedMethod], truth: Reference, limit: float, quiet: bool
 ) -> None:
     """Print the answer, then the tables that it follows from."""
     reached = any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run)
@@ -150,7 +150,7 @@ def _print_all(
         raise stop("No run reached the end: raise --limit, or choose other methods or --decades.", code=1)
 
 
-def _answer(problem: Problem, rows: list[Row], truth: Reference) -> str:
+def _answer(problem: Problem, rows: list[ComparedMethod], truth: Reference) -> str:
     if problem.invariants:
         return answer(best(rows, truth.floor))
     fastest = cheapest(rows, truth.floor)
@@ -188,7 +188,7 @@ def _all(
     ratio: float,
     limit: float,
     report: Callable[..., None] | None,
-) -> tuple[Reference, list[Row]]:
+) -> tuple[Reference, list[ComparedMethod]]:
     try:
         truth = reference(problem, ratio, limit)
     except NoReferenceError as none:
@@ -210,7 +210,7 @@ def _all(
 # Tables
 
 
-def _print_runs(console: Console, problem: Problem, rows: Sequence[Row], truth: Reference) -> None:
+def _print_runs(console: Console, problem: Problem, rows: Sequence[ComparedMethod], truth: Reference) -> None:
     both = bool(problem.invariants)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     off = ("off",) if any(run.off is not None for row in rows for run in (row.plain, row.projected) if run) else ()
@@ -251,7 +251,7 @@ def _cells(run: Run, truth: Reference, with_off: bool, with_g: bool) -> list[str
     return [error, *off, *counts, f"{ms:.0f}" if ms >= 100 else f"{ms:.3g}"]
 
 
-def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
+def _print_notes(console: Console, rows: Sequence[ComparedMethod], limit: float) -> None:
     """Print why runs have no error, and for which methods."""
     reasons: dict[str, list[str]] = {}
     for row in rows:
@@ -271,7 +271,7 @@ def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
     console.print()
 
 
-def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -> None:
+def _print_below_zero(console: Console, problem: Problem, rows: Sequence[ComparedMethod]) -> None:
     """Print which component becomes negative in runs, and not in the reference."""
     found = [(row, way, low) for row in rows for way in WAYS if (run := row.run(way)) and (low := run.below_zero)]
     if not found:
@@ -351,7 +351,7 @@ def answer(one: Judgement) -> str:
     return text + _by(one) + _counted(one) + "."
 
 
-def off_the_invariants(rows: Sequence[Row]) -> str | None:
+def off_the_invariants(rows: Sequence[ComparedMethod]) -> str | None:
     """Return a sentence about how far runs end off the invariants, or None if that is not known."""
     ways = [[run.off for row in rows if (run := row.run(way)) and run.off is not None] for way in WAYS]
     if not all(ways):

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, real_numbers
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
-from .._studies.fit.likelihood import FittedModel as Fitted
+from .._studies.fit.likelihood import FittedModel
 from .._studies.fit.parameters import Parameter
-from ..sbml.model import FittedModel
+from ..sbml.model import Model
 from ..sbml.reading import contents
 from .experiments import LN10, Experiments, Period, numbers
 from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
@@ -106,7 +106,7 @@ class Problem:
         self._rows = [one for one in given.parameters.values() if one.estimated]
         self.names = [one.name for one in self._rows]
         columns = {name for one in given.conditions.values() for name in one}
-        self.model = FittedModel(contents(given.model), given={*given.parameters, *columns})
+        self.model = Model(contents(given.model), given={*given.parameters, *columns})
         self._all = Experiments(self.model, given, method, rtol, atol)
         self.nominal = np.array([_scaled(one, one.nominal) for one in self._rows])
         self.lower = np.array([_scaled(one, one.lower) for one in self._rows])
@@ -125,11 +125,11 @@ class Problem:
         return {one.name: _parameter(one) for one in self._rows}
 
     @cached_property
-    def _fit(self) -> Fitted:
+    def _fit(self) -> FittedModel:
         """The experiments with parameters that start at the nominal values."""
         wanted = {one.name: Parameter(start=one.nominal) for one in self._rows}
         method = self._parts[0].experiment.method or "ode15s"
-        return Fitted(self.experiments, wanted, True, method, {})
+        return FittedModel(self.experiments, wanted, True, method, {})
 
     # What users call
 

@@ -26,7 +26,7 @@ from .._functions.graph.structure import replaced
 from .._problem.problem import Problem
 from .expressions import Expression, Translator
 from .library import UnsupportedError
-from .reading import Contents
+from .reading import ModelContents
 
 #: The factor of the rates of fast reactions, whose limit is asked for by ``fast="limit"``.
 FAST = 1e7
@@ -41,7 +41,7 @@ _ITERATIONS, _ARRIVED = 50, 1e-14
 _SMALL = 1e-9
 
 
-class Equations:
+class ModelEquations:
     """A model as y' = f(t, y, p), or M y' = f.
 
     Parameters
@@ -65,7 +65,7 @@ class Equations:
         The diagonal mass matrix, if there are algebraic rules.
     """
 
-    def __init__(self, contents: Contents, fast: bool = False, given: Iterable[str] = ()) -> None:
+    def __init__(self, contents: ModelContents, fast: bool = False, given: Iterable[str] = ()) -> None:
         self.contents, self.graph = contents, Graph()
         self._given, self._fast = {*given}, fast
         self.symbols = [*contents.compartments, *contents.values, *contents.species, *contents.reactions]
@@ -104,7 +104,7 @@ class Equations:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the contents alone, from which nodes are made again: they are equal by identity."""
-        return Equations, (self.contents, self._fast, self._given)
+        return ModelEquations, (self.contents, self._fast, self._given)
 
     # Which symbols are what
 

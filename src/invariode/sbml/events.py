@@ -23,7 +23,7 @@ from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._problem.events import Roots
 from .._sensitivity.actions import OfRoots
-from .equations import Equations, used
+from .equations import ModelEquations, used
 from .expressions import Expression
 from .library import UnsupportedError
 from .reading import EventRule
@@ -51,25 +51,25 @@ Derive = Callable[..., Derivative]
 SAME_TIME = 1e-12
 
 
-class Comparison(NamedTuple):
+class Inequality(NamedTuple):
     """A comparison in a trigger: the difference of its sides, and its relation to zero."""
 
     difference: Node
     relation: str
 
 
-class _Code(NamedTuple):
+class _ConditionCode(NamedTuple):
     """An event, ready to be executed."""
 
     rule: EventRule
-    delay: _Part | None
-    priority: _Part | None
-    values: _Part
+    delay: _EventPiece | None
+    priority: _EventPiece | None
+    values: _EventPiece
     places: list[int]
-    volumes: _Part
+    volumes: _EventPiece
 
 
-class _Part:
+class _EventPiece:
     """Numbers that an event needs: their nodes, and their values."""
 
     def __init__(self, nodes: list[Node]) -> None:
@@ -92,9 +92,9 @@ class EventCode:
     - `has_delays`: whether an event may be executed later than it is triggered
     """
 
-    def __init__(self, equations: Equations) -> None:
+    def __init__(self, equations: ModelEquations) -> None:
         self._equations = equations
-        self.comparisons: list[Comparison] = []
+        self.comparisons: list[Inequality] = []
         self.nodes: list[Node] = []
         self._triggers: list[str] = []
         self.events = [self._event(one) for one in equations.contents.events]
@@ -113,7 +113,7 @@ class EventCode:
     def __reduce__(self) -> tuple[Any, ...]:
         return EventCode, (self._equations,)
 
-    def _event(self, rule: EventRule) -> _Code:
+    def _event(self, rule: EventRule) -> _ConditionCode:
         equations = self._equations
         graph = equations.graph
         number = equations.translator.number
@@ -122,7 +122,7 @@ class EventCode:
         amounts = [equations.is_concentration(n) and equations.is_amount_state[n] for n in names]
         one = graph.node(1.0)
         volumes = [equations.value(equations.volume(n)) if yes else one for n, yes in zip(names, amounts, strict=True)]
-        return _Code(
+        return _ConditionCode(
             rule,
             None if rule.delay is None else self._function([number(rule.delay)]),
             None if rule.priority is None else self._function([number(rule.priority)]),
@@ -131,9 +131,9 @@ class EventCode:
             self._function(volumes),
         )
 
-    def _function(self, nodes: list[Node]) -> _Part:
+    def _function(self, nodes: list[Node]) -> _EventPiece:
         self.nodes += nodes
-        return _Part(nodes)
+        return _EventPiece(nodes)
 
     def _truth(self, one: Expression) -> str:
         """Return a condition as Python's code, of the truths B of comparisons."""
@@ -165,7 +165,7 @@ class EventCode:
 
     def _place(self, op: str, x: Expression, y: Expression) -> int:
         number = self._equations.translator.number
-        found = Comparison(number(x) - number(y), op)
+        found = Inequality(number(x) - number(y), op)
         if found not in self.comparisons:
             self.comparisons.append(found)
         return self.comparisons.index(found)
@@ -216,7 +216,7 @@ class Machine:
     - `seed`: of the order in which events of one priority, or of none, are executed at one time
     """
 
-    def __init__(self, code: EventCode, equations: Equations, seed: int = 0) -> None:
+    def __init__(self, code: EventCode, equations: ModelEquations, seed: int = 0) -> None:
         self.code, self.equations, self._seed = code, equations, seed
         self._t0 = -np.inf
         self.p = np.zeros(0)
@@ -533,7 +533,7 @@ class MachineDerivatives:
     def _part(self, event: int, name: str) -> Derivative:
         key = event, name
         if key not in self._made:
-            part: _Part = getattr(self._machine.code.events[event], name)
+            part: _EventPiece = getattr(self._machine.code.events[event], name)
             self._made[key] = part.derivatives(self._of, f"{name} of {self._machine.code.events[event].rule.name}")
         return self._made[key]
 
@@ -606,7 +606,7 @@ class MachineDerivatives:
             return dy
         places = [equations.place[name] for name in equations.matched]
         if (-1, "rules") not in self._made:
-            self._made[-1, "rules"] = _Part(equations.rules).derivatives(self._of, "algebraic rules")
+            self._made[-1, "rules"] = _EventPiece(equations.rules).derivatives(self._of, "algebraic rules")
         rules, moved = self._made[-1, "rules"], dy.copy()
         moved[:, places] = 0
         off = rules.columns(t, y, dt, moved, dp)

@@ -28,10 +28,10 @@ from .._problem.methods import METHODS
 from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._solve.prepared import PreparedSolver
-from .equations import FAST, Equations, used
+from .equations import FAST, ModelEquations, used
 from .events import SAME_TIME, EventCode, Machine, is_clock, times_of_roots
 from .past import with_past_as_states
-from .reading import Contents
+from .reading import ModelContents
 
 
 class Table(Mapping[str, Array]):
@@ -98,7 +98,7 @@ class ModelEvent:
     persistent: bool
 
 
-class _Start:
+class _InitialState:
     """The initial state of a problem as a function of its parameters, a record: after events at the start, and
     consistent with algebraic rules.
 
@@ -135,7 +135,7 @@ class _Start:
         return Formula("y0", lambda: inside, (len(nodes),))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Start, (self._model, self._t0, self._p, self._machine)
+        return _InitialState, (self._model, self._t0, self._p, self._machine)
 
     @property
     def varies(self) -> bool:
@@ -163,10 +163,10 @@ class Model:
         Totals of amounts that the reactions conserve: whole coefficients by species, from the stoichiometry, exactly.
     """
 
-    def __init__(self, contents: Contents, fast: bool = False, given: Iterable[str] = ()) -> None:
+    def __init__(self, contents: ModelContents, fast: bool = False, given: Iterable[str] = ()) -> None:
         with_past_as_states(contents)
         self._contents, self._fast = contents, fast
-        self._equations = Equations(contents, fast, given)
+        self._equations = ModelEquations(contents, fast, given)
         self._others: dict[frozenset[str], Model] = {}
         #: What simulations of one kind have in common: readers of columns, and solvers.
         self._readers: Latest[tuple[str, ...], ArrayFunction] = Latest()
@@ -327,7 +327,7 @@ class Model:
             machine = Machine(model._events, model._equations)
             y0 = machine.start(t0, y0, p)
             more["events"] = machine.functions(model._differences, once=False)
-        start = _Start(model, t0, p, machine)
+        start = _InitialState(model, t0, p, machine)
         follows = bool(model.states and model._names) and not model._equations.delays and start.varies
         return model._problem(t_span, p, start if follows else y0, moieties, **more)
 
@@ -347,7 +347,7 @@ class Model:
         self,
         t_span: tuple[float, float],
         p: Array,
-        y0: Array | _Start,
+        y0: Array | _InitialState,
         moieties: bool,
         explicit: bool = False,
         **more: Any,

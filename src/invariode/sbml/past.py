@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 from .expressions import Expression
 from .library import UnsupportedError
-from .reading import Contents, EventRule
+from .reading import EventRule, ModelContents
 
 
-def with_past_as_states(contents: Contents) -> None:
+def with_past_as_states(contents: ModelContents) -> None:
     """Replace each delay() in events by a new state.
 
     Raises UnsupportedError: An event assigns a variable whose past an event uses.
@@ -47,7 +47,7 @@ def _replaced(rule: EventRule, symbol: Callable[[Expression], Expression]) -> Ev
     )
 
 
-def _state(contents: Contents, one: Expression, name: str) -> str:
+def _state(contents: ModelContents, one: Expression, name: str) -> str:
     """Return the symbol of a new state, the delayed value."""
     value, delay = one.arguments
     assigned = {target for rule in contents.events for target in rule.assignments}
@@ -62,7 +62,7 @@ def _state(contents: Contents, one: Expression, name: str) -> str:
     return name
 
 
-def _symbols(contents: Contents, one: Expression, seen: set[str]) -> set[str]:
+def _symbols(contents: ModelContents, one: Expression, seen: set[str]) -> set[str]:
     """Return the symbols that a value depends on, directly or by rules."""
     for name in one.names() - seen:
         seen.add(name)

@@ -86,7 +86,7 @@ class EventRule:
 
 
 @dataclass
-class Contents:
+class ModelContents:
     """Contents of the file of a model."""
 
     name: str
@@ -106,7 +106,7 @@ class Contents:
     ignored: list[str] = field(default_factory=list)  # what has no effect on a simulation
 
 
-def contents(source: str) -> Contents:
+def contents(source: str) -> ModelContents:
     """Read a model from a path, or from its text.
 
     Raises FileNotFoundError: There is no such file.
@@ -116,7 +116,7 @@ def contents(source: str) -> Contents:
     L = libsbml()
     document, folder = _document(L, source)
     model = document.getModel()
-    found = Contents(model.getId() or model.getName() or "model", model.getLevel())
+    found = ModelContents(model.getId() or model.getName() or "model", model.getLevel())
     _require_packages(document, found)
     _require_valid(L, document, found)
     if model.getPlugin("comp") is not None:
@@ -160,7 +160,7 @@ def _document(L: Any, source: str) -> tuple[Any, str]:
     return document, folder
 
 
-def _require_valid(L: Any, document: Any, found: Contents) -> None:
+def _require_valid(L: Any, document: Any, found: ModelContents) -> None:
     """Raise an error where the model breaks SBML's rules: ids that are taken, symbols that are not defined, several
     rules for one variable, and so on. Errors whose meaning is clear go into `found.ignored`."""
     checked = (
@@ -213,7 +213,7 @@ def _from_antimony(path: str) -> str:
     return text
 
 
-def _require_packages(document: Any, found: Contents) -> None:
+def _require_packages(document: Any, found: ModelContents) -> None:
     for i in range(document.getNumPlugins()):
         plugin = document.getPlugin(i)
         name = plugin.getPackageName()
@@ -241,7 +241,7 @@ def _convert(L: Any, document: Any, what: str, **options: Any) -> None:
         raise UnsupportedError(what, f"libSBML cannot {what}: {why}")
 
 
-def _symbols(model: Any, found: Contents) -> None:
+def _symbols(model: Any, found: ModelContents) -> None:
     """Read compartments, species and parameters into `found`."""
     for one in model.getListOfCompartments():
         dimensions = one.getSpatialDimensionsAsDouble()
@@ -269,13 +269,13 @@ def _symbols(model: Any, found: Contents) -> None:
         _value(found, one.getId(), one.getValue() if one.isSetValue() else math.nan, one.getConstant())
 
 
-def _value(found: Contents, name: str, value: float, constant: bool) -> None:
+def _value(found: ModelContents, name: str, value: float, constant: bool) -> None:
     found.values[name] = value
     if constant:
         found.constants.add(name)
 
 
-def _rules(model: Any, found: Contents) -> None:
+def _rules(model: Any, found: ModelContents) -> None:
     for one in model.getListOfRules():
         if not one.isSetMath():
             continue
@@ -291,7 +291,7 @@ def _rules(model: Any, found: Contents) -> None:
             found.initial[one.getSymbol()] = read(one.getMath())
 
 
-def _reactions(model: Any, found: Contents) -> None:
+def _reactions(model: Any, found: ModelContents) -> None:
     for one in model.getListOfReactions():
         law = one.getKineticLaw()
         formula = read(law.getMath()) if law is not None and law.isSetMath() else None

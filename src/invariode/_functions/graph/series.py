@@ -149,7 +149,7 @@ class Unrolled(SeriesWriter):
             return 0.0
         if node.op in ("solve", "entry"):
             return self._of_system(node, k)
-        at = _Coefficients(self, k)
+        at = _CodeOfCoefficients(self, k)
         if node not in self._program.rules:
             return linear(node, at, self._program.degrees)
         made = self._program.rules[node]
@@ -250,7 +250,7 @@ class Unrolled(SeriesWriter):
         return self._entries[key]
 
 
-class _Coefficients:
+class _CodeOfCoefficients:
     """Known coefficients when those of order k are computed."""
 
     def __init__(self, writer: Unrolled, k: int) -> None:

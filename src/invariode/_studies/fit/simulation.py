@@ -30,7 +30,7 @@ from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
 from ..steady import Found, NotFound, SteadyStates
 from .experiment import Experiment, Failed, Series
-from .through import Curves, Settings, Through
+from .through import Curves, ParameterPlaces, Through
 
 
 class Simulated(NamedTuple):
@@ -44,7 +44,7 @@ class Simulated(NamedTuple):
     sigma_tangent: Array | None = None
 
 
-class _Start(NamedTuple):
+class _RunStart(NamedTuple):
     """Start of a run: arguments, initial value, and its derivatives for the parameters of the experiment, (n, k); None
     if these are not wanted."""
 
@@ -65,7 +65,7 @@ class _Runs:
             with suppress(TypeError), np.errstate(all="ignore"):  # it cannot be traced
                 self._problems.insert(0, problem.replace(fun=compile(problem.fun, by="trace")))
 
-    def __call__(self, start: _Start, dy0dp: Array | None) -> Solution | Failed:
+    def __call__(self, start: _RunStart, dy0dp: Array | None) -> Solution | Failed:
         """Return a run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f
         as it was given says why, also by an exception. `dy0dp`: ∂y0/∂p for the run's sensitivities."""
         *compiled, given = self._problems
@@ -75,7 +75,7 @@ class _Runs:
                     return found
         return self._run(given, start, dy0dp)
 
-    def _run(self, problem: Problem, start: _Start, dy0dp: Array | None) -> Solution | Failed:
+    def _run(self, problem: Problem, start: _RunStart, dy0dp: Array | None) -> Solution | Failed:
         try:
             with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
@@ -103,17 +103,19 @@ class Simulation:
         values: Array,
         method: MethodName,
         options: Options,
-        states: dict[Any, _Known],
+        states: dict[Any, _KnownStates],
     ) -> None:
         self.experiment, self._names = experiment, names
         self._method, self._options, self._states = experiment.method or method, options, states
         problem, k = experiment.problem, len(names)
         #: Numbers that parameters set, in the run and in the pre-equilibration.
-        self._own = Settings(names, [(j, one) for j in range(k) for one in experiment.entries(names[j])], problem.args)
-        self._before: Settings | None = None
+        self._own = ParameterPlaces(
+            names, [(j, one) for j in range(k) for one in experiment.entries(names[j])], problem.args
+        )
+        self._before: ParameterPlaces | None = None
         if experiment.before is not None:
             entries = [(j, one) for j in range(k) for one in experiment.entries_before(names[j])]
-            self._before = Settings(names, entries, experiment.before.problem.args)
+            self._before = ParameterPlaces(names, entries, experiment.before.problem.args)
         t0, tf = problem.t_span
         at, n = Point(t0, problem.y0), len(problem.y0)
         start = _guesses(experiment, names, values)
@@ -160,7 +162,7 @@ class Simulation:
         found = {j for j, one in self._own.entries if one.kind == "y0"}
         first = _used_by(self.experiment.start) if self.experiment.start is not None else set()
 
-        def inside(settings: Settings, numbers: set[int] | None) -> set[int]:
+        def inside(settings: ParameterPlaces, numbers: set[int] | None) -> set[int]:
             return {
                 j
                 for j, one in settings.entries
@@ -195,7 +197,7 @@ class Simulation:
             sizes.append(float(max(size, floor[one.index]) if one.kind == "y0" else size) or 1.0)
         return sizes
 
-    def _slopes_of_start(self, start: _Start) -> Array | None:
+    def _slopes_of_start(self, start: _RunStart) -> Array | None:
         """Return the derivatives of the initial value for the numbers in args that a run has sensitivities for; None:
         they are zero, or not wanted."""
         own = [j for j, one in self._columns if one.kind == "args"]
@@ -208,7 +210,7 @@ class Simulation:
                 seen.add(j)
         return S0
 
-    def _parameters(self, S: Array, start: _Start, k: int) -> Array:
+    def _parameters(self, S: Array, start: _RunStart, k: int) -> Array:
         """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, columns)."""
         assert start.slopes is not None
         if [j for j, _ in self._columns] == [*range(k)]:  # they are the same
@@ -226,12 +228,12 @@ class Simulation:
     # The start
 
     @staticmethod
-    def _values(settings: Settings, problem: Problem, values: Array) -> tuple[tuple[Any, ...], Array]:
+    def _values(settings: ParameterPlaces, problem: Problem, values: Array) -> tuple[tuple[Any, ...], Array]:
         return with_values(
             problem.args, problem.y0, [one for _, one in settings.entries], values[[j for j, _ in settings.entries]]
         )
 
-    def _start(self, values: Array, slopes: bool) -> _Start | Failed:
+    def _start(self, values: Array, slopes: bool) -> _RunStart | Failed:
         """Return the start of a run, after the pre-equilibration if there is one."""
         begun = self._begun(self._own, self.experiment.problem, values, slopes)
         if self._before is None or self.experiment.before is None:
@@ -244,9 +246,9 @@ class Simulation:
         rest.y0[again] = begun.y0[again]
         if rest.slopes is not None and begun.slopes is not None:
             rest.slopes[again] = begun.slopes[again]
-        return _Start(begun.args, rest.y0, rest.slopes)
+        return _RunStart(begun.args, rest.y0, rest.slopes)
 
-    def _begun(self, settings: Settings, problem: Problem, values: Array, slopes: bool) -> _Start:
+    def _begun(self, settings: ParameterPlaces, problem: Problem, values: Array, slopes: bool) -> _RunStart:
         """Return the initial values with these settings."""
         args, y0 = self._values(settings, problem, values)
         S = None
@@ -256,10 +258,12 @@ class Simulation:
                 if one.kind == "y0":
                     S[one.index, j] = 1.0
         if self._first is None:
-            return _Start(args, y0, S)
+            return _RunStart(args, y0, S)
         first = self._first if settings is self._own else self._first_before
         found = first(np.array(problem.t_span[:1]), y0[:, None], None if S is None else S[:, None], values, args)
-        start = _Start(args, found.values[:, 0].copy(), None if found.tangent is None else found.tangent[:, 0].copy())
+        start = _RunStart(
+            args, found.values[:, 0].copy(), None if found.tangent is None else found.tangent[:, 0].copy()
+        )
         for j, one in settings.entries if self.experiment.starts_as_problem else ():
             if one.kind == "y0":
                 start.y0[one.index] = y0[one.index]
@@ -277,7 +281,7 @@ class Simulation:
         at = Point(problem.t_span[0], problem.y0)
         return Through([self.experiment.start], [{}], self._before, at, guesses, "y0")
 
-    def _at_rest(self, settings: Settings, problem: Problem, start: _Start) -> _Start | Failed:
+    def _at_rest(self, settings: ParameterPlaces, problem: Problem, start: _RunStart) -> _RunStart | Failed:
         """Return the steady state to which a start leads, with its derivatives."""
         uses = _used(problem)
         entries = [(j, one) for j, one in settings.entries if one.kind == "args"]
@@ -289,7 +293,7 @@ class Simulation:
         columns += [(j, ParameterName("", "y0", 0)) for j in range(k) if j not in there]  # by way of y0 alone
         key = (id(problem.fun), id(problem.matrices.mass), problem.t_span[0], tuple(one for _, one in columns))
         if key not in self._states:
-            self._states[key] = _Known(SteadyStates(problem, [one for _, one in columns], "ode15s"))
+            self._states[key] = _KnownStates(SteadyStates(problem, [one for _, one in columns], "ode15s"))
         S0, seen = None, set[int]()
         if start.slopes is not None:
             S0 = np.zeros((len(start.y0), len(columns)))
@@ -303,17 +307,17 @@ class Simulation:
         if not found.stable:
             return Failed("the steady state that was found is not stable")
         if S0 is None:
-            return _Start(start.args, found.y.copy(), None)
+            return _RunStart(start.args, found.y.copy(), None)
         if found.slopes is None or np.isnan(found.slopes).any():
             return Failed("the steady state is not isolated: others with the same totals are beside it")
         S = np.zeros((len(start.y0), k))
         for column, (j, _) in enumerate(columns):
             S[:, j] += found.slopes[:, column]
-        return _Start(start.args, found.y.copy(), S)
+        return _RunStart(start.args, found.y.copy(), S)
 
     # Runs
 
-    def _runs(self, times: Array, start: _Start) -> Solution | Failed:
+    def _runs(self, times: Array, start: _RunStart) -> Solution | Failed:
         """Return a run with output at these times, to the last of them if no events are measured."""
         slopes = start.slopes is not None
         key = slopes, times.tobytes()
@@ -366,7 +370,7 @@ class Simulation:
             return Failed("sigma is not positive and finite")
         return Simulated(every[:, 0], every[:, 1:], sigma[:, 0], sigma[:, 1:])
 
-    def _all_curves(self, sol: Any, start: _Start, values: Array) -> _Curves | Failed:
+    def _all_curves(self, sol: Any, start: _RunStart, values: Array) -> _ObservedCurves | Failed:
         """Return the observed quantities at the times of the data; at infinity in the steady state."""
         t = self.experiment.data.t
         y, which = np.empty((len(start.y0), len(t))), np.isfinite(t)
@@ -388,19 +392,19 @@ class Simulation:
                 tangent[:, ~which] = rest.slopes[:, None]
         return self._curves(t, y, tangent, values, start)
 
-    def _tangent(self, sol: Any, start: _Start, k: int) -> Array:
+    def _tangent(self, sol: Any, start: _RunStart, k: int) -> Array:
         none = np.zeros((*sol.y.shape, 0))
         S = np.moveaxis(sol.sensitivities, 1, 2) if self._columns else none
         return self._parameters(S, start, k)
 
-    def _curves(self, t: Array, y: Array, tangent: Array | None, values: Array, start: _Start) -> _Curves:
+    def _curves(self, t: Array, y: Array, tangent: Array | None, values: Array, start: _RunStart) -> _ObservedCurves:
         if self._watch is not None:
             found = self._watch(t, y, tangent, values, start.args)
-            return _Curves(found.values, found.tangent)
+            return _ObservedCurves(found.values, found.tangent)
         places = self.experiment.observation.components
-        return _Curves(y[places], None if tangent is None else tangent[places])
+        return _ObservedCurves(y[places], None if tangent is None else tangent[places])
 
-    def _occurrences(self, sol: Any, start: _Start, one: Series, k: int) -> Array | Failed:
+    def _occurrences(self, sol: Any, start: _RunStart, one: Series, k: int) -> Array | Failed:
         """Return times of an event with their derivatives, (occurrences, 1 + k)."""
         event = [*self.experiment.events][one.row - len(self.experiment.data.values)]
         times, needed = sol.t_events[event], int(one.places[-1]) + 1
@@ -438,13 +442,13 @@ class Simulation:
     def solution(self, values: Array) -> Solution:
         """Return a run without sensitivities, as users make it."""
         start = self._start(values, slopes=False)
-        assert isinstance(start, _Start)  # it was, in the fit
+        assert isinstance(start, _RunStart)  # it was, in the fit
         problem = self._problem.replace(args=start.args, y0=start.y0, sensitivities=None)
         options: Options = {"dense_output": True, **self._options}
         return problem.solve(self._method, **options)
 
 
-class _Known:
+class _KnownStates:
     """Steady states, of which the last ones are remembered: several experiments may begin with the same one."""
 
     def __init__(self, states: SteadyStates) -> None:
@@ -457,7 +461,7 @@ class _Known:
         return self._last.find(key, lambda: self._states.at(args, y0, S0))
 
 
-class _Curves(NamedTuple):
+class _ObservedCurves(NamedTuple):
     """Quantities over time, (q, m), with their derivatives, (q, m, k); None: not wanted."""
 
     values: Array
@@ -475,7 +479,7 @@ def _guesses(experiment: Experiment, names: Sequence[str], values: Array) -> Arr
     return np.array([value if one is None else one for one, value in zip(known, values.tolist(), strict=True)])
 
 
-def _watch(experiment: Experiment, settings: Settings, at: Point, guesses: Array) -> Through | None:
+def _watch(experiment: Experiment, settings: ParameterPlaces, at: Point, guesses: Array) -> Through | None:
     """Return the observed quantities, with sigma after them if it is a function; None: components alone."""
     observation, sigma, m = experiment.observation, experiment.sigma_function, len(experiment.data.values)
     if observation.function is None and sigma is None:

@@ -27,7 +27,7 @@ class Curves(NamedTuple):
     tangent: Array | None
 
 
-class Settings(NamedTuple):
+class ParameterPlaces(NamedTuple):
     """Places of an experiment's parameters."""
 
     names: Sequence[str]  # the parameters, in the order of their values
@@ -64,21 +64,21 @@ class Through:
         self,
         functions: Sequence[Any],
         extras: Sequence[Mapping[str, float | None]],
-        settings: Settings,
+        settings: ParameterPlaces,
         at: Point,
         guesses: Array,
         called: str,
     ) -> None:
         self._settings, self._n = settings, len(at.y)
         self._derivatives: Derivative | None = None
-        self._fast: _OnGraph | None = None
+        self._fast: _ThroughGraph | None = None
         formulas = [_formula(one) for one in functions]
         if all(one is not None for one in formulas):
             nodes = [node for one in formulas if one is not None for node in one.outputs]
             places = {
                 place_of(settings.args, one.index, one.item): j for j, one in settings.entries if one.kind == "args"
             }
-            self._fast = _OnGraph(nodes, self._n, "p", places)
+            self._fast = _ThroughGraph(nodes, self._n, "p", places)
             return
         n, names = self._n, settings.names
         for one in extras:
@@ -102,7 +102,7 @@ class Through:
             _tell(self._derivatives)
         if (graph := self._derivatives.graph) is not None:
             try:
-                self._fast = _OnGraph(graph.outputs, n, "y", {n + j: j for j in range(len(names))})
+                self._fast = _ThroughGraph(graph.outputs, n, "y", {n + j: j for j in range(len(names))})
             except NotImplementedError:  # an operation that takes one time after the other
                 self._fast = None
 
@@ -168,7 +168,7 @@ def _formula(function: Any) -> Formula | None:
     return inside if isinstance(inside, Formula) else None
 
 
-class _OnGraph:
+class _ThroughGraph:
     """Nodes at many times at once, with their derivatives for y and for the parameters at `places` of p, or of y."""
 
     def __init__(self, nodes: Sequence[Node], n: int, op: str, places: Mapping[int, int]) -> None:
