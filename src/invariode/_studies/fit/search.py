@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import EPS, Array
-from .likelihood import ModelValues, FittedModel
+from .likelihood import FittedModel, ModelValues
 from .parameters import Priors
 from .trust_region import QuadraticModel, minimise
 
