@@ -133,17 +133,18 @@ TEST(a_manifold_outside_of_the_bounds_is_no_success) {
   CHECK(set.project(0, from.data(), y.data()).outcome == Outcome::not_finite);
 }
 
-TEST(components_that_lead_out_are_found) {
+TEST(slopes_that_lead_out_are_found) {
   const Bounds bounds({0, -infinite, 0, 1}, {infinite, 2, 1, 1});
-  const std::vector<double> y{-0.1, 2, 0.5, 1}, slope{-1, 3, -4, 5};
-  std::vector<std::size_t> found;
-  bounds.find_outward(y.data(), 1, slope.data(), found);
-  CHECK((found == std::vector<std::size_t>{0, 1, 3}));
-  bounds.find_outward(y.data(), -1, slope.data(), found);  // backwards these lead in
-  CHECK((found == std::vector<std::size_t>{3}));
-  const std::vector<double> undefined{std::numeric_limits<double>::quiet_NaN(), 0, 0, 0};
-  bounds.find_outward(y.data(), 1, undefined.data(), found);
-  CHECK(found.empty());
+  const std::vector<double> y{-0.1, 2, 0.5, 1};
+  const auto outward = [&](double forward, const std::vector<double>& slope) {
+    std::vector<std::size_t> components;
+    for (const Bounds::Interval& one : bounds.intervals())
+      if (Bounds::leads_out(one, y.data(), forward, slope.data())) components.push_back(one.component);
+    return components;
+  };
+  CHECK((outward(1, {-1, 3, -4, 5}) == std::vector<std::size_t>{0, 1, 3}));
+  CHECK((outward(-1, {-1, 3, -4, 5}) == std::vector<std::size_t>{3}));  // backwards the others lead in
+  CHECK(outward(1, {std::numeric_limits<double>::quiet_NaN(), 0, 0, 0}).empty());
 }
 
 TEST(wrong_bounds_are_refused) {
