@@ -27,16 +27,17 @@ from invariode._functions.graph.rounding import bounds
 pytestmark = pytest.mark.filterwarnings("ignore:initial values were moved")
 
 
-def off_constraints(sol: iv.Solution) -> float:
-    """The largest residual of all constraints at the outputs, in units of a bound of its roundoff: that of its
-    operations, and of the rounding of what they are applied to."""
+def off_constraints(sol: iv.Solution, most: int = 25) -> float:
+    """The largest residual of all constraints at `most` of the outputs, in units of a bound of its roundoff: that of
+    its operations, and of the rounding of what they are applied to."""
     origin = sol._origin
     p, worst = np.array(origin.source.problem.args), 0.0
     for level in origin.reduction.levels:
         rows = jacobian(level.in_states, [origin.reduction.graph.y(k) for k in range(len(origin.reduction.states))])
         entries = [(i, k, node) for i, row in enumerate(rows) for k, node in row.items()]
         values, slopes = Values(level.in_states), Values([node for *_, node in entries])
-        for t, state in zip(sol.t.tolist(), origin.reduced.y.T, strict=True):
+        for at in np.unique(np.linspace(0, len(sol.t) - 1, most).astype(int)):
+            t, state = float(sol.t[at]), origin.reduced.y[:, at]
             error = np.array(bounds(level.in_states, t, state.tolist(), p.tolist())) + 1e-30
             for (i, k, _), slope in zip(entries, slopes(t, state, p), strict=True):
                 error[i] += EPS * abs(slope * state[k])
@@ -88,15 +89,11 @@ def test_prescribed_motion_has_no_error_whatever_the_tolerance():
 def test_all_constraints_are_satisfied_to_roundoff_by_every_method_at_every_tolerance():
     """At the steps and between them, in units of a bound of roundoff; index 3 to 9."""
     cases = [PROBLEMS["pendulum"], PROBLEMS["two pendula"], PROBLEMS["squeezer"], pendula(4)]
-    for k, (method, rtol) in enumerate(
-        (method, rtol) for method in ("dop853", "ode113", "ode15s", "radau", "taylor") for rtol in (1e-3, 1e-9)
-    ):
-        problem = cases[k % len(cases)]
-        times = np.linspace(*problem.t_span, 5)
-        for options in ({}, {"t_eval": times}):
-            sol = problem.solve(method, rtol, **options)
-            assert sol.success
-            assert off_constraints(sol) <= 10, (method, rtol)
+    methods = [name for name, one in iv.METHODS.items() if one.equations != "second-order"]
+    for k, (method, rtol) in enumerate((method, rtol) for rtol in (1e-3, 1e-6) for method in methods):
+        sol = cases[k % len(cases)].solve(method, rtol, refine=2)
+        assert sol.success
+        assert off_constraints(sol, 10) <= 10, (method, rtol)
 
 
 def test_constraints_that_switch_with_t():

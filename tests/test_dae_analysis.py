@@ -14,6 +14,7 @@ from dae_problems import (
     pendula,
     pendulum,
 )
+from invariode._dae.linear_systems import orientation
 
 pytestmark = pytest.mark.filterwarnings("ignore:initial values were moved")
 
@@ -250,6 +251,8 @@ def test_what_solve_dae_does_not_take_is_named():
     def decay(t, y, yp):
         return [yp[0] + y[0]]
 
+    with pytest.raises(ValueError, match="rkn86 is for y'' = f.t, y., and solve_dae reduces F to y' = f"):
+        iv.solve_dae(decay, (0, 1), [1], method="rkn86")
     for name, message in (("delays", "solve_ivp"), ("inputs", "call the Input"), ("mass", "write M y' in F")):
         with pytest.raises(TypeError, match=f"solve_dae takes no {name}: .*{message}"):
             iv.solve_dae(decay, (0, 1), [1], **{name: [1.0]})
@@ -304,6 +307,38 @@ def test_singular_points_are_named_by_equation_and_unknown():
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Starts
+
+
+def test_singular_points_that_a_run_passes_are_named():
+    """The run that passes a point where the determinant of a block of J changes its sign warns, with every kind of
+    method, and names the equations and unknowns. A state that an action moves to the other side, and an equation that
+    switches, pass no such point."""
+    cases = (
+        (lambda t, y, yp: [yp[0] - y[1], (t - 1) * y[1] - y[0]], [1, -1], r"F\[1\] did not determine y\[0\]'"),
+        (lambda t, y, yp: [yp[0] + y[0], (t - 1) * y[1] - 1], [1, -1], r"F\[1\] .* y\[1\] where ∂F\[1\]/∂y\[1\], now"),
+        (
+            lambda t, y, yp: [yp[0] + y[1] + y[0], y[1] + y[2] - 1, t * y[1] + y[2] - t],
+            [1, 1, 0],
+            r"F\[1\], F\[2\] did not determine y\[1\], y\[2\] where their matrix was singular, between t = [01].* and [12]",
+        ),
+    )
+    for (F, y0, message), method in zip(cases, ("dop853", "radau", "ode15s"), strict=True):
+        with pytest.warns(UserWarning, match=message):
+            iv.solve_dae(F, (0, 2), y0, method=method, nonnegative=False, keep="end")
+
+    def branches(t, y, yp):
+        return [yp[0] - 1, y[0] * y[1] - 1, np.where(y[0] < 2, 1.0, -1.0) * y[2] - 1]
+
+    across = iv.Event(lambda t, y: y[0] + 0.5, action=lambda t, y: [1.0, 1.0, 1.0])
+    sol = iv.solve_dae(branches, (0, 2), [-1, -1, 1], events=across)
+    np.testing.assert_allclose(sol.y_end, [2.5, 0.4, -1], rtol=1e-3)
+
+
+def test_the_sign_of_a_determinant_is_that_of_sparse_factors_too():
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        A = np.where(rng.uniform(size=(130, 130)) < 0.1, rng.standard_normal((130, 130)), 0) + np.eye(130)
+        assert orientation(A) == np.linalg.slogdet(A)[0] != 0
 
 
 def test_a_start_satisfies_all_constraints_and_moves_what_is_not_fixed():

@@ -7,8 +7,10 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.failures import InvariantError
 from .._functions.graph.rounding import bounds
+from .._problem.breakpoints import to_breakpoints
 from .._results.solution import Solution
 from .expressions import Values
+from .linear_systems import orientation
 from .reduction import Reduction
 from .solution import Unknowns
 from .start import ConsistentPoint, conditions
@@ -154,3 +156,44 @@ def impasse(sol: Solution, reduction: Reduction, p: Array) -> str:
                 "terminal event, or start after it."
             )
     return ""
+
+
+def passage(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -> str:
+    """Return where the equations lost an unknown on the way, and which; else ''.
+
+    The determinant of a block of J is continuous along a solution, but for jumps of the state and for branches: where
+    its sign differs at two outputs J was singular between them. The first and the last state count as outputs.
+    """
+    if not unknowns.rests.nodes or not len(sol.t):
+        return ""
+    problem, jumps = sol._origin.source.problem, _jumps(sol)
+    times = np.array([problem.t_span[0], *sol.t, sol.t_end])
+    states = np.column_stack([problem.y0, sol.y, sol._origin.y])
+    values = iter(unknowns.rests(times, states, p))
+    for block, rest in reduction.rests:
+        A = np.zeros((len(times), len(rest), len(rest)))
+        for i, row in enumerate(rest):
+            for j in row:
+                A[:, i, j] = next(values)
+        signs = np.array([orientation(one) for one in A])
+        for k in np.flatnonzero(signs[1:] * signs[:-1] < 0).tolist():
+            if any(times[k] <= t <= times[k + 1] or times[k + 1] <= t <= times[k] for t in jumps):
+                continue
+            ends = [conditions(reduction, point_of(reduction, times[e], states[:, e], p)) for e in (k, k + 1)]
+            before, after = (next(one for one in found if one.block is block) for found in ends)
+            if not before.is_singular and not after.is_singular:
+                return (
+                    f"{after.lost(before)} between t = {times[k]:.6g} and {times[k + 1]:.6g}. Several solutions may "
+                    "pass there, and the run continues with one of them: check it, or stop before with a terminal "
+                    "event"
+                )
+    return ""
+
+
+def _jumps(sol: Solution) -> list[float]:
+    """Return the times at which actions may have changed the state."""
+    source = sol._origin.source
+    points = to_breakpoints("breakpoints", source.options.get("breakpoints") or [])
+    events = zip(source.problem.events or (), sol.t_events or (), strict=False)
+    at_events = [float(t) for event, times in events if event.action is not None for t in times]
+    return at_events + [one.t for one in points if one.action is not None]

@@ -44,7 +44,7 @@ from .._problem.sensitivities import SensitivitiesLike
 from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
-from .checks import impasse, jump, point_of, require_no_jump, violation
+from .checks import impasse, jump, passage, point_of, require_no_jump, violation
 from .expressions import is_zero, leaves, primed, row_of, substituted
 from .reduction import GivenValues, Reduction, Variable
 from .solution import Unknowns, in_unknowns
@@ -459,7 +459,7 @@ class Dae:
         reduction, starts = self._reduced(nonlinear)
         x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
         self._tell_move(x)
-        return self._problem(reduction, starts, x, fixed, span, bounds=self._bounds(reduction, nonnegative, bounds))
+        return self._problem(reduction, starts, x, fixed, span, **self._bounds(reduction, nonnegative, bounds))
 
     def _problem(
         self,
@@ -492,11 +492,12 @@ class Dae:
             **describing,
         )
 
-    def _bounds(self, reduction: Reduction, nonnegative: Any, bounds: Any) -> tuple[Array, Array] | None:
-        """Return the bounds of the states that follow from those of the unknowns of F."""
+    def _bounds(self, reduction: Reduction, nonnegative: Any, bounds: Any) -> dict[str, Any]:
+        """Return the bounds of the states that follow from those of the unknowns of F, as a problem takes them."""
+        found: dict[str, Any] = {"nonnegative": False if nonnegative is False else None}
         given = to_bounds(nonnegative, bounds, self.y0, self.names)
         if given is None:
-            return None
+            return found
         lower, upper = (np.full(len(reduction.states), limit) for limit in (-np.inf, np.inf))
         formulas = []
         for name, (j, order, sign), low, high in zip(self.names, self._of, *given, strict=True):
@@ -515,7 +516,7 @@ class Dae:
                 f"{', '.join(formulas)} cannot have bounds: the equations give {what} of the others. "
                 + (f"Bounds are possible for {', '.join(states)}" if states else "No unknown has an initial value")
             )
-        return lower, upper
+        return found | {"bounds": (lower, upper)}
 
     def _tell_move(self, x: Array) -> None:
         """Warn where given initial values were changed that the equations leave to the user."""
@@ -602,8 +603,10 @@ class Dae:
             See `solve_dae`.
         """
         span, fixed = interval(t_span), list(fixed)
-        takes_mass = find_method(method)[0].mass == "any"
-        reduction, starts = self._reduced("algebraic" if takes_mass else "raise")
+        known, _ = find_method(method)
+        if known.equations == "second-order":
+            raise ValueError(f"{known.name} is for y'' = f(t, y), and solve_dae reduces F to y' = f(t, y): take dop853")
+        reduction, starts = self._reduced("algebraic" if known.mass == "any" else "raise")
         if method == "auto" and reduction.algebraic:  # an explicit method would solve for them in each evaluation
             method = "radau"
         x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
@@ -619,10 +622,7 @@ class Dae:
         if timed([one for level in reduction.levels for one in level.in_states]):
             require_no_jump(reduction, span, np.array([x[one] for one in reduction.states]), self._p)
         atol = self._atol(reduction, options)
-        describing: dict[str, Any] = {
-            "sensitivities": sensitivities,
-            "bounds": self._bounds(reduction, nonnegative, bounds),
-        }
+        describing = {"sensitivities": sensitivities, **self._bounds(reduction, nonnegative, bounds)}
         if events is not None:
             describing["events"] = [through.event(one) for one in to_events(events)]
         problem = self._problem(reduction, starts, x, fixed, span, atol, **describing)
@@ -708,6 +708,8 @@ class Dae:
             found = found.changed(message=text)
         elif text := violation(sol, unknowns, reduction, p):
             found = found.changed(status=NOT_CONSERVED, success=False, message=text)
+        elif text := passage(sol, unknowns, reduction, p):
+            warn(text)
         return concluded(found, on_failure)
 
 

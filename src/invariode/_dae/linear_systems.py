@@ -23,18 +23,19 @@ _SCALINGS = 4
 
 
 def solution(graph: Graph, matrix: Sequence[Mapping[int, Node]], right: Sequence[Node]) -> list[Node]:
-    """Return the x with Σ_j A_ij x_j = b_i, as nodes; the rows of A map columns to nodes.
+    """Return the x with Σ_j A_ij x_j = b_i, as nodes; the rows of A map columns to nodes."""
+    return Elimination(graph, matrix, right).solution()
+
+
+class Elimination:
+    """The partial elimination of a linear system A x = b of nodes, and its way back.
 
     Entries that are numbers, and of the size of the others in their rows, are pivots at every point: they are
     eliminated as formulas, in Markowitz's order. What is left is one `solve` node.
+
+    - `matrix`: the rows of A map columns to nodes
+    - `right`: b
     """
-    elimination = _Elimination(graph, matrix, right)
-    elimination.run()
-    return elimination.solution()
-
-
-class _Elimination:
-    """A partial elimination of numbers, and its way back."""
 
     def __init__(self, graph: Graph, matrix: Sequence[Mapping[int, Node]], right: Sequence[Node]) -> None:
         self.graph = graph
@@ -46,8 +47,9 @@ class _Elimination:
                 self.columns[j].add(i)
         self.pivots: list[tuple[int, int]] = []
         self.left = dict.fromkeys(self.rows)
+        self._run()
 
-    def run(self) -> None:
+    def _run(self) -> None:
         """Eliminate while a safe pivot makes no more new entries than the system has rows."""
         candidates = {i: self._best(i) for i in self.left}
         while True:
@@ -87,14 +89,20 @@ class _Elimination:
         self.pivots.append((i, j))
         return changed
 
+    def rest(self) -> list[dict[int, Node]]:
+        """Return the rows of the matrix that is left, by places among its columns. Its determinant is that of A up to
+        a constant factor."""
+        place = {j: b for b, j in enumerate(sorted(self.columns))}
+        return [{place[j]: self.rows[i][j] for j in sorted(self.rows[i])} for i in self.left]
+
     def solution(self) -> list[Node]:
+        """Return x, as nodes."""
         graph, rows, columns = self.graph, [*self.left], sorted(self.columns)
         found: dict[int, Node] = {}
         if len(rows) == 1:
             found[columns[0]] = self.right[rows[0]] / self.rows[rows[0]][columns[0]]
         elif rows:
-            place = {j: b for b, j in enumerate(columns)}
-            matrix = [{place[j]: self.rows[i][j] for j in sorted(self.rows[i])} for i in rows]
+            matrix = self.rest()
             solved = graph.solve_sparse(matrix, [[self.right[i]] for i in rows])
             found = {j: one[0] for j, one in zip(columns, solved, strict=True)}
         for i, j in reversed(self.pivots):
@@ -141,6 +149,25 @@ def condition(A: Array) -> float:
         return 1 / largest if np.isfinite(largest) and largest > 0 else 0.0
     sizes = np.linalg.svd(scaled, compute_uv=False)
     return float(sizes[-1] / sizes[0]) if sizes[0] > 0 else 0.0
+
+
+def orientation(A: Array) -> float:
+    """Return the sign of the determinant, from sparse factors of a large matrix; 0 or NaN if there is none."""
+    if len(A) <= _LARGE or not np.isfinite(A).all():
+        return float(np.linalg.slogdet(A)[0])
+    from scipy.sparse import csc_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import splu
+
+    try:
+        factors = splu(csc_array(A))
+    except RuntimeError:  # singular
+        return 0.0
+    n, places = len(A), np.arange(len(A))
+    cycles = [
+        connected_components(csc_array((np.ones(n), (places, order))))[0] for order in (factors.perm_r, factors.perm_c)
+    ]
+    return float(np.prod(np.sign(factors.U.diagonal())) * (-1) ** sum(cycles))
 
 
 def nullity(sizes: Array) -> int:

@@ -16,11 +16,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.graph.derivatives import tangent
-from .._functions.graph.nodes import Node
+from .._functions.graph.derivatives import PIECEWISE_CONSTANT, tangent
+from .._functions.graph.nodes import Node, in_order
 from .expressions import leaves, primed, row_of, substituted
-from .linear_systems import solution
-from .offsets import Offsets
+from .linear_systems import Elimination, solution
+from .offsets import Block, Offsets
 from .structure import Arrangement, Structure
 
 #: A derivative of an unknown: its order and the number of the unknown.
@@ -106,6 +106,8 @@ class Reduction:
     - `algebraic`: how many are algebraic
     - `slopes`: the derivatives of the states, then the residuals of the algebraic equations, in terms of the states
     - `levels`: the invariants
+    - `rests`: blocks of J, each with rows of nodes, in terms of the states, whose determinant is that of the block up to
+      a constant factor; without blocks that are constant or jump
     """
 
     def __init__(self, structure: Structure, nonlinear: Literal["raise", "algebraic"]) -> None:
@@ -124,6 +126,7 @@ class Reduction:
         self.place = {one: k for k, one in enumerate(self.states)}
         self._known = {self._leaf(*one): self.graph.y(k) for one, k in self.place.items()}
         self._tops: dict[Variable, list[Node]] = {}  # x_j^(d_j), x_j^(d_j + 1), ... in terms of the states
+        self.rests: list[tuple[Block, list[dict[int, Node]]]] = []
         residuals = self._solve_blocks(held)
         self.slopes = self.of([(order + 1, j) for order, j in differential]) + residuals
         self.levels = [self._level(k) for k in range(int(self._c.max(initial=0)), 0, -1)]
@@ -135,20 +138,26 @@ class Reduction:
         """Solve f_i^(c_i) = 0 for the x_j^(d_j), block after block; return the residuals of those imposed."""
         structure, graph, c, d = self.structure, self.graph, self._c, self._d
         known, residuals = dict(self._known), []
-        for k, (rows, columns, _) in enumerate(self.arrangement.blocks):
+        for k, block in enumerate(self.arrangement.blocks):
+            rows, columns, _ = block
             equations = [structure.derivative(structure.equations[i], int(c[i])) for i in rows]
-            if k in held:
-                residuals += substituted(equations, known)
-                for j in columns:
-                    self._tops[int(d[j]), j] = [known[self._leaf(int(d[j]), j)]]
-                continue
-            zeros = {self._leaf(int(d[j]), j): graph.node(0.0) for j in columns}
-            right = [graph.negative(one) for one in substituted(equations, known | zeros)]
             part = self.arrangement.part(rows, columns)
             matrix: list[dict[int, Node]] = [{} for _ in rows]
             for (a, b, _), node in zip(part, substituted([node for *_, node in part], known), strict=True):
                 matrix[a][b] = node
-            for j, top in zip(columns, solution(graph, matrix, right), strict=True):
+            zeros = {} if k in held else {self._leaf(int(d[j]), j): graph.node(0.0) for j in columns}
+            left = substituted(equations, known | zeros)
+            elimination = Elimination(graph, matrix, [graph.negative(one) for one in left])
+            rest = elimination.rest()
+            inside = [*in_order([node for row in rest for node in row.values()])]
+            if any(node.op != "number" for node in inside) and not {node.op for node in inside} & PIECEWISE_CONSTANT:
+                self.rests.append((block, rest))
+            if k in held:
+                residuals += left
+                for j in columns:
+                    self._tops[int(d[j]), j] = [known[self._leaf(int(d[j]), j)]]
+                continue
+            for j, top in zip(columns, elimination.solution(), strict=True):
                 self._tops[int(d[j]), j] = [top]
                 known[self._leaf(int(d[j]), j)] = top
         return residuals

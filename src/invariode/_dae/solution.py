@@ -134,6 +134,9 @@ class Unknowns:
         graph = reduction.graph
         renumbered = {graph.y(place): graph.y(k) for k, place in enumerate(places)}
         self.equations = ValuesOverTime("residuals", lambda: substituted(equations, renumbered))
+        self.rests = ValuesOverTime(
+            "rests", lambda: [node for _, rest in reduction.rests for row in rest for node in row.values()]
+        )
         self.sensitive: dict[tuple[int | None, ...], ValuesOverTime] = {}
         self.count = len(reduction.states) or 1
 

@@ -87,7 +87,8 @@ def solve_dae(
     sensitivities : bool, str, list of these, or Sensitivities, optional
         Parameters among `args`, as for `solve_ivp`.
     nonnegative : bool, int, str or sequence of int or str, optional
-        Unknowns that must not become negative: indices or names; True means all.
+        Unknowns that must not become negative: indices or names; True means all. False switches the warning about
+        components that fall below 0 off.
     bounds : (lower, upper), optional
         Bounds of the unknowns, numbers or arrays of shape (n,); an infinite entry is no bound. Only unknowns that have
         initial values, or are algebraic variables of a method with a singular mass matrix, can have bounds; those that

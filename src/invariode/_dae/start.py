@@ -182,27 +182,40 @@ class BlockCondition(NamedTuple):
 
     def in_words(self, since: str = "") -> str:
         """Return which equations do not, or with ``since="no longer "`` no longer, determine which unknowns."""
-        structure, (_, d, _) = self.reduction.structure, self.reduction.arrangement.offsets
-        rows, columns, _ = self.block
         if not np.isfinite(self.A).all():
-            which = [structure.names[i] for i in rows]
+            which = [self.reduction.structure.names[i] for i in self.block.rows]
             return f"derivatives of {', '.join(which)} are not finite at t = {self.t:.10g}"
         one, several = (
             (f"{since}determines", f"{since}determine") if since else ("does not determine", "do not determine")
         )
-        names = [primed(structure.unknowns[j], int(d[j])) for j in columns]
+        which, what = self._singular_part()
+        text = f"{', '.join(which)} {several if len(which) > 1 else one} {', '.join(what)}"
         if len(self.A) == 1:
-            i, j = rows[0], columns[0]
-            name = structure.names[i]
-            by = primed(structure.unknowns[j], int(structure.sigma[i, j]))
-            return f"{name} {one} {names[0]}: ∂{name}/∂{by} = {self.A[0, 0]:.3g} at t = {self.t:.10g}"
+            return f"{text}: {self._slope()} = {self.A[0, 0]:.3g} at t = {self.t:.10g}"
+        return f"{text}: their matrix is singular at t = {self.t:.10g}"
+
+    def lost(self, before: BlockCondition) -> str:
+        """Return which equations lost which unknowns since an earlier point where the determinant had another sign."""
+        which, what = (before if before.quality < self.quality else self)._singular_part()
+        text = f"{', '.join(which)} did not determine {', '.join(what)}"
+        if len(self.A) == 1:
+            return f"{text} where {self._slope()}, now {self.A[0, 0]:.3g}, was 0"
+        return f"{text} where their matrix was singular,"
+
+    def _singular_part(self) -> tuple[list[str], list[str]]:
+        """Return the equations and the unknowns with a part in the smallest singular value."""
+        structure, (_, d, _) = self.reduction.structure, self.reduction.arrangement.offsets
+        rows, columns, _ = self.block
         U, _, V = np.linalg.svd(equilibrated(self.A))
-        which = [structure.names[rows[k]] for k in np.flatnonzero(np.abs(U[:, -1]) > _IN_IT * np.abs(U[:, -1]).max())]
-        what = [names[k] for k in np.flatnonzero(np.abs(V[-1]) > _IN_IT * np.abs(V[-1]).max())]
-        return (
-            f"{', '.join(which)} {several if len(which) > 1 else one} {', '.join(what)}: their matrix is singular at "
-            f"t = {self.t:.10g}"
-        )
+        in_u, in_v = (np.flatnonzero(np.abs(one) > _IN_IT * np.abs(one).max()) for one in (U[:, -1], V[-1]))
+        return [structure.names[rows[k]] for k in in_u], [
+            primed(structure.unknowns[columns[k]], int(d[columns[k]])) for k in in_v
+        ]
+
+    def _slope(self) -> str:
+        """Return the name of the entry of a block of one equation."""
+        structure, i, j = self.reduction.structure, self.block.rows[0], self.block.columns[0]
+        return f"∂{structure.names[i]}/∂{primed(structure.unknowns[j], int(structure.sigma[i, j]))}"
 
 
 def conditions(reduction: Reduction, at: ConsistentPoint) -> list[BlockCondition]:

@@ -17,8 +17,9 @@ from .nodes import COMPARISONS, Node, in_order
 
 Row = dict[int, Node]
 
-#: What has no derivative but zero, where it has one.
-_CONSTANT = {"number", "t", "y", "p", "sign", "floor", "ceil", "and", "or", "not", "piece", "pick", *COMPARISONS}
+#: What has no derivative but zero, where it has one: what jumps from one constant to another.
+PIECEWISE_CONSTANT = {"sign", "floor", "ceil", "and", "or", "not", "piece", "pick", *COMPARISONS}
+_CONSTANT = {"number", "t", "y", "p"} | PIECEWISE_CONSTANT
 #: What depends on a decision: its derivative has to be that of the branch taken, even if the other's is not finite.
 _BRANCHING = {"select", "minimum", "maximum", "solve"}
 

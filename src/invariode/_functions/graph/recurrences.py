@@ -11,10 +11,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from .nodes import COMPARISONS, Node, in_order
+from .derivatives import PIECEWISE_CONSTANT
+from .nodes import Node, in_order
 
-#: What is constant along a solution until it jumps.
-_PIECEWISE_CONSTANT = {"sign", "floor", "ceil", "piece", "pick", "and", "or", "not", *COMPARISONS}
 #: What takes a coefficient of its arguments to one of its own, with coefficients of order 0 as factors.
 _LINEAR = {"add", "subtract", "negate", "select", "abs", "minimum", "maximum", "modulo"}
 
@@ -266,7 +265,7 @@ def is_linear(node: Node, degrees: Mapping[Node, float]) -> bool:
 
 
 def _degree(node: Node, degrees: Mapping[Node, float]) -> float:
-    if node.op in ("number", "p") or node.op in _PIECEWISE_CONSTANT:
+    if node.op in ("number", "p") or node.op in PIECEWISE_CONSTANT:
         return 0
     if node.op in ("t", "y"):
         return 1 if node.op == "t" else math.inf
