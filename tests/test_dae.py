@@ -346,6 +346,13 @@ def test_bounds_are_those_of_unknowns_that_are_not_formulas():
     )
     assert nonlinear.y[1].min() >= 0
 
+    def together(t, y, yp):
+        return [yp[0] + yp[1] + 2, y[0] - y[1]]
+
+    sol = iv.solve_dae(together, (0, 1), [0.5, 0.5], nonnegative=[0], method="radau")  # comes to rest at t = 1/2
+    assert sol.y.min() >= 0
+    assert sol.y_end.max() < 1e-12
+
 
 def test_sensitivities_are_those_of_the_unknowns():
     sol = swung(sensitivities=["g"])

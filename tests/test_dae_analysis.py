@@ -251,7 +251,7 @@ def test_what_solve_dae_does_not_take_is_named():
     def decay(t, y, yp):
         return [yp[0] + y[0]]
 
-    with pytest.raises(ValueError, match="rkn86 is for y'' = f.t, y., and solve_dae reduces F to y' = f"):
+    with pytest.raises(ValueError, match=r"rkn86 is for y'' = f\(t, y\), and solve_dae reduces F to y' = f"):
         iv.solve_dae(decay, (0, 1), [1], method="rkn86")
     for name, message in (("delays", "solve_ivp"), ("inputs", "call the Input"), ("mass", "write M y' in F")):
         with pytest.raises(TypeError, match=f"solve_dae takes no {name}: .*{message}"):
@@ -319,7 +319,7 @@ def test_singular_points_that_a_run_passes_are_named():
         (
             lambda t, y, yp: [yp[0] + y[1] + y[0], y[1] + y[2] - 1, t * y[1] + y[2] - t],
             [1, 1, 0],
-            r"F\[1\], F\[2\] did not determine y\[1\], y\[2\] where their matrix was singular, between t = [01].* and [12]",
+            r"F\[1\], F\[2\] did not determine y\[1\], y\[2\] where their matrix was singular, between t = ",
         ),
     )
     for (F, y0, message), method in zip(cases, ("dop853", "radau", "ode15s"), strict=True):
