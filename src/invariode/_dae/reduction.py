@@ -106,8 +106,8 @@ class Reduction:
     - `algebraic`: how many are algebraic
     - `slopes`: the derivatives of the states, then the residuals of the algebraic equations, in terms of the states
     - `levels`: the invariants
-    - `rests`: blocks of J, each with rows of nodes, in terms of the states, whose determinant is that of the block up to
-      a constant factor; without blocks that are constant or jump
+    - `rests`: blocks of J, each with rows of nodes, in terms of the states, whose determinant is that of the block up
+      to a constant factor; without blocks that are constant or jump
     """
 
     def __init__(self, structure: Structure, nonlinear: Literal["raise", "algebraic"]) -> None:
