@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import pathlib
 import statistics
+import tempfile
 import time
 import warnings
 
@@ -75,6 +77,19 @@ def fits(count):
     return inside
 
 
+def resumed(method):
+    problem = iv.Problem(mackey_glass, (0, 6000), [1.0], delays=15.0, history=1)
+    whole, times = problem.solve(method, rtol=1e-6, atol=1e-8), 0
+    part = max(len(whole.t) // 101, 1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / "run.npz"
+        sol = problem.solve(method, rtol=1e-6, atol=1e-8, max_steps=part)
+        while sol.t_end < 6000:
+            sol.save(path)
+            sol, times = iv.load(path, problem).extend(6000, max_steps=part), times + 1
+    return times, np.array_equal(sol.t, whole.t) and np.array_equal(sol.y, whole.y)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fits", type=int, default=0)
@@ -85,12 +100,13 @@ def main():
         show(f"suitcase, {method} at 1e-10: largest error of three times", f"{suitcase(method, 1e-10):.1e}")
     sol = iv.solve_ivp(pendulum, (0, 20), [1.0, 0.0], "ode45", delays=0.01, history=[1.0, 0.0], rtol=1e-6)
     show("pendulum with delayed damping, tau 0.01, ode45 1e-6: steps", sol.stats.steps, "f", sol.nfev)
-    for method in ("radau", "ode15s"):
+    for method, law in (("radau", None), ("ode15s", None), ("radau", lambda t, y: y.sum())):
         sol = iv.solve_ivp(
-            robertson, (0, 1e11), [1, 0, 0], method, delays=1e-4, history=[1, 0, 0], rtol=1e-4, atol=[1e-8, 1e-12, 1e-8]
-        )
-        off = np.abs(sol.y.sum(axis=0) - 1)
-        show(f"Robertson, tau 1e-4, to 1e11, {method}: steps; sum", sol.stats.steps, f"{off.max():.1e}")
+            robertson, (0, 1e11), [1, 0, 0], method, delays=1e-4, history=[1, 0, 0], rtol=1e-4,
+            atol=[1e-8, 1e-12, 1e-8], invariants=law,
+        )  # fmt: skip
+        off, imposed = np.abs(sol.y.sum(axis=0) - 1), ", total imposed" if law else ""
+        show(f"Robertson, tau 1e-4, to 1e11, {method}{imposed}: steps; sum", sol.stats.steps, f"{off.max():.1e}")
     f = iv.compile(mackey_glass)
     for rtol in (1e-5, 1e-8):
         options = {"delays": 15.0, "history": 1, "rtol": rtol, "atol": rtol}
@@ -121,6 +137,8 @@ def main():
         for h in (1e3, given.steps)
     ]  # fmt: skip
     show(f"bytes that a run remembers after 1e3 and {given.steps:g} steps", *sizes)
+    for method in ("dop853", "radau"):
+        show(f"runs resumed from files, {method}: how often; the same bits", *resumed(method))
     if given.fits:
         show(f"fits of tau within their 95 % interval, of {given.fits}", fits(given.fits))
 
