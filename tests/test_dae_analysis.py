@@ -283,6 +283,7 @@ def test_values_that_cannot_be_fixed_are_named():
         dae.consistent(["x", "z"])
     with pytest.raises(ValueError, match="there is no unknown 'tensoin'; did you mean 'tension'"):
         dae.consistent(["tensoin"])
+    np.testing.assert_array_equal(dae.consistent("x").y, dae.consistent(["x"]).y)
     with pytest.raises(ValueError, match="fixed must list names"):
         dae.consistent([(0, 1)])
 

@@ -375,7 +375,7 @@ class Dae:
         at = self.t0 if t is None else number("t", t)
         values = self.y0 if y is None else _real_state("y", y, len(self.y0))
         slopes = self.yp0 if yp is None else _real_state("yp", yp, len(self.y0))
-        x = self._start(starts, at, fixed, values, slopes, self._p)
+        x = self._start(starts, at, _listed(fixed), values, slopes, self._p)
         states, times = np.array([[x[one]] for one in reduction.states]).reshape(-1, 1), np.array([at])
         unknowns = self._functions(reduction).unknowns
         new = [of(times, states, self._p)[:, 0] for of in (unknowns.y, unknowns.yp)]
@@ -456,7 +456,7 @@ class Dae:
         UserWarning
             Given values were changed by more than roundoff.
         """
-        span, fixed = interval(t_span), list(fixed)
+        span, fixed = interval(t_span), _listed(fixed)
         choice("nonlinear", nonlinear, ("raise", "algebraic"))
         reduction, starts = self._reduced(nonlinear)
         x = self._start(starts, span[0], fixed, self.y0, self.yp0, self._p)
@@ -604,7 +604,7 @@ class Dae:
         Solution
             See `solve_dae`.
         """
-        span, fixed = interval(t_span), list(fixed)
+        span, fixed = interval(t_span), _listed(fixed)
         known, _ = find_method(method)
         if known.equations == "second-order":
             raise ValueError(f"{known.name} is for y'' = f(t, y), and solve_dae reduces F to y' = f(t, y): take dop853")
@@ -713,6 +713,11 @@ class Dae:
         elif text := passage(sol, unknowns, reduction, p):
             warn(text)
         return concluded(found, on_failure)
+
+
+def _listed(fixed: Iterable[str | int]) -> list[str | int]:
+    """Return the values to fix as a list; a single name is one of them."""
+    return [fixed] if isinstance(fixed, str) else list(fixed)
 
 
 def _order(order: object) -> int:
