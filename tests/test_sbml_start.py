@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -53,8 +55,8 @@ def test_fits_of_models_follow_initial_assignments_and_events():
     np.testing.assert_allclose([fit.parameters["k"], fit.parameters["lambda"]], [0.62, 0.41], rtol=1e-4)
 
 
-def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_path):
-    """A dose with a lag: `extend` finds what waits, whatever other runs have begun, unless the run comes from a file; a
+def test_runs_of_models_with_events_go_on_with_what_waits(tmp_path):
+    """A dose with a lag: `extend` finds what waits, whatever other runs have begun, from a file too, bit for bit; a
     dose at the start depends on its parameter; problems can be pickled after runs with sensitivities."""
     text = model(
         species("D", 0),
@@ -81,5 +83,34 @@ def test_runs_of_models_with_events_go_on_only_where_what_waits_is_known(tmp_pat
             expected = dose * (np.exp(-4) + np.exp(-2.8))
             np.testing.assert_allclose(one.extend(4).y_end[0], expected, rtol=1e-8)
     for known in (problem, sbml.load(text).problem((0, 1))):
-        with pytest.raises(ValueError, match="cannot be extended from a file"):
-            iv.load(tmp_path / "run.npz", known).extend(4)
+        np.testing.assert_array_equal(iv.load(tmp_path / "run.npz", known).extend(4).y_end, first.extend(4).y_end)
+    varied.solve(**run).save(tmp_path / "varied.npz")
+    again = iv.load(tmp_path / "varied.npz", varied).extend(4)
+    np.testing.assert_array_equal(again.sensitivities[..., -1], sol.sensitivities[..., -1])
+    problem.solve(**run, checkpoint=tmp_path / "kept")
+    np.testing.assert_array_equal(iv.load(tmp_path / "kept", problem).extend(4).y_end, first.extend(4).y_end)
+
+
+def test_runs_of_one_model_at_the_same_time_do_not_disturb_each_other():
+    """Threads, with a delayed dose at each rise of an oscillation: bit for bit what each
+    run gives alone, by `solve` and by a prepared solver."""
+    text = model(
+        species("D", 0),
+        parameter("dose", 5) + parameter("lag", 0.3),
+        reactions=reaction("e", {"D": 1}, {}, "D"),
+        events=event("rise", "sin(6 * time) > 0.2", {"D": "D + dose"}, delay="lag", priority="D"),
+    )
+    problem = sbml.load(text).problem((0, 6))
+    doses = [1.0, 2.0, 3.0, 4.0]
+    alone = [problem.replace(parameters={"dose": one}).solve("ode23").y for one in doses]
+    prepared = problem.prepare("ode23")
+    interval, _ = sys.getswitchinterval(), sys.setswitchinterval(1e-5)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            at_once = [*pool.map(lambda one: problem.replace(parameters={"dose": one}).solve("ode23").y, doses)]
+            shared = [*pool.map(lambda one: prepared(args={"dose": one}).y, doses)]
+    finally:
+        sys.setswitchinterval(interval)
+    for found in (at_once, shared):
+        for one, expected in zip(found, alone, strict=True):
+            np.testing.assert_array_equal(one, expected)

@@ -121,6 +121,10 @@ class RecordedRoots(Roots):
         super().__init__(roots.fun, roots.count, self._recorded, **about)
         self._roots, self.record = roots, record
 
+    def of_run(self, t: float, y: Array, args: tuple[Any, ...], memory: dict[int, Any]) -> RecordedRoots:
+        """See `Roots.of_run`. The record is that of all runs."""
+        return RecordedRoots(self._roots.of_run(t, y, args, memory), self.record)
+
     def _recorded(self, t: float, y: Array, which: Array, directions: Array, *args: Any) -> Any:
         before = np.array(y)
         after = self._roots.on_roots(t, y, which, directions, *args)

@@ -23,7 +23,7 @@ from .._functions.layout import ArgumentLayout, undefined_arguments
 from .._laws.bound import BoundInvariants, InvariantSpec
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint
-from .._problem.events import EventSpec, VectorSpec, titled
+from .._problem.events import EventSpec, Roots, VectorSpec, titled
 from .._problem.grouped import Checkpoint
 from .._problem.methods import Method
 from .._problem.options import Options
@@ -138,6 +138,7 @@ class Plan(NamedTuple):
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series
     schedule: Schedule | None = None  # where f changes its branch as a function of t alone
+    roots: tuple[Roots, ...] = ()  # which remember the run, if they remember anything: the plan's own
     watch: Watch | None = None  # on what a run itself does not see: it is the callback, which calls the user's
 
     @property

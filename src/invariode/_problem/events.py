@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import Any, Literal, NamedTuple, cast
@@ -222,12 +223,17 @@ class Roots:
         """Make the action at these roots the latest one again, for its derivatives."""
         self.latest = which, directions
 
+    def of_run(self, t: float, y: Array, args: tuple[Any, ...], memory: dict[int, Any]) -> Roots:
+        """Return functions for one run, which starts at (t, y): a copy with a memory of its own, if the class has any.
+        `memory`: what several `Roots` of the run have in common, by the id of the original."""
+        return copy.copy(self)
+
     def state(self) -> Any:
-        """Return what the functions remember of a run that has ended, for its extension."""
+        """Return what the functions remember of their run, for its extension: what JSON can hold."""
         return None
 
     def restore(self, state: Any) -> None:
-        """Remember a run again, whose extension begins; None: nothing is known of it."""
+        """Remember the run of this state, as `state` returned it, whose extension begins."""
 
     def events(self) -> list[Event]:
         """Return one event for each function."""
@@ -272,6 +278,13 @@ class _OnRoots:
 def roots_among(events: Sequence[Event]) -> list[Roots]:
     """Return the `Roots` whose functions are among these events, each once."""
     return [*{id(one.roots): one.roots for one in events if isinstance(one, RootOf)}.values()]
+
+
+def of_one_run(events: Sequence[Event], t: float, y: Array, args: tuple[Any, ...]) -> list[Event]:
+    """Return the events with `Roots` of their own for a run that starts at (t, y)."""
+    memory: dict[int, Any] = {}
+    own = {id(one): one.of_run(t, y, args, memory).events() for one in roots_among(events)}
+    return [own[id(one.roots)][one.number] if isinstance(one, RootOf) else one for one in events]
 
 
 def acts(event: Event) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
@@ -395,6 +396,12 @@ class Problem:
         elif isinstance(changes.get("args"), Mapping):
             changes["args"] = self.arguments(changes["args"])
         return type(self)(**{**now, **changes})
+
+    def with_events(self, events: Sequence[Event]) -> Self:
+        """Return the problem with other events, which are not checked."""
+        problem = copy.copy(self)
+        problem.__dict__["events"] = events
+        return problem
 
     @property
     def labels(self) -> list[str]:

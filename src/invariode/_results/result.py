@@ -74,6 +74,7 @@ class Origin(Protocol):
     - `source`: problem, method and options
     - `y`: the state at the end of the run
     - `memory`, `memory_version`: the internal state of the method there, as bytes of this version
+    - `roots`: what each `Roots` remembers of the run
     - `imposed`: the solution was projected afterwards, and so will be its extension
     """
 
@@ -81,6 +82,7 @@ class Origin(Protocol):
     y: Array
     memory: bytes = b""
     memory_version: int = MEMORY_VERSION
+    roots: Sequence[Any] = ()
     imposed: bool = False
 
     def __reduce__(self) -> str | tuple[Any, ...]:

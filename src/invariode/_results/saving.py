@@ -138,6 +138,7 @@ END = {
     "drift.correction": Field(float, "", attrgetter("_drift.correction")),
     "next_h": Field(float | None, of=field_of("_origin", "next_h"), within=(0, math.inf)),
     "memory_version": Field(int | None, of=field_of("_origin", "memory_version")),
+    "roots": Field(list[dict[str, Any] | None], of=lambda sol: [] if sol._origin is None else sol._origin.roots),
     "y_end": Field(None, "component", attrgetter("_y_end")),
     "S_end": Field(None, "component parameter", field_of("_sensitivities", "end"), optional=True),
     "memory": Field(np.uint8, "byte", _memory, optional=True),

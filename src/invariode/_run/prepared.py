@@ -185,6 +185,8 @@ def _of_any_y0(problem: Problem, plan: Plan, native: bool) -> bool:
     counts = isinstance(problem.fun, CoreFunction) and not isinstance(problem.fun, SecondOrder)
     if alone or counts or any(event.at_start for event in problem.events):
         return False
+    if not all(one.stateless for one in plan.roots):  # their memory belongs to one run
+        return False
     linear = plan.functions.linear
     if linear is not None and (linear.algebraic or not (native or _by_differences(linear))):
         return False

@@ -32,7 +32,6 @@ from .._plan.plan import Course, Plan, say_established, solver
 from .._plan.planning import make_plan, ordered_breakpoints
 from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints
-from .._problem.events import roots_among
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keeping_arrays
@@ -120,10 +119,10 @@ class RunOrigin(Origin):
     y: Array
     next_h: float | None  # None: the method is to choose
     memory: bytes
+    roots: list[Any]  # what each `Roots` remembers of the run
     imposed: bool = False
     checkpoint: RunFiles | None = None
     sectioned: tuple[Sectioned, ...] = ()  # with adjoint="checkpoints": of the run, and of its extensions
-    roots: tuple[Any, ...] = ()  # what each `Roots` remembers of the run
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RunOrigin:
         return self
@@ -326,7 +325,6 @@ def _carried_out(
             around.callback(checkpoint.release)
         run = _integrated(core, plan, source.problem.name, resumed, keep)
     finished = Finished(run, plan, source, core.members, checkpoint=checkpoint)
-    finished.roots = tuple(one.state() for one in roots_among(source.problem.events))
     sol = presented(finished)
     sol.stats.mechanics = _work(core, source.problem.fun)
     if find_method(source.method)[0].equations == "second-order":
@@ -339,7 +337,6 @@ class Finished:
 
     y_end: Array | None = None  # None: the end of the run is that of y
     sectioned: tuple[Sectioned, ...] = ()
-    roots: tuple[Any, ...] = ()
 
     def __init__(
         self,
@@ -397,9 +394,9 @@ class Finished:
                 y_end,
                 next_h,
                 run.memory,
+                [one.state() for one in plan.roots],
                 checkpoint=self.checkpoint,
                 sectioned=self.sectioned,
-                roots=self.roots,
             ),
         }
 
@@ -649,8 +646,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     plan = make_plan(whole, method, now).holding(old._invariants.last_value)
     if origin.checkpoint is not None:
         origin.checkpoint.go_on(old.stats.mechanics)
-    roots = roots_among(problem.events)
-    for one, state in zip(roots, origin.roots or [None] * len(roots), strict=True):
+    for one, state in zip(plan.roots, origin.roots, strict=True):
         one.restore(state)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if given.get("keep") == "end" else len(old.t)

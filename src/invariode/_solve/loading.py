@@ -20,6 +20,7 @@ from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
 from .._functions.layout import NO_ARGUMENTS
 from .._laws.bound import BoundInvariants, ValueJump, bind
+from .._problem.events import of_one_run, roots_among
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
@@ -121,7 +122,12 @@ def load(
             every = given.every if isinstance(given, Checkpoint) else every
             with damage_of(path):
                 source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
-        whole = RunOrigin(source, solution.t_end, origin.y, origin.next_h, origin.memory, origin.imposed, checkpoint)
+        with damage_of(path):
+            own = roots_among(of_one_run(problem.events, problem.t_span[0], problem.y0, problem.args))
+            for roots, state in zip(own, origin.roots, strict=True):
+                roots.restore(state)
+        way = origin.next_h, origin.memory, origin.roots, origin.imposed, checkpoint
+        whole = RunOrigin(source, solution.t_end, origin.y, *way)
         solution = solution.changed(_origin=whole)
     if problem is not None or listed:
         start = _start(path, solution, dense) if problem is None else (problem.t_span[0], problem.y0)
@@ -171,7 +177,7 @@ def _invariants_of(
 def _origin(fields: dict[str, Any]) -> _OriginInFile:
     who = known_identity(fields["identity"], under("identity", fields))
     memory = fields["memory"].tobytes(), fields["memory_version"]
-    return _OriginInFile(who, fields["y_end"], fields["next_h"], *memory, fields["imposed"])
+    return _OriginInFile(who, fields["y_end"], fields["next_h"], *memory, fields["roots"], fields["imposed"])
 
 
 def _source(path: PathLike, origin: _OriginInFile, problem: Problem, options: Options, trust: str | None) -> Solved:
@@ -202,6 +208,7 @@ class _OriginInFile(Origin):
     next_h: float | None
     memory: bytes
     memory_version: int
+    roots: list[Any]
     imposed: bool
     source: None = None
 

@@ -175,7 +175,7 @@ class Experiments:
         if e.states:
             more["labels"] = e.states
         if self.model.events:
-            more["events"] = self._machine.functions(self.model._differences, once=False)
+            more["events"] = self._machine.functions(self.model._differences)
         # The initial value is a formula of p, in which that of the problem does not occur.
         return Problem(self._fun, (0.0, end), np.ones(max(len(e.states), 1)), args=(self._p,), **more)
 
@@ -210,7 +210,8 @@ class Experiments:
 
         def after_events(t: float, y: Any, p: Any) -> Array:
             """Return the initial value after events that are triggered there."""
-            return np.asarray(self._machine.start(t, np.ravel(formula(t, y, p)), np.array([*p], dtype=float)))
+            machine = Machine(self.model._events, self._equations)
+            return machine.start(t, np.ravel(formula(t, y, p)), np.array([*p], dtype=float))
 
         return after_events
 

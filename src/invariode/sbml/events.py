@@ -7,7 +7,6 @@ assignment all triggers are evaluated again, at the same time.
 
 from __future__ import annotations
 
-import copy
 import itertools
 import random
 from collections.abc import Callable, Sequence
@@ -40,9 +39,6 @@ _HOLDS: dict[str, Callable[[int], bool]] = {
 
 #: Events at one time beyond which they are taken to trigger each other without end.
 _MOST_AT_ONCE = 3000
-
-#: What a machine remembers of a run, besides events that wait.
-_OF_RUN = ("_holds", "_is_fresh", "_is_running", "_signs", "_t0", "_truths", "_y0", "_zeros", "executed", "p")
 
 #: (fun, name in messages, ...) -> its derivatives.
 Derive = Callable[..., Derivative]
@@ -199,6 +195,28 @@ class Waiting:
         self.time, self.event, self.values, self.trigger = time, event, values, trigger
         self.slopes: tuple[Array, Array] | None = None
 
+    def copy(self) -> Waiting:
+        """Return a copy, as it was triggered."""
+        return Waiting(self.time, self.event, self.values, self.trigger)
+
+    def state(self) -> dict[str, Any]:
+        """Return the event as JSON can hold it."""
+        t, y = self.trigger
+        slopes = None if self.slopes is None else [one.tolist() for one in self.slopes]
+        values = None if self.values is None else [*map(float, self.values)]
+        trigger = [float(t), np.asarray(y).tolist()]
+        return {"time": self.time, "event": self.event, "values": values, "trigger": trigger, "slopes": slopes}
+
+    @classmethod
+    def of_state(cls, state: dict[str, Any]) -> Waiting:
+        """Return the event of a state."""
+        t, y = state["trigger"]
+        one = cls(float(state["time"]), int(state["event"]), state["values"], (t, np.array(y, dtype=float)))
+        if state["slopes"] is not None:
+            time, values = (np.array(part, dtype=float) for part in state["slopes"])
+            one.slopes = time, values.reshape(len(time), -1)
+        return one
+
 
 class _Taken(NamedTuple):
     """A step of an action, for its derivatives: a trigger, or an execution (`after` is the state after it)."""
@@ -214,14 +232,15 @@ class Machine:
     - `code`: the events
     - `equations`: the model
     - `seed`: of the order in which events of one priority, or of none, are executed at one time
+    - `after`: receives the states after events, with their times, of all runs
     """
 
-    def __init__(self, code: EventCode, equations: ModelEquations, seed: int = 0) -> None:
-        self.code, self.equations, self._seed = code, equations, seed
-        self._t0 = -np.inf
+    def __init__(
+        self, code: EventCode, equations: ModelEquations, seed: int = 0, after: list[tuple[float, Array]] | None = None
+    ) -> None:
+        self.code, self.equations, self._seed, self._after_events = code, equations, seed, after
         self.p = np.zeros(0)
         self.queue: list[Waiting] = []
-        self.behind: list[tuple[float, Array]] = []
         #: The steps of the latest action, in their order, and the event that was due first before it.
         self.taken: list[_Taken] = []
         self.first_due: Waiting | None = None
@@ -232,13 +251,22 @@ class Machine:
         return {**self.__dict__, "_derivatives": None}
 
     def start(self, t: float, y: Array, p: Array) -> Array:
-        """Return the state after the events at the start of a run, which may begin there."""
-        self._is_running = False
-        behind = self._begun(t, y, p, executes=True)
-        #: The beginning with the state after the events at the start, for further runs.
-        self._beginning = self._snapshot()
-        self._start, self._y0 = (behind, p), behind
-        return behind
+        """Return the state after the events at the start. Runs from there have copies of this machine."""
+        after = self._begun(t, y, p, executes=True)
+        self._start = t, after, p
+        return after
+
+    def of_run(self, t: float, y: Array, p: Array) -> Machine:
+        """Return a machine for one run, which begins at (t, y), the state after the events at the start."""
+        one = Machine(self.code, self.equations, self._seed, self._after_events)
+        t0, y0, p0 = self._start
+        if t == t0 and np.array_equal(y, y0) and np.array_equal(p, p0[: len(p)]):
+            one.p, one.executed = p, 0
+            one._signs, one._truths, one._holds = self._signs.copy(), self._truths.copy(), self._holds.copy()
+            one._zeros, one.queue = self._zeros.copy(), [each.copy() for each in self.queue]
+        else:
+            one._begun(t, y, p, executes=False)
+        return one
 
     @property
     def begins_quietly(self) -> bool:
@@ -248,12 +276,9 @@ class Machine:
 
     def _begun(self, t: float, y: Array, p: Array, executes: bool) -> Array:
         """Begin a run. executes=False: y is the state after the events that are executed at the start."""
-        self._t0, self.p, self._random = t, p, random.Random(self._seed)
-        #: States after events, by time, for output at these times.
-        self.behind = []
+        self.p = p
         self.queue = []
         self.executed = 0
-        self._is_fresh = True
         count = len(self.code.comparisons)
         self._signs, self._truths, self._zeros = [1] * count, [False] * count, set(range(count))
         with np.errstate(all="ignore"):
@@ -265,21 +290,6 @@ class Machine:
             if not executes:
                 self.queue = [one for one in self.queue if one.time > t + _near(t)]
             return self._settled(t, y, {})
-
-    def _snapshot(self) -> tuple[Any, ...]:
-        """Return a copy of the state of the machine."""
-        queue = [Waiting(one.time, one.event, one.values, one.trigger) for one in self.queue]
-        return self._signs.copy(), self._truths.copy(), self._zeros.copy(), self._holds.copy(), queue
-
-    def _again(self, y: Array, p: Array) -> None:
-        """Begin a further run, from the state y after the events at the start."""
-        if np.array_equal(y, self._start[0]) and np.array_equal(p, self._start[1][: len(p)]):
-            self._begun(self._t0, y, p, executes=False)
-            self._signs, self._truths, self._zeros, self._holds, self.queue = self._beginning
-            self._beginning = self._snapshot()
-        elif not (self._is_fresh and np.array_equal(p, self.p[: len(p)]) and np.array_equal(y, self._y0)):
-            self._begun(self._t0, y, p, executes=False)
-        self._y0 = y
 
     @property
     def _due(self) -> float:
@@ -300,40 +310,32 @@ class Machine:
         return known[1]
 
     def state(self) -> dict[str, Any]:
-        """Return a copy of what belongs to the run that has ended."""
-        copies = {name: copy.copy(getattr(self, name)) for name in _OF_RUN}
-        return copies | {"queue": [copy.copy(one) for one in self.queue], "_random": self._random.getstate()}
+        """Return what the machine remembers of its run, as JSON can hold it."""
+        known = {"signs": self._signs, "truths": self._truths, "holds": self._holds, "zeros": sorted(self._zeros)}
+        copies = {name: [*one] for name, one in known.items()}
+        return copies | {"executed": self.executed, "queue": [one.state() for one in self.queue]}
 
-    def restore(self, state: dict[str, Any] | None) -> None:
-        """Continue the run of this state; None: it is not known, so that no run continues."""
-        if state is None:
-            self._is_running = False
-            return
-        for name in _OF_RUN:
-            setattr(self, name, copy.copy(state[name]))
-        self.queue = [copy.copy(one) for one in state["queue"]]
-        self._random = random.Random()
-        self._random.setstate(state["_random"])
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue the run of this state."""
+        count, events = len(self.code.comparisons), len(self.code.events)
+        signs, truths, holds, zeros = (list(state[name]) for name in ("signs", "truths", "holds", "zeros"))
+        queue = [Waiting.of_state(one) for one in state["queue"]]
+        known = {*signs} <= {-1, 0, 1} and {*truths, *holds} <= {False, True} and {*zeros} <= {*range(count)}
+        fits = (len(signs), len(truths), len(holds)) == (count, count, events)
+        if not (known and fits and all(0 <= one.event < events for one in queue)):
+            raise ValueError("what events remember does not fit the model")
+        self._signs, self._truths, self._holds, self._zeros, self.queue = signs, truths, holds, {*zeros}, queue
+        self.executed = int(state["executed"])
 
-    def functions(self, compiled: Any, once: bool) -> list[Roots]:
-        """Return the root functions of a run: the differences of all comparisons, and how long an execution has been
-        due. The latter also begins further runs, unless there is only one."""
-        needed = self.code.has_delays or not once
-        found: list[Roots] = [_Due(self)] if needed else []
+    def functions(self, compiled: Any) -> list[Roots]:
+        """Return the root functions: the differences of all comparisons, and how long an execution has been due."""
+        found: list[Roots] = [_Due(self)] if self.code.has_delays else []
         if count := len(self.code.comparisons):
             found.insert(0, _Comparisons(self, compiled, count))
         return found
 
     def due(self, t: float, y: Array, *args: Any) -> list[float]:
-        """Return how long the next execution has been due; a start at t0 begins another run."""
-        if args and t == self._t0:
-            self._again(np.array(y), np.array(args[0], dtype=float))
-            self._is_running = True
-        elif args and not (self._is_running and np.array_equal(args[0], self.p[: len(args[0])])):
-            raise ValueError(
-                "a run of a model with events cannot be extended from a file: events that wait for their execution are "
-                "not stored with it. Solve the longer interval"
-            )
+        """Return how long the next execution has been due."""
         return [t - self._due if self.queue else -1.0]
 
     def on_due(self, t: float, y: Array, which: Any, directions: Any, *args: Any) -> Array:
@@ -351,7 +353,6 @@ class Machine:
 
     def _after(self, t: float, y: Array, hit: dict[int, int]) -> Array:
         """Return the state after the events that comparisons with these new signs trigger, and those that are due."""
-        self._is_fresh = False
         self.first_due = min(self.queue, key=lambda one: one.time, default=None)
         with np.errstate(all="ignore"):
             if self._zeros:  # comparisons that have left zero
@@ -362,10 +363,10 @@ class Machine:
             self._change(hit)
             self._trigger(t, y)
             executed = self.executed
-            behind = self._settled(t, y, hit)
-        if self.executed > executed:
-            self.behind.append((t, behind))
-        return behind
+            after = self._settled(t, y, hit)
+        if self.executed > executed and self._after_events is not None:
+            self._after_events.append((t, after))
+        return after
 
     def _signs_at(self, t: float, y: Array) -> list[int]:
         return [_sign(d) for d in self.code.roots.code(t, y, self.p)]
@@ -433,7 +434,7 @@ class Machine:
             value = -np.inf if of is None else float(of.code(t, y, self.p)[0])
             return -np.inf if np.isnan(value) else value
 
-        self._random.shuffle(due)
+        random.Random(f"{self._seed} {self.executed}").shuffle(due)
         return max(due, key=priority)
 
     def _executed(self, t: float, y: Array, chosen: Waiting) -> Array:
@@ -466,6 +467,18 @@ class _OfMachine(Roots):
         """See `Roots.remembered`."""
         return [*self._machine.taken], self._machine.first_due
 
+    def of_run(self, t: float, y: Array, args: tuple[Any, ...], memory: dict[int, Any]) -> Roots:
+        """See `Roots.of_run`: one machine for the run."""
+        machine = self._machine
+        if id(machine) not in memory:
+            p = np.array(args[0] if args else (), dtype=float)
+            memory[id(machine)] = machine.of_run(t, np.array(y, dtype=float), p)
+        return self.on(memory[id(machine)])
+
+    def on(self, machine: Machine) -> Roots:
+        """Return these root functions of another machine."""
+        raise NotImplementedError
+
     def state(self) -> Any:
         """See `Roots.state`."""
         return self._machine.state()
@@ -488,6 +501,10 @@ class _Comparisons(_OfMachine):
         super().__init__(compiled, count, machine.on_roots, names=names)
         self._machine = machine
 
+    def on(self, machine: Machine) -> Roots:
+        """See `_OfMachine.on`."""
+        return _Comparisons(machine, self.fun, self.count)
+
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""
         fun = of(self.fun, "the triggers", m=self.count, moves_t=True)
@@ -500,6 +517,10 @@ class _Due(_OfMachine):
     def __init__(self, machine: Machine) -> None:
         super().__init__(machine.due, 1, machine.on_due, names=["execution"])
         self._machine = machine
+
+    def on(self, machine: Machine) -> Roots:
+        """See `_OfMachine.on`."""
+        return _Due(machine)
 
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""

@@ -115,8 +115,7 @@ class _InitialState:
         y = self._model._consistent(self._t0, self._model._equations.initial_state(self._solved(p)), p)
         if self._machine is None:
             return y
-        machine = Machine(self._machine.code, self._machine.equations)  # that of the problem may be in a run
-        return machine.start(self._t0, y, p)
+        return Machine(self._machine.code, self._machine.equations).start(self._t0, y, p)
 
     def _solved(self, p: Array) -> Array:
         """Return p with the numbers that algebraic rules determine at the start."""
@@ -326,7 +325,7 @@ class Model:
         if model.events:
             machine = Machine(model._events, model._equations)
             y0 = machine.start(t0, y0, p)
-            more["events"] = machine.functions(model._differences, once=False)
+            more["events"] = machine.functions(model._differences)
         start = _InitialState(model, t0, p, machine)
         follows = bool(model.states and model._names) and not model._equations.delays and start.varies
         return model._problem(t_span, p, start if follows else y0, moieties, **more)
@@ -504,10 +503,11 @@ class Model:
     ) -> Array:
         """Return the states at these times, (n, m), after events that happen there."""
         end, y = float(times[-1]), self._consistent(start, y, p)
-        machine, more = Machine(self._events, self._equations, seed), {}
+        after: list[tuple[float, Array]] = []
+        machine, more = Machine(self._events, self._equations, seed, after), {}
         if self.events:
             y = machine.start(start, y, p)
-            more["events"] = machine.functions(self._differences, once=True)
+            more["events"] = machine.functions(self._differences)
         if end == start or (not self.states and not self.events):
             return np.repeat(np.tile(y, 1 + len(self._equations.delays))[:, None], len(times), axis=1)
         known = next((one for one in METHODS.values() if method in (one.name, one.scipy_name)), None)
@@ -529,8 +529,8 @@ class Model:
             about = f" Reactions without a rate: {', '.join(missing)}." if missing else ""
             raise RuntimeError(f"the run of {self.name} did not reach the end: {sol.message}{about}")
         Y = np.vstack([sol.y, *(sol.sol(times - one) for one in delays)])
-        for t, behind in machine.behind if self.events else []:
-            Y[: len(y), np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = behind[:, None]
+        for t, state in after:
+            Y[: len(y), np.abs(times - t) <= SAME_TIME * max(1.0, abs(t))] = state[:, None]
         return Y
 
     def _prepared(
