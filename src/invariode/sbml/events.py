@@ -311,8 +311,8 @@ class Machine:
 
     def state(self) -> dict[str, Any]:
         """Return what the machine remembers of its run, as JSON can hold it."""
-        known = {"signs": self._signs, "truths": self._truths, "holds": self._holds, "zeros": sorted(self._zeros)}
-        copies = {name: [*one] for name, one in known.items()}
+        known: dict[str, list[Any]] = {"signs": self._signs, "truths": self._truths, "holds": self._holds}
+        copies = {name: [*one] for name, one in known.items()} | {"zeros": sorted(self._zeros)}
         return copies | {"executed": self.executed, "queue": [one.state() for one in self.queue]}
 
     def restore(self, state: dict[str, Any]) -> None:
