@@ -138,7 +138,6 @@ class Plan(NamedTuple):
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series
     schedule: Schedule | None = None  # where f changes its branch as a function of t alone
-    roots: tuple[Roots, ...] = ()  # which remember the run, if they remember anything: the plan's own
     watch: Watch | None = None  # on what a run itself does not see: it is the callback, which calls the user's
 
     @property
@@ -146,6 +145,11 @@ class Plan(NamedTuple):
         """Initial values of the core: y0, then the sensitivities."""
         y0 = self.y0.view(float) if self.functions.complex else self.y0
         return y0 if self.varied is None else self.varied.augmented(y0)
+
+    @property
+    def roots(self) -> list[Roots]:
+        """The plan's own `Roots`, which remember its run if they remember anything."""
+        return [one.action.roots for one in self.functions.vectors]
 
     @property
     def own_events(self) -> int:

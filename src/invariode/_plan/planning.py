@@ -37,7 +37,7 @@ from .._functions.layout import ArgumentLayout, layout_of
 from .._laws.bound import BoundInvariants, bind
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.delays import Undelayed, depends_on_args
-from .._problem.events import RootOf, event_spec, of_one_run, roots_among, vector_specs
+from .._problem.events import RootOf, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.matrices import Matrices
@@ -88,9 +88,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     renew(_called(problem, [], options["linear_solver"]))
     _require_delays(problem, chosen, options)
     by_series = chosen.equations == "graph"
-    problem = _on_graph(problem, chosen) if by_series else problem
-    if roots_among(problem.events):
-        problem = problem.with_events(of_one_run(problem.events, problem.t_span[0], problem.y0, problem.args))
+    problem = (_on_graph(problem, chosen) if by_series else problem).of_one_run()
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
@@ -139,7 +137,6 @@ def planned(problem: Problem, choice: Choice) -> Plan:
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
         watch=watch,
         schedule=schedule,
-        roots=(*roots_among(problem.events),),
     )
     if problem.sensitivities is not None:
         plan = _with_sensitivities(plan, problem, breakpoints)

@@ -265,10 +265,10 @@ class _OnRoots:
     """`on_roots` as the core calls it: the state, and after it the sign that each function takes on."""
 
     def __init__(self, roots: Roots) -> None:
-        self._roots = roots
+        self.roots = roots
 
     def __call__(self, t: float, state: Array, *args: Any) -> Any:
-        roots = self._roots
+        roots = self.roots
         signs = state[-roots.count :].real.astype(int)
         which = np.flatnonzero(signs)
         roots.latest = which, signs[which]

@@ -42,7 +42,7 @@ from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints
 from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
 from .docstrings import documented
-from .events import Event, direction_sign, terminal_count, to_events
+from .events import Event, direction_sign, terminal_count, of_one_run, roots_among, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
@@ -397,10 +397,12 @@ class Problem:
             changes["args"] = self.arguments(changes["args"])
         return type(self)(**{**now, **changes})
 
-    def with_events(self, events: Sequence[Event]) -> Self:
-        """Return the problem with other events, which are not checked."""
+    def of_one_run(self) -> Self:
+        """Return the problem with `Roots` whose memory belongs to one run."""
+        if not roots_among(self.events):
+            return self
         problem = copy.copy(self)
-        problem.__dict__["events"] = events
+        problem.__dict__["events"] = of_one_run(self.events, self.t_span[0], self.y0, self.args)
         return problem
 
     @property

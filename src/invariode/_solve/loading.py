@@ -20,7 +20,7 @@ from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
 from .._functions.layout import NO_ARGUMENTS
 from .._laws.bound import BoundInvariants, ValueJump, bind
-from .._problem.events import of_one_run, roots_among
+from .._problem.events import roots_among
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
@@ -123,8 +123,7 @@ def load(
             with damage_of(path):
                 source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
         with damage_of(path):
-            own = roots_among(of_one_run(problem.events, problem.t_span[0], problem.y0, problem.args))
-            for roots, state in zip(own, origin.roots, strict=True):
+            for roots, state in zip(roots_among(problem.of_one_run().events), origin.roots, strict=True):
                 roots.restore(state)
         way = origin.next_h, origin.memory, origin.roots, origin.imposed, checkpoint
         whole = RunOrigin(source, solution.t_end, origin.y, *way)
