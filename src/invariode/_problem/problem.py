@@ -42,7 +42,7 @@ from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints
 from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
 from .docstrings import documented
-from .events import Event, direction_sign, terminal_count, of_one_run, roots_among, to_events
+from .events import Event, direction_sign, of_one_run, roots_among, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
