@@ -364,6 +364,10 @@ def calls() -> str:
         "compiled, a compiled invariant": solve(
             compiled, invariants=iv.compile(lambda t, y: y[0] * y[0] + y[1] * y[1])
         ),
+        "compiled, sensitivities": solve(compiled, args=(1.0,), sensitivities=True),
+        "compiled, sensitivities, prepare": lambda: iv.Problem(
+            compiled, span, y0, args=(1.0,), sensitivities=True
+        ).prepare(),
         "an event": solve(events=far_off),
         "bounds": solve(bounds=(-2.0, 2.0)),
         "an invariant with its Jacobian": solve(invariants=g),

@@ -289,3 +289,29 @@ def test_what_is_dissipated_backward_in_time_rises():
     backward = prepared(t_span=(2, 0))
     np.testing.assert_array_equal(backward.y, problem.replace(t_span=(2, 0)).solve().y)
     assert backward.success
+
+
+def test_problems_with_sensitivities_share_a_plan_and_no_values():
+    """A compiled f keeps the plan of its first problem with sensitivities; each other one gets what it gets alone."""
+    pytest.importorskip("llvmlite")
+
+    def falls(t, y, a, b):
+        return [-a * y[0] + b * y[1], a * y[0] - b * y[1] ** 2]
+
+    kept = iv.compile(falls)
+    wanted: list[Any] = [True, "b", iv.Sensitivities(["a"], y0=[1], scale=[0.1, 2.0])]
+    wanted += [iv.Sensitivities(True, dy0dp=[[1.0, 0.0], [0.0, one]]) for one in (1.0, 2.0)]
+    wanted.append(iv.Sensitivities(True, error_test=False))
+    options: dict[str, Any] = {"rtol": 1e-5, "atol": 1e-8}
+    for span, y0, args in [
+        ((0, 1), [1.0, 2.0], (0.5, 2.0)),
+        ((2, 5), [0.3, 1.0], (1.5, 0.25)),
+        ((1, 0), [1, 1], (1, 2)),
+    ]:
+        for one in wanted:
+            problem = iv.Problem(kept, span, y0, args=args, sensitivities=one)
+            alone = problem.replace(fun=iv.compile(falls)).solve(**options)
+            for sol in (problem.solve(**options), problem.prepare(**options)()):
+                assert sol.sensitivity_names == alone.sensitivity_names
+                for name in ("t", "y", "sensitivities", "y_end"):
+                    np.testing.assert_array_equal(getattr(sol, name), getattr(alone, name))

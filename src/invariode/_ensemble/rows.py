@@ -295,7 +295,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     row: dict[str, Any] = {"t_end": run.t_end, "y_end": run.end, "counts": run.counts, "correction": run.correction}
     bound, times = plan.bound, plan.course.times
     if plan.varied is not None:
-        n, k = len(plan.y0), len(plan.varied.names)
+        n, k = plan.functions.n // (1 + plan.functions.complex), len(plan.varied.names)
         row["y_end"], row["S_end"] = states_and_sensitivities(row["y_end"], n, k)
     if times is not None or len(bound):
         t, y = run.take_points()

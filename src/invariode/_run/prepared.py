@@ -8,9 +8,11 @@ each run, by the same code.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any, cast
+
+import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, call_name, reals, warnings_given
@@ -37,6 +39,7 @@ from .._problem.invariants import Invariants
 from .._problem.matrices import NO_MATRICES
 from .._problem.options import Options
 from .._problem.problem import Problem
+from .._problem.sensitivities import Sensitivities
 from .._sensitivity.landings import switches_in_time
 
 #: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
@@ -279,7 +282,7 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     that belongs to this problem alone."""
     if not (is_plain_function(problem.fun) or isinstance(problem.fun, CompiledFunction)):
         return None
-    if problem.inputs or problem.breakpoints or problem.sensitivities is not None or problem.second_order:
+    if problem.inputs or problem.breakpoints or problem.second_order:
         return None
     if problem.matrices is not NO_MATRICES or problem.delays is not None:
         return None
@@ -289,9 +292,21 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     compiled = isinstance(problem.fun, CompiledFunction)
     laws = tuple(_law(one, compiled) for one in problem.invariants)
     events = tuple(_event(one, compiled) for one in problem.events)
-    if None in laws or None in events:
+    varied = () if problem.sensitivities is None else _varied(problem, problem.sensitivities)
+    if None in laws or None in events or varied is None:
         return None
-    return problem.records_events, problem.signed_states, bounds, laws, events
+    return problem.records_events, problem.signed_states, bounds, laws, events, varied
+
+
+def _varied(problem: Problem, wanted: Sensitivities) -> tuple[Any, ...] | None:
+    """Return the data of sensitivities of a compiled f whose derivatives and start are not functions."""
+    given, scale = wanted.dy0dp, wanted.scale
+    own = wanted.dfdp is not None or callable(given) or isinstance(scale, Mapping)
+    if own or not isinstance(problem.fun, CompiledFunction):
+        return None
+    arrays: list[Any] = [None if one is None else np.asarray(one) for one in (given, scale)]
+    numbers = [None if one is None else (one.shape, one.dtype.char, one.tobytes()) for one in arrays]
+    return problem.parameter_names(), wanted.error_test, *numbers
 
 
 def _code_of(fun: Any, compiled: bool) -> object | None:

@@ -549,7 +549,7 @@ def _parted(
     plan: Plan, varied: Variations, Y: Array, end: Array, happened: list[tuple[Array, Array]]
 ) -> tuple[Array, Array, list[tuple[Array, Array]] | None, SensitivityData]:
     """y at the outputs, at the end and at events, and the sensitivities."""
-    n, k = len(plan.y0), len(varied.names)
+    n, k = plan.functions.n // (1 + plan.functions.complex), len(varied.names)  # y0 of a shared plan is empty
     y, S = states_and_sensitivities(Y, n, k)
     y_end, S_end = states_and_sensitivities(end[:, None], n, k)
     recorded = plan.records_events

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, extra_arguments, interval, require_no_unit
+from .._base.arguments import Array, extra_arguments, interval, quietly, reals, require_no_unit
 from .._base.types import MethodName, Span
+from .._functions.compiled import CompiledFunction
 from .._plan.planning import choose, course_of, planned
 from .._problem.options import Options, ProblemArguments, keeping_arrays
 from .._problem.problem import Problem
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
-from .._run.prepared import Prepared
+from .._run.prepared import Prepared, prepared_or_plan
 from .._run.run import Finished, Solved, concluded, presented, solve
 
 
@@ -39,9 +40,9 @@ class PreparedSolver:
         self.problem = problem
         self.method = method
         self._options = keeping_arrays(options)
-        choice = choose(method, self._options)
-        plan = planned(problem, choice)
-        self._prepared = Prepared(problem, choice, plan)
+        self._prepared = _prepared(problem, method, self._options)
+        #: The problem's own interval and output times, which those of its kind do not share.
+        self._course = course_of(self._prepared.choice, problem.t_span, reals(problem.y0), self._options.get("t_eval"))
         self._source = Solved(problem, method, self._options)  # of runs in which nothing differs
         # Breakpoints lie in the interval.
         self._any_span = self._prepared.any_span and self._options.get("breakpoints") is None
@@ -95,7 +96,7 @@ class PreparedSolver:
         if y0 is None and args is not None and problem.y0_of_args is not None:
             start = _as_state(problem.start_with(args), problem.y0)
         if known and start is not None:
-            course = prepared.plan.course
+            course = self._course
             if t_span is not None:
                 course = course_of(prepared.choice, interval(t_span), len(start), self._options.get("t_eval"))
             run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
@@ -107,6 +108,20 @@ class PreparedSolver:
                 return concluded(presented(Finished.by(prepared, run, course, source)), prepared.plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
+
+
+def _prepared(problem: Problem, method: MethodName, options: Options) -> Prepared:
+    """Return the plan of a problem; of a compiled f that of all problems of its kind, if it has one."""
+    lent = options.get("breakpoints") is not None or options.get("callback") is not None
+    if isinstance(problem.fun, CompiledFunction) and not lent:
+        found = prepared_or_plan(problem, method, options)
+        if isinstance(found, Prepared):
+            return found
+        with quietly():  # the plan has given the warnings
+            choice = choose(method, options)
+        return Prepared(problem, choice, found)
+    choice = choose(method, options)
+    return Prepared(problem, choice, planned(problem, choice))
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
