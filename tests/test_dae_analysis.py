@@ -251,6 +251,9 @@ def test_what_solve_dae_does_not_take_is_named():
     def decay(t, y, yp):
         return [yp[0] + y[0]]
 
+    for given in ({"order": 2}, {"args": (1.0,)}):
+        with pytest.raises(TypeError, match=r"F is called as F\(t, y, yp.*\).*: decay does not take these arguments"):
+            iv.solve_dae(decay, (0, 1), [1], **given)
     with pytest.raises(ValueError, match=r"rkn86 is for y'' = f\(t, y\), and solve_dae reduces F to y' = f"):
         iv.solve_dae(decay, (0, 1), [1], method="rkn86")
     for name, message in (("delays", "solve_ivp"), ("inputs", "call the Input"), ("mass", "write M y' in F")):

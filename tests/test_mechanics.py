@@ -461,11 +461,16 @@ def test_bad_input_is_refused_in_words(name):
         ({"constraints": 3}, TypeError, "constraints"),
         ({"jacobian": lambda t, q: q}, ValueError, "constraints too"),
         ({"energy": "E"}, TypeError, "energy"),
+        ({"mass": [1, np.nan]}, ValueError, "mass must hold finite"),
+        ({"mass": lambda q: np.eye(2)}, TypeError, r"mass is called as M\(t, q\)"),
+        ({"force": lambda t, q: q}, TypeError, r"force is called as Q\(t, q, v\); args=\(a, b\) passes further"),
+        ({"constraints": lambda t, q: q, "args": (3.0,)}, TypeError, r"and then with args = \(3.0,\): constraints"),
+        ({"energy": lambda t, y: 0.0}, TypeError, r"energy is called as E\(t, q, v\)"),
     ],
 )
 def test_what_is_no_function_is_refused_at_once(arguments, error, message):
     with pytest.raises(error, match=message):
-        MechanicalSystem(**{"mass": [1, 1], "force": gravity} | arguments)
+        MechanicalSystem(**{"mass": [1, 1], "force": lambda t, q, v, *args: gravity(t, q, v)} | arguments)
 
 
 def test_a_kink_that_the_motion_crosses_ends_it_there_and_says_so():

@@ -34,6 +34,7 @@ from .._functions.graph.landings import timed
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
+from .._plan.call_errors import require_called
 from .._problem.bounds import to_bounds
 from .._problem.events import to_events
 from .._problem.invariants import Invariants
@@ -216,6 +217,7 @@ class Dae:
         n = len(self.y0)
         self.yp0 = None if yp0 is None else _real_state("yp0", yp0, n)
         self.args = extra_arguments(args)
+        require_called("F", F, "F(t, y, yp)" if self.order == 1 else "F(t, y, yp, ypp)", self.args)
         self.name = call_name(F, "dae")
         self.names = [f"y[{j}]" for j in range(n)] if names is None else distinct_labels(names, n)
         self.equations = [f"F[{i}]" for i in range(n)] if equations is None else _names(equations, n)

@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, choice, extra_arguments, function, interval, shown, state, warn
+from .._base.arguments import Array, as_array, choice, extra_arguments, function, interval, shown, state, warn
 from .._base.failures import InvariantError
 from .._base.package import public
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
+from .._plan.call_errors import require_called
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
 from .._problem.problem import Problem
 from .._results.solution import HasPoints
@@ -124,8 +125,14 @@ class MechanicalSystem(HasPoints):
         name: str | None = None,
         jacobian: Callable[..., Any] | None = None,
     ) -> None:
-        self.force = force if is_native(force) else function("force", force, "Q(t, q, v)")
+        if isinstance(mass, (str, list, tuple, np.ndarray)):
+            values = as_array("mass", mass)
+            if values.dtype.kind in "USc" or (values.dtype.kind == "f" and not np.isfinite(values).all()):
+                raise ValueError(f"mass must hold finite real numbers, got {shown(mass)}")
+        self.args = extra_arguments(args)
         optional = {
+            "force": (force, "Q(t, q, v)"),
+            "mass": (mass if callable(mass) else None, "M(t, q)"),
             "constraints": (constraints, "φ(t, q)"),
             "velocity_constraints": (velocity_constraints, "ψ(t, q, v)"),
             "kinematics": (kinematics, "K(t, q, v)"),
@@ -136,15 +143,14 @@ class MechanicalSystem(HasPoints):
         for argument, (given, signature) in optional.items():
             named = argument.endswith("constraints") and isinstance(given, Invariants)
             if given is not None and not is_native(given) and not named:
-                function(argument, given, signature)
+                require_called(argument, function(argument, given, signature), signature, self.args)
         if jacobian is not None and constraints is None:
             raise ValueError("jacobian is that of the constraints: give constraints too")
-        self.mass = mass
+        self.mass, self.force = mass, force
         self.constraints, self.velocity_constraints = constraints, velocity_constraints
         self.kinematics, self.energy, self.jacobian = kinematics, energy, jacobian
         self.invariants = to_invariants(invariants)
         self.points = points
-        self.args = extra_arguments(args)
         self.labels = None if labels is None else list(labels)
         self.name = name
         self._n_q: int | None = None  # known from `problem`, if lengths of q and v differ

@@ -64,6 +64,15 @@ def require_taken(problem: Problem, args: Any) -> None:
     )
 
 
+def require_called(name: str, fun: Any, signature: str, args: tuple[Any, ...]) -> None:
+    """Require that a function can be called as its signature, such as "Q(t, q, v)", says, with `args` after that."""
+    if not takes(fun, [*(None,) * (signature.count(",") - 1), *args]):
+        further = f" and then with args = {shown(args)}" if args else "; args=(a, b) passes further arguments"
+        raise TypeError(
+            f"{name} is called as {signature}{further}: {call_name(fun, name)} does not take these arguments"
+        )
+
+
 def _one_array(problem: Problem) -> str:
     """Return a note on a list of numbers that was meant as one argument; empty if f does not take one argument."""
     if len(problem.args) < 2 or not takes(problem.fun, [*problem.before_args, None]):
@@ -127,6 +136,7 @@ def _functions(problem: Problem) -> Iterator[tuple[str, Any]]:
     yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
     yield from ((titled(event.__name__), event.fun) for event in problem.events)
     yield from ((f"the action of {titled(event.__name__)}", event.action) for event in problem.events)
+    yield from ((f"the action of the breakpoint at t = {point.t}", point.action) for point in problem.breakpoints)
 
 
 def takes_time(fun: Any) -> bool:
