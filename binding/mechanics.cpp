@@ -73,47 +73,28 @@ Differentiable make_differentiable(const nb::object& given, const std::string& n
   return {forms, static_cast<std::size_t>(with_v ? arguments.n_q + arguments.n_v : arguments.n_q), m};
 }
 
-MassTerm make_mass(const MechanicsSpec& spec, const Arguments& arguments, Functions& functions) {
-  MassTerm mass{.writes = spec.mass_writes, .matrix = spec.mass, .function = {}};
-  Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.n_v)};
-  if (mass.writes == MassTerm::Writes::nothing) return mass;
-  if (mass.writes == MassTerm::Writes::rows) returns.columns = returns.rows, returns.matrix = true;
-  if (mass.writes == MassTerm::Writes::entries) returns.rows = spec.mass.nonZeros();
-  mass.function = functions.of_motion(nb::object(spec.functions["mass"]), "mass(t, q)", arguments.of(false), returns);
-  return mass;
-}
-
-JacobianTerm make_jacobian(const MechanicsSpec& spec, const Arguments& arguments, Functions& functions) {
-  const nb::object given(spec.functions["jacobian"]);
-  if (given.is_none()) return {};
-  Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.m_phi),
-                  .columns = static_cast<std::ptrdiff_t>(spec.n_q),
-                  .matrix = true};
-  if (spec.jacobian_entries) returns = {.rows = spec.phi_pattern.nonZeros()};
-  return {functions.of_motion(given, "jacobian(t, q)", arguments.of(false), returns), spec.jacobian_entries};
-}
-
 MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
-  const Arguments arguments{static_cast<std::ptrdiff_t>(spec.n_q), static_cast<std::ptrdiff_t>(spec.n_v)};
-  MotionTerms terms;
-  terms.n_q = spec.n_q;
-  terms.n_v = spec.n_v;
-  terms.mass = make_mass(spec, arguments, functions);
-  terms.force = functions.of_motion(nb::object(spec.functions["force"]), "force(t, q, v)", arguments.of(true),
-                                    {.rows = arguments.n_v});
+  MotionTerms terms = spec.terms;
+  const Arguments arguments{static_cast<std::ptrdiff_t>(terms.n_q), static_cast<std::ptrdiff_t>(terms.n_v)};
+  const auto named = [&](const char* key) { return nb::object(spec.functions[key]); };
+  if (terms.mass.writes != MassTerm::Writes::nothing) {
+    Returns returns{.rows = arguments.n_v};
+    if (terms.mass.writes == MassTerm::Writes::rows) returns.columns = returns.rows, returns.matrix = true;
+    if (terms.mass.writes == MassTerm::Writes::entries) returns.rows = terms.mass.matrix.nonZeros();
+    terms.mass.function = functions.of_motion(named("mass"), "mass(t, q)", arguments.of(false), returns);
+  }
+  terms.force = functions.of_motion(named("force"), "force(t, q, v)", arguments.of(true), {.rows = arguments.n_v});
   const auto derived = [&](const char* key, const char* name, bool with_v, std::size_t m) {
-    return make_differentiable(nb::object(spec.functions[key]), name, arguments, with_v, m, functions);
+    return make_differentiable(named(key), name, arguments, with_v, m, functions);
   };
   terms.constraints = derived("constraints", "constraints(t, q)", false, spec.m_phi);
   terms.velocity_constraints = derived("velocity_constraints", "velocity_constraints(t, q, v)", true, spec.m_psi);
-  terms.kinematics = derived("kinematics", "kinematics(t, q, v)", true, spec.n_q);
-  terms.jacobian = make_jacobian(spec, arguments, functions);
-  terms.phi_pattern = spec.phi_pattern;
-  terms.psi_pattern = spec.psi_pattern;
-  terms.kinematics_pattern = spec.kinematics_pattern;
-  terms.kept = spec.kept;
-  terms.sparse = spec.sparse;
-  terms.dependent = spec.dependent;
+  terms.kinematics = derived("kinematics", "kinematics(t, q, v)", true, terms.n_q);
+  if (const nb::object given = named("jacobian"); !given.is_none()) {
+    Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.m_phi), .columns = arguments.n_q, .matrix = true};
+    if (terms.jacobian.entries) returns = {.rows = terms.phi_pattern.nonZeros()};
+    terms.jacobian.function = functions.of_motion(given, "jacobian(t, q)", arguments.of(false), returns);
+  }
   return terms;
 }
 
@@ -214,7 +195,7 @@ class BoundMotion {
  private:
   static std::size_t size_of(const nb::object& mechanics) {
     const auto& spec = nb::cast<const MechanicsSpec&>(mechanics);
-    return spec.n_q + spec.n_v;
+    return spec.terms.n_q + spec.terms.n_v;
   }
   const double* state(const ConstVector& y) const {
     require(y.size() == motion_.size(), "y has not the size of (q, v)");
@@ -275,20 +256,21 @@ void define_system(nb::module_& module) {
              const nb::object& phi, const nb::object& psi, const nb::object& kinematics, const std::vector<bool>& kept,
              bool sparse, double dependent) {
             const std::size_t map = functions["kinematics"].is_none() ? 0 : n_q;
-            new (self) MechanicsSpec{n_q,
-                                     n_v,
-                                     m_phi,
-                                     m_psi,
-                                     std::move(functions),
-                                     writes_named(mass_writes),
-                                     read_sparse(mass, n_v, n_v),
-                                     jacobian_entries,
-                                     read_sparse(phi, m_phi, n_q),
-                                     read_sparse(psi, m_psi, n_q + n_v),
-                                     read_sparse(kinematics, map, n_q + n_v),
-                                     std::vector<char>(kept.begin(), kept.end()),
-                                     sparse,
-                                     dependent};
+            MotionTerms terms{.n_q = n_q,
+                              .n_v = n_v,
+                              .mass = {writes_named(mass_writes), read_sparse(mass, n_v, n_v), {}},
+                              .force = {},
+                              .constraints = {},
+                              .velocity_constraints = {},
+                              .kinematics = {},
+                              .jacobian = {.function = {}, .entries = jacobian_entries},
+                              .phi_pattern = read_sparse(phi, m_phi, n_q),
+                              .psi_pattern = read_sparse(psi, m_psi, n_q + n_v),
+                              .kinematics_pattern = read_sparse(kinematics, map, n_q + n_v),
+                              .kept = std::vector<char>(kept.begin(), kept.end()),
+                              .sparse = sparse,
+                              .dependent = dependent};
+            new (self) MechanicsSpec{std::move(terms), m_phi, m_psi, std::move(functions)};
           },
           nb::kw_only(), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m_phi"), nb::arg("m_psi"), nb::arg("functions"),
           nb::arg("mass_writes"), nb::arg("mass"), nb::arg("jacobian_entries"), nb::arg("phi"), nb::arg("psi"),

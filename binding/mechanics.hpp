@@ -18,15 +18,9 @@ namespace invariode::binding {
 /// A mechanical system but for its arguments. `functions` by name: mass, force, jacobian; constraints,
 /// velocity_constraints and kinematics as (function, complex form, the same without warnings). None: there is no such.
 struct MechanicsSpec {
-  std::size_t n_q, n_v, m_phi, m_psi;
+  MotionTerms terms;  ///< without functions
+  std::size_t m_phi, m_psi;
   nb::dict functions;
-  MassTerm::Writes mass_writes;
-  SparseMatrix mass;  ///< a constant, or a pattern
-  bool jacobian_entries;
-  SparseMatrix phi_pattern, psi_pattern, kinematics_pattern;
-  std::vector<char> kept;
-  bool sparse;
-  double dependent;
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, functions); }
 };

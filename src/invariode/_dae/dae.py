@@ -617,12 +617,7 @@ class Dae:
         self._tell_move(x)
         unknowns = self._functions(reduction).unknowns
         through = ThroughUnknowns(unknowns, partial(self._after_action, reduction, starts), self._p)
-        on_failure = options.pop("on_failure", None)
-        options["on_failure"] = "return"  # of the reduced problem: messages and checks of the equations come first
-        if (callback := options.get("callback")) is not None:
-            options["callback"] = through.callback(callback)
-        if (points := options.get("breakpoints")) is not None:
-            options["breakpoints"] = through.breakpoints(points)
+        on_failure = through.options(options)
         if timed([one for level in reduction.levels for one in level.in_states]):
             require_no_jump(reduction, span, np.array([x[one] for one in reduction.states]), self._p)
         atol = self._atol(reduction, options)

@@ -359,12 +359,7 @@ def solve_residual(
         return np.concatenate([form.states(new[0]), state[form.n :]])
 
     through = ThroughUnknowns(unknowns, after_action, none)
-    on_failure = options.pop("on_failure", None)
-    options["on_failure"] = "return"
-    if (callback := options.get("callback")) is not None:
-        options["callback"] = through.callback(callback)
-    if (points := options.get("breakpoints")) is not None:
-        options["breakpoints"] = through.breakpoints(points)
+    on_failure = through.options(options)
     rtol = options.get("rtol", RTOL)
     of_y, options["atol"] = form.tolerances(options.get("atol", ATOL))
     problem = Problem(

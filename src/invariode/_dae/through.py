@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .._base.arguments import Array, shown
+from .._base.types import OnFailure
 from .._functions.layout import layout_of
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import Event
@@ -66,6 +67,17 @@ class ThroughUnknowns:
             return self._consistent(t, state, (y, yp), (_vector(new, y), _vector(slopes, y)), args)
 
         return of_state
+
+    def options(self, options: Any) -> OnFailure | None:
+        """Put the functions among the options of a run in terms of the state, and return its `on_failure`: the reduced
+        problem returns its failures, since messages and checks of the equations come first."""
+        on_failure: OnFailure | None = options.pop("on_failure", None)
+        options["on_failure"] = "return"
+        if (callback := options.get("callback")) is not None:
+            options["callback"] = self.callback(callback)
+        if (points := options.get("breakpoints")) is not None:
+            options["breakpoints"] = self.breakpoints(points)
+        return on_failure
 
     def callback(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return a callback of the state."""

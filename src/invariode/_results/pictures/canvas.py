@@ -213,11 +213,15 @@ def positive(values: Array) -> Array:
 
 def components(sol: Result, chosen: Any) -> list[int]:
     """Return indices of the components that were chosen, all by default."""
-    names = sol._names.components
+    return indices(sol._names.components, chosen, "component")
+
+
+def indices(names: Sequence[str], chosen: Any, what: str) -> list[int]:
+    """Return the places of chosen names, or of all by default; `what` they name, in messages."""
     if chosen is None:
         return list(range(len(names)))
     several = [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen
-    return [component(names, one) for one in several]
+    return [component(names, one, what) for one in several]
 
 
 def require_points(sol: Result) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array
 from ..result import Result
-from .canvas import component, components, drawable, joined, legend, new, new_panels, properties, unused
+from .canvas import components, drawable, indices, joined, legend, new, new_panels, properties, unused
 from .curves import continuous_times, draw_over_t, interrupted, parts
 
 if TYPE_CHECKING:
@@ -47,20 +46,12 @@ def draw(
         raise ValueError("the run had no sensitivities: solve with sensitivities=True, or the names of parameters")
     if len(sol.t) < 2:
         raise ValueError("sensitivities are drawn over at least two outputs: solve with times in t_eval, or without it")
-    rows, columns = components(sol, chosen), _columns(sol.sensitivity_names, parameters)
+    rows, columns = components(sol, chosen), indices(sol.sensitivity_names, parameters, "parameter")
     relative = kind == "map" if relative is None else relative
     factors = _factors(sol) if relative else None
     if kind == "map":
         return _map(sol, rows, columns, factors, ax)
     return _lines(sol, rows, columns, factors, ax, line)
-
-
-def _columns(names: Sequence[str], chosen: Any) -> list[int]:
-    """Return indices of the parameters that were chosen, all by default."""
-    if chosen is None:
-        return list(range(len(names)))
-    several = [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen
-    return [component(names, one, "parameter") for one in several]
 
 
 def _factors(sol: Result) -> Array:
