@@ -17,7 +17,7 @@ import invariode as iv
 from cases import dealt, explicit_and_implicit
 from invariode._results.pictures.canvas import log_axis
 from invariode._studies import work_precision
-from invariode._studies.precision import Row, Run
+from invariode._studies.precision import ComparedMethod, Run
 from problems import PROBLEMS
 
 DRAWINGS = {
@@ -722,7 +722,9 @@ class TestWorkAndPrecision:
     def test_a_method_without_a_point_is_not_in_the_legend(self):
         reached, failed = Run(1e-5, 100, 0, 0, 0.01), Run(np.inf, 100, 0, 0, 0.01, "takes too long")
         figure = Figure()
-        work_precision._finish(figure, [Row("ode45", 1e-3, reached, None), Row("ode23", 1e-3, failed, None)], "decay")
+        work_precision._finish(
+            figure, [ComparedMethod("ode45", 1e-3, reached, None), ComparedMethod("ode23", 1e-3, failed, None)], "decay"
+        )
         assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ode45"]
 
     def test_a_reference_of_ones_own(self):
