@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from invariode._studies.precision import Judgement, Row, Run, best, judge, judgements
+from invariode._studies.precision import ComparedMethod, Judgement, Run, best, judge, judgements
 from invariode.cli.compare import answer
 
 
@@ -20,7 +20,7 @@ def rows_of_order(p: int, ratio: float, method: str = "ode45", gain: float = 10.
             Run(e, n, 0, 0, 1e3 * price * factor * e ** (-1 / p))
             for e, n, factor in zip((error, projected), f, (1, ratio), strict=True)
         ]
-        rows.append(Row(method, 10.0**-k, *runs))
+        rows.append(ComparedMethod(method, 10.0**-k, *runs))
     return rows
 
 
