@@ -10,7 +10,9 @@ from invariode._studies.precision import ComparedMethod, Judgement, Run, best, j
 from invariode.cli.compare import answer
 
 
-def rows_of_order(p: int, ratio: float, method: str = "ode45", gain: float = 10.0, price: float = 1e-6) -> list[Row]:
+def rows_of_order(
+    p: int, ratio: float, method: str = "ode45", gain: float = 10.0, price: float = 1e-6
+) -> list[ComparedMethod]:
     """Runs whose cost is error^(-1/p), and projected ones that take `ratio` times the time at equal error."""
     rows = []
     for k in range(3, 10):
