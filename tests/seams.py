@@ -205,6 +205,10 @@ class Exact:
         """Return the index of the piece that s belongs to."""
         return max(i for i, one in enumerate(self.pieces) if not i or one.start < s or (one.start == s and not left))
 
+    def jumps(self, s: float) -> bool:
+        """Return True if the state jumps at s: a run that an event ends there ends after the jump."""
+        return math.dist(*(self.pieces[self.place(s, left=left)].at(s) for left in (True, False))) > 1e-9
+
     def at(self, s: float) -> State:
         return self.pieces[self.place(s)].at(s)
 
@@ -677,7 +681,7 @@ def _wrong_derivatives(posed: Posed, sol: Any) -> Iterator[str]:
     if kind == "none":
         return
     if kind == "adjoint":
-        expected = posed.cost @ posed.sensitivities(end, left=end < posed.about.T)  # before what the end sets off
+        expected = posed.cost @ posed.sensitivities(end, left=not posed.exact.jumps(end))
         found = sol.gradient(posed.cost, wrt=posed.names)
         error = np.abs(found - expected).max() / (posed.rtol * (1 + np.abs(expected).max()))
         if not error <= 10 * ALLOWED:

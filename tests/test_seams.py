@@ -50,6 +50,22 @@ def test_what_a_campaign_has_found(case):
 
 
 @explicit_and_implicit
+def test_an_action_that_ends_the_run(method):
+    """Where an action sets off a terminal event, derivatives are those of the state after it, forward and adjoint."""
+    lift = iv.Event(lambda t, y, k: t + 0.2 * y[0] - 1.5, direction=1, action=lambda t, y, k: [y[0] + 0.5])
+    above = iv.Event(lambda t, y, k: y[0] - 0.7, direction=1, terminal=True)
+    sol = iv.solve_ivp(
+        lambda t, y, k: [-k * y[0]], (0, 4), [1.0], method, args=(0.8,), events=[lift, above], sensitivities=True,
+        dense_output=True, rtol=1e-8, atol=1e-10,
+    )  # fmt: skip
+    tau = sol.t_end
+    a = np.exp(-0.8 * tau)
+    exact = -tau * a + 0.8 * 0.5 * 0.2 * tau * a / (1 - 0.16 * a)
+    assert sol.status == 1
+    np.testing.assert_allclose([sol.sensitivities[0, 0, -1], sol.gradient([1.0])[0]], exact, atol=1e-6)
+
+
+@explicit_and_implicit
 def test_an_action_that_takes_a_component_off_its_bound(method):
     """Before the action at τ, y1 rests: its derivative in y1(T) = 0.7 - r (T - τ) is r ∂τ/∂k, forward and adjoint."""
 

@@ -345,7 +345,11 @@ class Jumps:
             return []
         times, _ = of_event(event, self._derivatives)
         action = self._derivatives(event.action, f"the action of {titled(event.__name__)}", m=self._n, moves_t=True)
-        last = len(sol.t_events[i]) - (sol.status == 1 and sol.t_events[i][-1] == sol.t_end)  # there it is not taken
+        # At the end the action of a terminal event is not taken; one that has set off a terminal event was.
+        ended = sol.status == 1 and sol.t_events[i][-1] == sol.t_end
+        last = len(sol.t_events[i]) - (
+            ended and (bool(event.terminal) or np.array_equal(sol.y_end, sol.y_events[i][-1]))
+        )
         occurred = zip(sol.t_events[i][:last].tolist(), sol.y_events[i], strict=False)
         return [Action(t, partial(np.asarray, y), action, times, event.rehold) for t, y in occurred]
 
