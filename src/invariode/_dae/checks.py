@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 
 from .._base.arguments import Array
@@ -10,7 +12,7 @@ from .._functions.graph.rounding import bounds
 from .._problem.breakpoints import to_breakpoints
 from .._results.solution import Solution
 from .expressions import Values
-from .linear_systems import orientation
+from .linear_systems import orientations
 from .reduction import Reduction
 from .solution import Unknowns
 from .start import ConsistentPoint, conditions
@@ -171,11 +173,8 @@ def passage(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -
     states = np.column_stack([problem.y0, sol.y, sol._origin.y])
     values = iter(unknowns.rests(times, states, p))
     for block, rest in reduction.rests:
-        A = np.zeros((len(times), len(rest), len(rest)))
-        for i, row in enumerate(rest):
-            for j in row:
-                A[:, i, j] = next(values)
-        signs = np.array([orientation(one) for one in A])
+        rows, columns = np.array([(i, j) for i, row in enumerate(rest) for j in row]).T
+        signs = orientations(rows, columns, np.array(list(islice(values, len(rows)))), len(rest))
         for k in np.flatnonzero(signs[1:] * signs[:-1] < 0).tolist():
             if any(times[k] <= t <= times[k + 1] or times[k + 1] <= t <= times[k] for t in jumps):
                 continue

@@ -151,23 +151,35 @@ def condition(A: Array) -> float:
     return float(sizes[-1] / sizes[0]) if sizes[0] > 0 else 0.0
 
 
-def orientation(A: Array) -> float:
-    """Return the sign of the determinant, from sparse factors of a large matrix; 0 or NaN if there is none."""
-    if len(A) <= _LARGE or not np.isfinite(A).all():
-        return float(np.linalg.slogdet(A)[0])
+def orientations(rows: Array, columns: Array, entries: Array, n: int) -> Array:
+    """Return the signs of the determinants of n × n matrices, from sparse factors of large ones; 0 or NaN where there
+    is none. `entries`, (number of entries, number of matrices), stand in these rows and columns, each place once."""
+    count = entries.shape[1]
+    signs = np.zeros(count)
+    if n <= _LARGE:
+        together = max(1, 2**20 // n**2)
+        for k in range(0, count, together):
+            some = entries[:, k : k + together].T
+            A = np.zeros((len(some), n, n))
+            A[:, rows, columns] = some
+            signs[k : k + together] = np.linalg.slogdet(A)[0]
+        return signs
     from scipy.sparse import csc_array
     from scipy.sparse.csgraph import connected_components
     from scipy.sparse.linalg import splu
 
-    try:
-        factors = splu(csc_array(A))
-    except RuntimeError:  # singular
-        return 0.0
-    n, places = len(A), np.arange(len(A))
-    cycles = [
-        connected_components(csc_array((np.ones(n), (places, order))))[0] for order in (factors.perm_r, factors.perm_c)
-    ]
-    return float(np.prod(np.sign(factors.U.diagonal())) * (-1) ** sum(cycles))
+    places = np.arange(n)
+    for k in np.flatnonzero(np.isfinite(entries).all(axis=0)).tolist():
+        try:
+            factors = splu(csc_array((entries[:, k], (rows, columns)), shape=(n, n)))
+        except RuntimeError:  # singular
+            continue
+        cycles = [
+            connected_components(csc_array((np.ones(n), (places, order))))[0]
+            for order in (factors.perm_r, factors.perm_c)
+        ]
+        signs[k] = np.prod(np.sign(factors.U.diagonal())) * (-1) ** sum(cycles)
+    return signs
 
 
 def nullity(sizes: Array) -> int:
