@@ -78,11 +78,11 @@ class BoundedSlope {
   /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f. `changed`: it
   /// is another slope now, which the method's memory does not know.
   Status begin_step(double t, const double* y, bool& changed);
-  /// What is evaluated from now on belongs to a step that starts at y.
+  /// Evaluations of f from now on belong to a step that starts at y.
   void start_at(const double* y);
-  /// How far, since then, a component that followed f was beyond its bound where f led it out.
+  /// Returns how far, since `start_at`, a component that followed f was beyond its bound where f led it out.
   [[nodiscard]] Bounds::Excess passed(const Weights& weights) const;
-  /// The number of evaluations of f by that.
+  /// Returns the number of evaluations of f by `begin_step`.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// Archives the components held too, which slopes of sensitivities at other points take from the last evaluation of
   /// f.

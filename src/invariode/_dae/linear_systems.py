@@ -152,8 +152,9 @@ def condition(A: Array) -> float:
 
 
 def orientations(rows: Array, columns: Array, entries: Array, n: int) -> Array:
-    """Return the signs of the determinants of n × n matrices, from sparse factors of large ones; 0 or NaN where there
-    is none. `entries`, (number of entries, number of matrices), stand in these rows and columns, each place once."""
+    """Return the signs of the determinants of n × n matrices, from sparse factors of large ones; 0 or NaN for a
+    matrix that is singular or not finite. `entries`, (number of entries, number of matrices), stand in these rows and
+    columns, each place once."""
     count = entries.shape[1]
     signs = np.zeros(count)
     if n <= _LARGE:

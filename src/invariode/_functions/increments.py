@@ -101,7 +101,7 @@ def compared(
     function: Callable[[Array], Any], x: Array, direction: Array, beside: Array | None = None
 ) -> Comparison | None:
     """Compare both derivatives along a direction in which every component changes, at the first point at which the
-    function is defined; return None if there is none.
+    function is defined; return None if it is defined at none of them.
 
     The points are near x in the direction `beside` (default: `direction`), x itself, then nearer ones on both sides,
     over the same fractions of the direction.

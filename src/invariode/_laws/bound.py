@@ -259,7 +259,7 @@ class BoundInvariants:
         return dense.evaluate(t, problem)
 
     def alone(self, y: Array) -> _core.Problem | None:
-        """Return the invariants of a state like y for the core; None: there are none."""
+        """Return the invariants of a state like y for the core; None: it has none to hold."""
         return self._problem_of(y, self.value) if self.specs else None
 
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:

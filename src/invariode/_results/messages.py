@@ -474,7 +474,7 @@ _FORMED = {"function": "given", "derived": "traced", "complex-step": "complex st
 
 
 def formed(linear: Linear | None, run: Run) -> str | None:
-    """Return how the Jacobian of f was computed, in words; None if there is none."""
+    """Return how the Jacobian of f was computed, in words; None if the method uses no Jacobian."""
     if linear is None:
         return None
     text = _FORMED.get(linear.kind, linear.kind)

@@ -189,7 +189,7 @@ Slope = Callable[[Node], Node] | None
 
 
 def _slopes(node: Node, depends: set[Node]) -> list[Slope]:
-    """Return the slope of a smooth operation in each of its arguments, or None where there is none."""
+    """Return the slope of a smooth operation in each of its arguments, or None where that is 0."""
     found = _RULES[node.op](node, *node.arguments) if node.op not in _CONSTANT else [None] * len(node.arguments)
     return [slope if one in depends else None for one, slope in zip(node.arguments, found, strict=True)]
 

@@ -392,7 +392,7 @@ class _ChangeSearch:
         return Source(crossing, self._of_interval(crossing, inner, straight), none, 0.0)
 
     def _period(self, crossing: Crossing, form: _Periodic | None) -> float:
-        """The time after which a condition changes again and again alike; 0: there is none."""
+        """The time after which a condition changes again and again alike; 0: it does not."""
         if form is None or (form.slope and crossing.levels is not None):
             return 0.0
         if form.slope == 0:

@@ -132,7 +132,7 @@ class PlainGraph:
         return timed(self.outputs)
 
 
-#: Graphs by code and all that it uses, None where there is none; the oldest go first.
+#: Graphs by code and all that it uses, None for code that cannot be traced; the oldest go first.
 _graphs: Latest[Hashable, PlainGraph | None] = Latest()
 
 

@@ -118,7 +118,7 @@ def _sources() -> bytes:
 
 
 def read(name: str) -> bytes | None:
-    """Return the code that is kept under a name; None: there is none, or it is damaged, or others may have written
+    """Return the code that is kept under a name; None: nothing is kept there, it is damaged, or others may have written
     it."""
     folder = _opened(create=False)
     if folder is None:
