@@ -430,6 +430,19 @@ def test_a_compiled_function_keeps_its_plans_until_it_has_captured_something_els
         rate[0] += 0.5
 
 
+def test_fits_of_a_compiled_function_share_a_plan_and_have_the_results_of_fits_alone() -> None:
+    pytest.importorskip("llvmlite")
+    t, data, parameters = [0.5, 1.0, 2.0], [[0.8, 0.5, 0.1]], {"mu": iv.Parameter(1.1, (0.5, 2.0))}
+    kinds, found = [], []
+    for code in (iv.compile(orbit), iv.compile(orbit)):
+        for _ in range(2):
+            fit = iv.fit(iv.Problem(code, (0, 2), START, args=(1.0,)), t, data, parameters, observe=[0], sigma=0.1)
+            kinds.append(len(code.prepared))
+            found.append(fit.parameters["mu"])
+    assert kinds == [1, 1, 1, 1]
+    assert len({*found}) == 1
+
+
 def test_compiled_events_and_invariants_share_the_plans_of_a_compiled_f() -> None:
     pytest.importorskip("llvmlite")
     level = [0.75]

@@ -72,15 +72,23 @@ def from_outside(t, y):
 
 
 def test_the_first_run_finds_a_function_that_has_changed(monkeypatch):
-    """In a branch that no other test of the graph reached: at t, in the component; later runs do not look."""
+    """In a branch that no other test of the graph reached: at t, in the component, whichever call makes the run. Later
+    runs do not look."""
     code = iv.compile(from_outside, by="trace")
     code.native(2, 2)
     monkeypatch.setattr(hidden, "value", 2.0)
-    where = r"differs from the function that it was made of: at t = 2\.\d+ its value 1 is"
+    where = r"differs from the function that it was made of: at t = [12]\.\d+ its value 1 is"
     with pytest.raises(ValueError, match=where):
         iv.solve_ivp(code, (0, 10), [1.0, 0.0], check="strict")
-    with pytest.warns(UserWarning, match=where):
-        iv.solve_ivp(code, (0, 10), [1.0, 0.0])
+    prepared = iv.Problem(code, (0, 10), [1.0, 0.0]).prepare()
+    for first in (
+        lambda: iv.solve_ivp(code, (0, 10), [1.0, 0.0]),
+        prepared,
+        lambda: prepared(y0=[1.0, 0.1]),
+        lambda: iv.odeint(code, [1.0, 0.0], np.linspace(0, 10, 50), tfirst=True),
+    ):
+        with pytest.warns(UserWarning, match=where):
+            first()
     monkeypatch.setattr(hidden, "value", 1.0)
     iv.solve_ivp(code, (0, 10), [1.0, 0.0], check="strict")
     evaluated = []

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import FunctionType
 from typing import Any, Literal
 
 import numpy as np
@@ -247,15 +248,24 @@ def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
     if isinstance(python, Formula) and len(python.parameters) == size:
         return list(python.parameters)
     try:
-        found = inspect.signature(python).parameters.values()
+        names, takes_more = _positional(python)
     except (TypeError, ValueError):  # machine code
         return plain
-    names = [one.name for one in found if one.kind in _POSITIONAL][first + bool(compiled and fun.inplace) :]
-    takes_more = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in found)
+    names = names[first + bool(compiled and fun.inplace) :]
     if compiled and len(names) == 1 and size > 1 and not takes_more:  # it takes all of them as one array
         return [f"{names[0]}[{i}]" for i in range(size)]
     own = [other if name == Y0 else name for name, other in zip(names[:size], plain, strict=False)]
     return own + plain[len(own) :]
+
+
+def _positional(fun: Any) -> tuple[list[str], bool]:
+    """Return the names of the positional parameters of a function, and whether it takes more of them."""
+    if type(fun) is FunctionType and not fun.__dict__:  # nothing states another signature, which takes longer to find
+        code = fun.__code__
+        return list(code.co_varnames[: code.co_argcount]), bool(code.co_flags & inspect.CO_VARARGS)
+    found = inspect.signature(fun).parameters.values()
+    takes_more = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in found)
+    return [one.name for one in found if one.kind in _POSITIONAL], takes_more
 
 
 def _is_real(value: Any) -> bool:

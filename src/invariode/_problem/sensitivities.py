@@ -90,8 +90,12 @@ class Sensitivities:
     ) -> tuple[ParameterName, ...]:
         """Names of the selected parameters of a problem."""
         wanted: list[Any] = []
-        if self.args is True or (self.args is None and (self.y0 is None or self.y0 is False)):
-            wanted += parameter_names(fun, args, labels, n, wanted=True, first=first)
+        of_start = self.y0 is not None and self.y0 is not False
+        if self.args is True or (self.args is None and not of_start):
+            every = parameter_names(fun, args, labels, n, wanted=True, first=first)
+            if not of_start:
+                return every
+            wanted += every
         elif self.args is not None and self.args is not False:
             wanted += _listed(self.args)
         if self.y0 is True:

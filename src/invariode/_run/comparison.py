@@ -7,10 +7,16 @@ from typing import Literal
 import numpy as np
 
 from .._base.arguments import Array, warn
-from .._functions.compiled import NativeWithInputs, native_parameters
+from .._functions.compiled import native_parameters
 from .._functions.graph.function import TracedFunction
 from .._problem.problem import Problem
 from .._results.solution import Solution
+
+
+def uncompared(problem: Problem) -> TracedFunction | None:
+    """Return f if it was compiled from graphs that no run has compared with the Python function yet, else None."""
+    fun = problem.fun
+    return fun if isinstance(fun, TracedFunction) and fun.outputs and problem.delays is None else None
 
 
 def compare(problem: Problem, sol: Solution, check: bool | Literal["strict"]) -> None:
@@ -19,11 +25,8 @@ def compare(problem: Problem, sol: Solution, check: bool | Literal["strict"]) ->
 
     Raises ValueError: They differ by more than roundoff, and `check` is "strict". Otherwise that is a warning.
     """
-    if problem.delays is not None:
-        return
-    fun = problem.slope.fun
-    traced = fun.fun if isinstance(fun, NativeWithInputs) else fun
-    if not check or not isinstance(traced, TracedFunction) or not traced.outputs:
+    traced = uncompared(problem) if check else None
+    if traced is None:
         return
     t, y = np.asarray(sol.t), np.asarray(sol.y)
     last = len(t) - 1

@@ -27,7 +27,6 @@ from .._functions.compiled import (
     native_parameters,
     renew,
 )
-from .._functions.graph.function import TracedFunction
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, InvariantSpec, values_at_start
@@ -265,8 +264,6 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
         return None
     if isinstance(fun, CompiledFunction):
         renew([fun])
-        if isinstance(fun, TracedFunction) and fun.outputs:  # its first run is compared with the Python function
-            return None
         types = tuple(map(type, problem.args))
         if not _NUMBERS.issuperset(types):
             return None

@@ -61,7 +61,7 @@ from .._results.result import (
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
-from .comparison import compare
+from .comparison import compare, uncompared
 from .prepared import Prepared, prepared_or_plan
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
         source = Solved(problem, method, given)
         if isinstance(found, Prepared):
             if (solved := found.run_of(problem, options)) is not None:
-                return concluded(presented(Finished.by(found, *solved, source)), found.plan.on_failure)
+                return compared(Finished.by(found, *solved, source), problem)
             found = make_plan(problem, method, options)
         return _solved(found, source)
     except (TypeError, ValueError) as error:
@@ -254,7 +254,7 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
         found = prepared_or_plan(problem, method, options)
         source = Solved(problem, method, options)
         if isinstance(found, Prepared):
-            if (solved := found.run_of(problem, options, remember=False)) is not None:
+            if uncompared(problem) is None and (solved := found.run_of(problem, options, remember=False)) is not None:
                 run = solved[0]
                 if run.ordinary:
                     return Outputs(run.take_points()[1], run.t_end, *MESSAGES[run.state])
@@ -268,6 +268,15 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
     except (TypeError, ValueError) as error:
         explain(error, problem, options.get("callback"))
         raise
+
+
+def compared(finished: Finished, problem: Problem) -> Solution:
+    """Return the solution of a run of a prepared plan as the user gets it; the first run of a compiled f is compared
+    with the Python function. `problem`: one with this f."""
+    sol, source = presented(finished), finished.source
+    if uncompared(problem) is not None:
+        compare(source.problem, sol, source.options.get("check", True))
+    return concluded(sol, finished.general.on_failure)
 
 
 def _solved(plan: Plan, source: Solved) -> Solution:

@@ -53,9 +53,9 @@ class Sizes(NamedTuple):
 
     def _default(self, sizes: Array, n: int) -> Array:
         """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
-        floor = np.broadcast_to(self.weights.threshold, (n,))
         for j, one in enumerate(self.names):
             if one.kind != "args":
+                floor = np.broadcast_to(self.weights.threshold, (n,))
                 sizes[..., j] = np.maximum(sizes[..., j], floor[one.index])
         sizes[sizes == 0] = 1
         return sizes
