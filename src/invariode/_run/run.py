@@ -240,7 +240,7 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
         source = Solved(problem, method, given)
         if isinstance(found, Prepared):
             if (solved := found.run_of(problem, options)) is not None:
-                return compared(Finished.by(found, *solved, source), problem)
+                return finished_solution(Finished.by(found, *solved, source), problem)
             found = make_plan(problem, method, options)
         return _solved(found, source)
     except (TypeError, ValueError) as error:
@@ -270,7 +270,7 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
         raise
 
 
-def compared(finished: Finished, problem: Problem) -> Solution:
+def finished_solution(finished: Finished, problem: Problem) -> Solution:
     """Return the solution of a run of a prepared plan as the user gets it; the first run of a compiled f is compared
     with the Python function. `problem`: one with this f."""
     sol, source = presented(finished), finished.source
