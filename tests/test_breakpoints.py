@@ -148,6 +148,7 @@ def decayed(*times):
 
 
 @dealt(method=FAMILIES, at=[(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
+@pytest.mark.filterwarnings("ignore:.* in breakpoints")  # of the part before the extension
 def test_actions_are_taken_once_and_both_states_are_there(method, at):
     """At the start and at the end too; two at one time are two."""
     about = {"breakpoints": [(t, dose) for t in at], "dense_output": True, **TIGHT}
@@ -638,6 +639,7 @@ def assert_same(a, b):
 
 
 @families_and_series
+@pytest.mark.filterwarnings("ignore:.* in breakpoints")  # of the part before the extension
 def test_breakpoints_of_a_problem_are_those_of_each_run(method, tmp_path):
     """Whatever is done with the problem, its bits are those of the run that is given the breakpoints as an option."""
     problem, plain = with_and_without()
@@ -691,6 +693,7 @@ def test_a_steady_state_has_no_doses():
     np.testing.assert_allclose(iv.steady_state(problem).y, [1.0], rtol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore:.* in breakpoints")  # of the part before the extension
 def test_native_breakpoints_of_a_problem_are_not_lost_on_another_interval():
     fun, action = compiled(elimination), compiled(bolus)
     plain = iv.Problem(fun, (0, 4), [1.0], args=(0.5,))
@@ -725,3 +728,20 @@ def test_breakpoints_of_a_problem_are_checked_at_once_and_kept():
     assert_same(pickle.loads(pickle.dumps(problem)).solve(), problem.solve())
     with pytest.raises(ValueError, match="a time in breakpoints must not be NaN"):
         problem.replace(breakpoints=[np.nan])
+
+
+def test_actions_outside_the_interval_are_named():
+    """Those of the call itself; a problem that is solved over another interval, and plain times, have no warning."""
+
+    def dose(t, y):
+        return y + 1
+
+    def solve(points):
+        return iv.solve_ivp(lambda t, y: -y, (0, 10), [1.0], breakpoints=points)
+
+    with pytest.warns(UserWarning, match=r"The action in breakpoints at t = 12 is outside t_span = \(0.0, 10.0\)"):
+        solve({5: dose, 12: dose})
+    with pytest.warns(UserWarning, match="2 actions in breakpoints, the first at t = 11, are outside"):
+        problem = iv.Problem(lambda t, y: -y, (0, 10), [1.0], breakpoints=[(11, dose), (12, dose)])
+    problem.replace(name="again").solve()
+    solve([10, 12]), solve([(0, dose), (10, dose)])

@@ -182,3 +182,17 @@ def test_points_outside_the_domain_are_left_out():
     """Half of the starts around y0 are beyond the end of √y."""
     found = formulas(lambda t, y: [-math.sqrt(y[0]), math.sqrt(y[0])], (0, 1), [1.0, 0.0], 1)
     assert found == ["y[0] + y[1]"]
+
+
+def test_a_problem_brings_its_interval_state_arguments_and_labels():
+    def spring(t, y, k):
+        return [y[1], -k * y[0]]
+
+    problem = iv.Problem(spring, (0, 10), [1.0, 0.5], args=(4.0,), labels=["x", "v"])
+    assert [one.formula for one in iv.find_invariants(problem)] == ["x**2 + 1/4*v**2"]
+    with pytest.raises(TypeError, match="a problem has its own t_span, y0, args and labels"):
+        iv.find_invariants(problem, (0, 5))
+    with pytest.raises(TypeError, match="needs a problem, or fun, t_span and y0"):
+        iv.find_invariants(spring, (0, 5))
+    with pytest.raises(ValueError, match="inputs or a mass matrix"):
+        iv.find_invariants(problem.replace(mass=np.diag([1.0, 2.0])))

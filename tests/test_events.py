@@ -453,3 +453,23 @@ def test_the_state_at_the_end_does_not_depend_on_the_output(method, tmp_path):
     assert early.extend(12.0).y_end[0] == pytest.approx(12)
     stopped = run(method, iv.Event(at(3.0), terminal=True), t_eval=[1.0])
     assert stopped.y_end[0] == pytest.approx(3, rel=1e-13)
+
+
+def test_occurrences_are_found_by_the_name_of_their_event(tmp_path):
+    """Of every kind of result: its times, states and sensitivities by name are those by number."""
+    events = [iv.Event(at(1.5, 3.5), name="gate"), iv.Event(at(0.0), name="start", at_start=True), at(9.5)]
+    sol = run("ode45", events, sensitivities=["y0"])
+    sol.save(tmp_path / "sol.npz")
+    again = iv.load(tmp_path / "sol.npz"), pickle.loads(pickle.dumps(sol)), run("ode45", events, (0, 5)).extend(10)
+    member = iv.solve_ensemble(clock, (0, 10), [[0.0, 1.0]] * 2, "ode45", events=events[::2])[1]
+    dae = iv.solve_dae(lambda t, y, yp: [yp[0] - 1, y[1] - y[0]], (0, 10), [0, 0], [1, 1], events=events[::2])
+    for one in (sol, *again, member, dae):
+        for name, i in (("gate", 0), ("event", -1)):
+            assert one.t_events[name] is one.t_events[i]
+            assert one.y_events[name] is one.y_events[i]
+        assert one.t_events["gate"] == pytest.approx([1.5, 3.5])
+    assert sol.t_events["start"].tolist() == [0.0]
+    assert sol.sensitivities_t_events["gate"] is not None
+    with pytest.raises(ValueError, match=r"no event 'gat': there are gate, start, event; did you mean 'gate'\?"):
+        sol.t_events["gat"]
+    assert run("ode45", [at(1.0), at(2.0)]).t_events["event_1"] == pytest.approx([2.0])

@@ -199,6 +199,7 @@ class TestForms:
             (T, by_name),
             (T[shuffled], data[:, shuffled]),
             ("day", table),
+            (None, table.rename(columns={"day": "Time [d]"})),
             (None, table.set_index("day")[["predators", "prey"]]),
             (None, labelled),
             (None, labelled.to_dataset(name="y")),
@@ -206,6 +207,10 @@ class TestForms:
         ]
         found = [iv.objective(problem, t, one, {"a": (0, 5)}, sigma=0.05)([1.4]) for t, one in forms]
         assert found == pytest.approx([found[0]] * len(forms), rel=1e-12)
+        with pytest.raises(
+            ValueError, match=r"the column 'day' is no component, .*; if it has the times, pass t='day'"
+        ):
+            iv.objective(problem, table, parameters={"a": (0, 5)})
 
     def test_replicates_are_data(self):
         """Two values at one time weigh as their mean with a smaller sigma."""

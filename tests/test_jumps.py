@@ -257,6 +257,7 @@ def test_a_clock_that_is_put_back_loses_no_stroke(method):
 
 
 @families_and_series
+@pytest.mark.filterwarnings("ignore:.* in breakpoints")  # of the shorter run
 def test_a_dose_that_jumps_over_a_threshold_ends_the_run_after_it(method):
     toxic = level(150.0, direction=1, terminal=True)
     doses = dict.fromkeys(8.0 * np.arange(1, 10), plus(100.0))

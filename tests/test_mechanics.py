@@ -650,3 +650,22 @@ def test_multipliers_of_lengths_are_tensions() -> None:
     for wrong in ([n], [-1], [[0]]):
         with pytest.raises(ValueError, match="constraints must be rows from 0 to 4"):
             chain.reactions(sol, constraints=wrong)
+
+
+UNDEFINED = {
+    "force": {"force": lambda t, q, v: [np.sqrt(1 - t), 0.0]},
+    "mass": {"mass": lambda t, q: np.eye(2) * np.sqrt(1 - t)},
+    "constraints": {"constraints": lambda t, q: q @ q - 1 + 0 * np.sqrt(1 - t)},
+    "kinematics": {"kinematics": lambda t, q, v: v + 0 * np.sqrt(1 - t)},
+}
+
+
+@pytest.mark.parametrize("name", UNDEFINED)
+@pytest.mark.filterwarnings("ignore:invalid value", "ignore:divide by zero")
+def test_the_function_that_is_not_finite_is_named(name):
+    """From t = 1 on, or at the start; not fun, which the user did not write."""
+    system = MechanicalSystem(**({"mass": np.eye(2), "force": gravity} | UNDEFINED[name]))
+    for method in ("ode45", "radau"):
+        message = system.problem((0, 3), [1, 0], [0, 0]).solve(method).message
+        assert re.search(rf"y' \(by ({name}|MechanicalSystem)\)|Invariant constraint", message), message
+        assert "fun" not in message

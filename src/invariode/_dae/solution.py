@@ -23,6 +23,7 @@ from .._functions.layout import ArgumentLayout, place_of
 from .._laws.bound import BoundInvariants
 from .._problem.options import ExtensionOptions
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
+from .._results.messages import blamed_on
 from .._results.result import Names, Origin
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
@@ -362,10 +363,10 @@ def in_unknowns(
     y = unknowns.y(sol.t, states, p)
     y_events = None
     if sol.y_events is not None:
-        y_events = [
+        y_events = sol.y_events.replaced(
             unknowns.y(t, np.reshape(found, (len(t), len(states))).T, p).T if len(t) else np.zeros(0)
             for t, found in zip(sol.t_events, sol.y_events, strict=True)
-        ]
+        )
     names = sol._names
     private = {
         "_invariants": _OnStates.of(sol),
@@ -381,7 +382,8 @@ def in_unknowns(
         ),
     }
     dense = None if sol.sol is None else DenseUnknowns(sol.sol, unknowns, p)
-    return DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events})
+    message = blamed_on("F", sol.message)
+    return DaeSolution(private, **{**sol, "y": y, "sol": dense, "y_events": y_events, "message": message})
 
 
 def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | None:

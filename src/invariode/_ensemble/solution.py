@@ -22,7 +22,7 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, DataRecord, Drift, Names, Stats, at_events
+from .._results.result import BeforeProjection, ByEvent, DataRecord, Drift, Names, Stats, at_events
 from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
 from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
@@ -313,7 +313,7 @@ class EnsembleSolution:
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         stats = self._stats_of(i)
-        here = [event.trajectory == i for event in self.events]
+        occurred = [(event, event.trajectory == i) for event in self.events]
         t, y = (self.t_end[i : i + 1], self.y_end[i][:, None]) if self._final else (self.t, self.y[i])
         reached = np.isfinite(y).all(axis=0)
         S = None
@@ -335,8 +335,8 @@ class EnsembleSolution:
             t=t[reached],
             y=y[:, reached],
             sol=None,
-            t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
-            y_events=[at_events(event.y[own]) for event, own in zip(self.events, here, strict=True)]
+            t_events=ByEvent(about.events, [event.t[own] for event, own in occurred]) if self.events else None,
+            y_events=ByEvent(about.events, [at_events(event.y[own]) for event, own in occurred])
             if self.events
             else None,
             nfev=stats.nfev,

@@ -87,6 +87,11 @@ class CoreFunction:
         """The watch on a run of y' = this function from (t0, y0), which calls the user's callback; or None."""
         return None
 
+    def undefined_near(self, t: float, y: Array, h: float, args: tuple[Any, ...]) -> str | None:
+        """Return the name of a function of the user's that is not finite at a state, or a few steps h beyond, or
+        None."""
+        return None
+
     def on_graph(self) -> CompiledFunction | None:
         """Return an equivalent function that can be traced for its derivatives, or None."""
         return None

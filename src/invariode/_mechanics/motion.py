@@ -31,6 +31,9 @@ _LARGE = 500
 #: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
 _BESIDE = (0.1, -0.07)
 
+#: Beyond the end of a run that failed, a function that is not finite is sought up to 2 to this power smallest steps.
+_STEPS_BEYOND = 12
+
 #: A constraint that is left out is violated where it is off by this many tolerances, as is a correction that a step may
 #: not make, times those by which the others are off; or by this part of its terms, if these are larger.
 _VIOLATED = 100
@@ -353,6 +356,22 @@ class Motion:
         with self.bound(at.args, self._all if every else self.kept) as motion:
             return Accelerations(*motion.accelerations(at.t, at.x))
 
+    def undefined(self, at: MotionPoint) -> str | None:
+        """Return the name of a function of the user's that is not finite at a point, or a singular mass; None if the
+        accelerations are finite."""
+        with np.errstate(all="ignore"):
+            mass, rates, slope = self.mass(at), self.rates(at), self.slope(at)
+            force = slope if is_native(self._force) else self._force(at.t, at.q, at.v, *at.args)
+            parts = {
+                "mass": mass.data if hasattr(mass, "tocsc") else mass,
+                "constraints": np.concatenate([self.positions(at), rates[: self.m_phi]]),
+                "velocity_constraints": rates[self.m_phi :],
+                "kinematics": slope[: self.n_q],
+                "force": force,
+            }
+            singular = None if np.isfinite(slope).all() else "mass"
+        return next((name for name, values in parts.items() if not np.isfinite(values).all()), singular)
+
 
 class MotionFunction(CoreFunction):
     """A function of (t, y, *args) with y = (q, v) that a motion has: its slope, one of its laws or their Jacobians."""
@@ -397,6 +416,14 @@ class MotionFunction(CoreFunction):
         if motion.kept.all():
             return None
         return LeftOut(motion, MotionPoint(t0, y0[: motion.n_q], y0[motion.n_q :], args), rtol, atol, callback)
+
+    def undefined_near(self, t: float, y: Array, h: float, args: tuple[Any, ...]) -> str | None:
+        n, slope = self._motion.n_q, self(t, y, *args)
+        for step in (0.0, *(h * 2.0**k for k in range(_STEPS_BEYOND))):
+            there = y + step * np.where(np.isfinite(slope), slope, 0.0)
+            if found := self._motion.undefined(MotionPoint(t + step, there[:n], there[n:], args)):
+                return found
+        return None
 
     def for_core(self, n: int, size: int, parameters: ArgumentLayout) -> _core.MotionPart:
         return self._motion.part(self._part)

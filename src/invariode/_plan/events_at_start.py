@@ -59,7 +59,7 @@ def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
     """The solution of that plan, with the occurrences at the start in front."""
     if not found:
         return sol
-    t_events, y_events = list(sol.t_events), list(sol.y_events)
+    t_events, y_events = sol.t_events.replaced(sol.t_events), sol.y_events.replaced(sol.y_events)
     for e in found:
         t_events[e] = np.concatenate([[plan.course.t0], t_events[e]])
         y_events[e] = np.concatenate([plan.y0[None, :], y_events[e]])

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from .._base.arguments import function, items, number, shown
+from .._base.arguments import function, items, number, shown, warn
 from .._functions.compiled import is_native
 from .inputs import Input
 
@@ -42,6 +42,19 @@ def _one(name: str, entry: Any) -> Breakpoint:
     if not math.isfinite(time):
         raise ValueError(f"a time in {name} must be finite, got {shown(t)}")
     return Breakpoint(time, action)
+
+
+def warn_of_idle_actions(given: object, t_span: tuple[float, float]) -> None:
+    """Warn of actions outside an interval, such as doses after its end, which a run over it does not take; not of
+    those that a problem has already."""
+    if not isinstance(given, Mapping) and all(type(one) is Breakpoint for one in items(given) or ()):
+        return
+    points, low, high = to_breakpoints("breakpoints", given), min(t_span), max(t_span)
+    outside = [point.t for point in points if point.action is not None and not low <= point.t <= high]
+    if outside:
+        one = f"The action in breakpoints at t = {outside[0]:g} is"
+        several = f"{len(outside)} actions in breakpoints, the first at t = {outside[0]:g}, are"
+        warn(f"{several if outside[1:] else one} outside t_span = {t_span} and not taken in a run over it")
 
 
 def of_inputs(inputs: Sequence[Input]) -> list[Breakpoint]:

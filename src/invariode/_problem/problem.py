@@ -39,7 +39,7 @@ from .._functions.forms import Filling, unlambdified
 from .._functions.graph.function import TracedFunction
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
-from .breakpoints import Breakpoint, to_breakpoints
+from .breakpoints import Breakpoint, to_breakpoints, warn_of_idle_actions
 from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
 from .docstrings import documented
 from .events import Event, direction_sign, of_one_run, roots_among, terminal_count, to_events
@@ -229,6 +229,7 @@ class Problem:
             described["inputs"] = to_inputs(inputs, self.t_span)
         if breakpoints is not None:
             described["breakpoints"] = to_breakpoints("breakpoints", breakpoints)
+            warn_of_idle_actions(breakpoints, self.t_span)
         if delays is not None or history is not None:
             described["delays"] = to_delays(delays, history, self)
         if name is not None:

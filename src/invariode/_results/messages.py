@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -131,6 +132,11 @@ def accumulating_in(trajectories: int) -> str:
 _INSTEAD_OF_ACCUMULATING = (
     "end the run there with a terminal event, or let the action put the system to rest, with a fun that keeps it there"
 )
+
+
+def blamed_on(name: str, message: str) -> str:
+    """Return a message about fun as one about the function from which fun was made."""
+    return re.sub(r"\bfun\b", name, re.sub(r" of fun\b", f" of y' (by {name})", message))
 
 
 def _capitalized(text: str) -> str:

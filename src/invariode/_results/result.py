@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, default_labels, flag, real_numbers
+from .._base.arguments import Array, default_labels, flag, real_numbers, shown
+from .._base.suggestions import meant
 from .._core import MEMORY_VERSION, Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
 from .sensitivities import SensitivityData, states_and_sensitivities
@@ -23,6 +24,27 @@ LIMIT_REACHED, NOT_CONSERVED, FAILED, STOPPED = -3, -2, -1, 2
 def at_events(states: Array) -> Array:
     """Return states at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
     return states if len(states) else states.reshape(0)
+
+
+class ByEvent(list[Array]):
+    """Arrays of the events of a run, in their order; also by name, as in ``sol.t_events["ground"]``."""
+
+    def __init__(self, names: Sequence[str], arrays: Iterable[Array]) -> None:
+        super().__init__(arrays)
+        self._names = names
+
+    def __getitem__(self, event: Any) -> Any:
+        if not isinstance(event, str):
+            return super().__getitem__(event)
+        if event in self._names:
+            return super().__getitem__(self._names.index(event))
+        raise ValueError(
+            f"there is no event {shown(event)}: there are {', '.join(self._names)}{meant(event, self._names)}"
+        )
+
+    def replaced(self, arrays: Iterable[Array]) -> ByEvent:
+        """Return other arrays of the same events."""
+        return ByEvent(self._names, arrays)
 
 
 class DataRecord(Mapping[str, Any]):
@@ -509,8 +531,8 @@ class Result(Deferred, dict[str, Any]):
     y: Array
     # None or not is known to the caller, who said what to compute: `| Any` spares them a test of it.
     sol: DenseSolution | Any
-    t_events: list[Array] | Any
-    y_events: list[Array] | Any
+    t_events: ByEvent | Any
+    y_events: ByEvent | Any
     nfev: int
     njev: int
     nlu: int
@@ -613,7 +635,7 @@ class Result(Deferred, dict[str, Any]):
 
     def _at_events(self, which: str) -> list[Array] | None:
         found = None if self._sensitivities is None else self._sensitivities.events
-        return None if found is None else list(getattr(found, which))
+        return None if found is None else ByEvent(self._names.events, getattr(found, which))
 
     @property
     def residual(self) -> Array:

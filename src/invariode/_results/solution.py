@@ -43,9 +43,10 @@ class Solution(Exports):
     sol : DenseSolution or None
         The solution as a function of t, with ``dense_output=True``; else None, as in SciPy.
     t_events : list of ndarray, or None
-        The times of each event, (k,). None without events.
+        The times of each event, (k,), in the order of the events, also by name: ``sol.t_events["ground"]``. None
+        without events.
     y_events : list of ndarray, or None
-        The states at each event, (k, n); of one that did not occur, as in SciPy, (0,).
+        The states at each event, (k, n); of one that did not occur, as in SciPy, (0,). By number or name.
     nfev : int
         Evaluations of f.
     njev : int
@@ -105,10 +106,10 @@ class Solution(Exports):
 
         events = self.y_events
         if events is not None and self.t_events is not None:
-            events = [
+            events = events.replaced(
                 project(t, y.T, g.pieces_at(t, "left")).T if len(t) else y
                 for t, y in zip(self.t_events, events, strict=True)
-            ]
+            )
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         end = np.array([self.t_end])

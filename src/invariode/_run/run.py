@@ -31,7 +31,7 @@ from .._plan.events_at_start import ended_at_start, found_at_start, with_start, 
 from .._plan.plan import Course, Plan, say_established, solver
 from .._plan.planning import make_plan, ordered_breakpoints
 from .._plan.second_order import require_no_velocities
-from .._problem.breakpoints import to_breakpoints
+from .._problem.breakpoints import to_breakpoints, warn_of_idle_actions
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, changed, keeping_arrays
@@ -41,16 +41,19 @@ from .._results.messages import (
     MESSAGES,
     accumulating,
     below_zero,
+    blamed_on,
     complex_steps_left,
     formed,
     harmful_projection,
     misfit,
 )
 from .._results.result import (
+    FAILED,
     LIMIT_REACHED,
     NOT_CONSERVED,
     STOPPED,
     BeforeProjection,
+    ByEvent,
     DenseSolution,
     DiscontinuityWarning,
     Origin,
@@ -234,6 +237,8 @@ class RunOrigin(Origin):
 def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
     try:
+        if (points := options.get("breakpoints")) is not None:
+            warn_of_idle_actions(points, problem.t_span)
         found = prepared_or_plan(problem, method, options)
         given = keeping_arrays(options)
         given.pop("progress", None)
@@ -303,7 +308,7 @@ def concluded(sol: Solution, on_failure: OnFailure | None) -> Solution:
     """
     y_events = sol["y_events"]  # items are faster than attributes: see `Result`
     if y_events is not None:
-        sol["y_events"] = [at_events(states) for states in y_events]
+        sol["y_events"] = y_events.replaced(map(at_events, y_events))
     if sol["success"] or on_failure == "return" or (on_failure is None and sol["status"] != NOT_CONSERVED):
         return sol
     if on_failure == "warn":
@@ -335,7 +340,11 @@ def _carried_out(
         run = _integrated(core, plan, source.problem.name, resumed, keep)
     finished = Finished(run, plan, source, core.members, checkpoint=checkpoint)
     sol = presented(finished)
-    sol.stats.mechanics = _work(core, source.problem.fun)
+    fun = source.problem.fun
+    sol.stats.mechanics = _work(core, fun)
+    if sol["status"] == FAILED and isinstance(fun, CoreFunction):
+        called = fun.undefined_near(sol.t_end, sol.y_end, run.h, source.problem.args)
+        sol["message"] = blamed_on(called or "MechanicalSystem", sol.message)
     if find_method(source.method)[0].equations == "second-order":
         require_no_velocities(source.problem, sol)
     return sol
@@ -536,8 +545,8 @@ def _solution(finished: Finished) -> Solution:
         sol["sol"] = DenseSolution(dense, sol["y"].dtype, finished.bound).after(finished.source.history)
     if happened is not None:
         dtype = sol["y"].dtype
-        sol["t_events"] = [times for times, _ in happened]
-        sol["y_events"] = [points.view(dtype) for _, points in happened]
+        sol["t_events"] = ByEvent(plan.called.events, [times for times, _ in happened])
+        sol["y_events"] = ByEvent(plan.called.events, [points.view(dtype) for _, points in happened])
     if settings.record:
         sol["steps"] = Steps(run, finished.members)
     return sol
@@ -694,12 +703,12 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         sol.after(old.sol._history)
     t_events = y_events = None
     if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
-        t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]
+        t_events = new.t_events.replaced(map(np.concatenate, zip(old.t_events, new.t_events, strict=True)))
         n = len(old.y)
-        y_events = [
+        y_events = new.y_events.replaced(
             np.concatenate([part.reshape(-1, n) for part in parts])
             for parts in zip(old.y_events, new.y_events, strict=True)
-        ]
+        )
     steps = None
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)

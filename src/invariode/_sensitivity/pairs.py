@@ -172,7 +172,7 @@ class AsPairs:
 def with_pairs(sol: Result) -> Result:
     """Return a solution with the tolerances and the states at events in pairs of reals."""
     each = (np.repeat(one, 2) if np.ndim(one) else one for one in (sol._rtol, sol._atol))
-    events = sol.y_events and [np.ascontiguousarray(states).view(float) for states in sol.y_events]
+    events = sol.y_events and sol.y_events.replaced(np.ascontiguousarray(one).view(float) for one in sol.y_events)
     return sol.changed(**dict(zip(("_rtol", "_atol"), each, strict=True)), y_events=events)
 
 

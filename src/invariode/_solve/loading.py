@@ -26,7 +26,7 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import Options, checked
 from .._problem.problem import Problem
-from .._results.result import BeforeProjection, DenseSolution, Names, Origin, Stats, Steps, at_events
+from .._results.result import BeforeProjection, ByEvent, DenseSolution, Names, Origin, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
@@ -230,6 +230,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
     if len(fields["drift.residual"]) < len(names):
         raise ValueError("drifts do not match")
     each = None if fields["events"] is None else apart(under("events", fields), fields["events"])
+    called = Names(**fields["names"])
     at_outputs = None
     if "invariants.residual" in fields:  # unless it is a checkpoint
         at_outputs = fields["invariants.residual"], fields["invariants.distance"]
@@ -254,7 +255,7 @@ def _solution(fields: dict[str, Any]) -> Solution:
             "_drift": BeforeProjection(
                 fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])
             ),
-            "_names": Names(**fields["names"]),
+            "_names": called,
             "_sensitivities": _sensitivities(fields, each),
             "_y_end": fields["y_end"],
             "_origin": None,
@@ -262,8 +263,8 @@ def _solution(fields: dict[str, Any]) -> Solution:
         t=fields["t"],
         y=y,
         sol=None,
-        t_events=None if each is None else [one["t"] for one in each],
-        y_events=None if each is None else [at_events(one["y"]) for one in each],
+        t_events=None if each is None else ByEvent(called.events, [one["t"] for one in each]),
+        y_events=None if each is None else ByEvent(called.events, [at_events(one["y"]) for one in each]),
         **{name: fields[name] for name in OUTCOME if name != "t_end"},
         stats=Stats(**{**stats, "discontinuities": tuple(stats["discontinuities"])}),
         steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,

@@ -28,6 +28,7 @@ from .._base.package import public
 from .._base.types import Span
 from .._linear.null_space import echelon, null_space
 from .._problem.invariants import Invariants
+from .._problem.problem import Problem
 from .._problem.slope import checked_slope
 from .._solve.ivp import solve_ivp
 
@@ -104,9 +105,9 @@ class PolynomialInvariant(Invariants):
 
 @public
 def find_invariants(
-    fun: Callable[..., Any],
-    t_span: Span,
-    y0: ArrayLike,
+    fun: Callable[..., Any] | Problem,
+    t_span: Span | None = None,
+    y0: ArrayLike | None = None,
     degree: int = 2,
     args: Iterable[Any] = (),
     *,
@@ -120,8 +121,9 @@ def find_invariants(
 
     Parameters
     ----------
-    fun : callable
-        ``f(t, y, *args)``.
+    fun : callable or Problem
+        ``f(t, y, *args)``; or a problem y' = f(t, y), which has an interval, y0, arguments and labels:
+        ``find_invariants(problem, degree=3)``.
     t_span : (float, float)
         Interval of the trajectories, finite.
     y0 : array_like of shape (n,)
@@ -141,9 +143,12 @@ def find_invariants(
 
     Raises
     ------
+    TypeError
+        `t_span` or y0 is missing, or given beside a problem.
     ValueError
-        More than 2000 monomials; an infinite interval; a complex y0; f has the wrong shape, or is not finite at y0. An
-        exception of f comes out if it ends every run from y0 and from points around it.
+        A problem with a mass matrix, delays or inputs; more than 2000 monomials; an infinite interval; a complex y0; f
+        has the wrong shape, or is not finite at y0. An exception of f comes out if it ends every run from y0 and from
+        points around it.
 
     Notes
     -----
@@ -157,8 +162,16 @@ def find_invariants(
     >>> iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [1.0, 0.5], labels=["x", "v"])
     [PolynomialInvariant(x**2 + 1/4*v**2)]
     """
-    fun = function("fun", fun, "f(t, y)")
-    t0, tf = interval(t_span)
+    if isinstance(fun, Problem):
+        if t_span is not None or y0 is not None or args or labels is not None:
+            raise TypeError("a problem has its own t_span, y0, args and labels: find_invariants(problem, degree=...)")
+        fun.require_no_delays("find_invariants")
+        if fun.inputs or fun.matrices.mass is not None:
+            raise ValueError("find_invariants is for y' = f(t, y, *args), and the problem has inputs or a mass matrix")
+        return find_invariants(fun.fun, fun.t_span, fun.y0, degree, fun.args, labels=fun._labels)
+    if t_span is None or y0 is None:
+        raise TypeError("find_invariants needs a problem, or fun, t_span and y0")
+    called, (t0, tf) = function("fun", fun, "f(t, y)"), interval(t_span)
     start, extra = state(y0), extra_arguments(args)
     if not np.isfinite(tf):
         raise ValueError(f"t_span must be finite for find_invariants, got {shown(t_span)}")
@@ -173,7 +186,7 @@ def find_invariants(
             f"{_MOST_MONOMIALS}: give a smaller degree"
         )
     names = [f"y[{i}]" for i in range(n)] if labels is None else distinct_labels(labels, n)
-    search = _Samples(fun, (t0, tf), start, extra)
+    search = _Samples(called, (t0, tf), start, extra)
     found: list[PolynomialInvariant] = []
     in_units: list[PolynomialInvariant] = []
     for d in range(1, degree + 1):

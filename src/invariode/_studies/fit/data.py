@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from ..._base.arguments import Array, real_numbers, shown
 #: The name of the dimension of time in labelled arrays, which is that of `Solution.to_xarray`.
 _TIME = "t"
 
-#: Names of a column of times, in the order in which they are looked for.
-_COLUMNS = ("t", "time")
+#: The name of a column of times, perhaps with a unit: t, time, Time [h].
+_COLUMN = re.compile(r"(?:t|(?i:time))\s*(?:\[.*\]|\(.*\))?")
 
 
 class Data(NamedTuple):
@@ -43,7 +44,7 @@ def read(t: Any, data: Any, m: int) -> Data:
         return _of_columns(t, data)
     if hasattr(data, "columns") and hasattr(data, "index"):
         columns = {name: data[name] for name in data.columns}
-        own = t is None and not any(name in columns for name in _COLUMNS)
+        own = t is None and _column_of_times(columns) is None
         return _of_columns(data.index.to_numpy() if own else t, columns)
     if hasattr(data, "data_vars"):
         if "y" not in data.data_vars:
@@ -121,16 +122,21 @@ def _few(labels: Array) -> str:
 
 def _times(t: Any) -> Array:
     if t is None:
-        raise TypeError("t is missing: the times of the data")
+        raise TypeError("t is missing: the times of the data, or the name of their column unless it is t or time")
     times = real_numbers("t", t)
     if times.ndim != 1 or not len(times) or not (np.isfinite(times) | (times == np.inf)).all():
         raise ValueError(f"t must be the times of the data, of shape (n_t,), got {shown(t)}")
     return times
 
 
+def _column_of_times(names: Iterable[Any]) -> str | None:
+    """Return the name of the column of times, the shortest if several look like one."""
+    return min((name for name in names if isinstance(name, str) and _COLUMN.fullmatch(name)), key=len, default=None)
+
+
 def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
     """Return a column for each quantity."""
-    t = next((name for name in _COLUMNS if name in columns), None) if t is None else t
+    t = _column_of_times(columns) if t is None else t
     if isinstance(t, str):
         if t not in columns:
             raise ValueError(f"t names the column {t!r}, and the data have {', '.join(map(str, columns))}")

@@ -395,6 +395,12 @@ class Observation:
         """Return the components with these labels; if as many were selected by `observe`, those are unchanged."""
         if self.size == len(names) and self.components != list(range(len(self._problem.y0))):
             return self
+        unknown = [name for name in names if name not in self._problem.labels]
+        if unknown and len(unknown) < len(names):
+            raise ValueError(
+                f"the column {unknown[0]!r} is no component, which are {', '.join(self._problem.labels)}"
+                f"{meant(unknown[0], self._problem.labels)}; if it has the times, pass t={unknown[0]!r}"
+            )
         return Observation(self._problem, list(names))
 
     def names(self, size: int) -> list[str]:
