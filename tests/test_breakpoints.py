@@ -731,7 +731,7 @@ def test_breakpoints_of_a_problem_are_checked_at_once_and_kept():
 
 
 def test_actions_outside_the_interval_are_named():
-    """Those of the call itself; a problem that is solved over another interval, and plain times, have no warning."""
+    """A problem that is solved over another interval, and plain times, have no warning."""
 
     def dose(t, y):
         return y + 1

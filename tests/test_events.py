@@ -456,7 +456,7 @@ def test_the_state_at_the_end_does_not_depend_on_the_output(method, tmp_path):
 
 
 def test_occurrences_are_found_by_the_name_of_their_event(tmp_path):
-    """Of every kind of result: its times, states and sensitivities by name are those by number."""
+    """Times and states by name are those by number, in every kind of result."""
     events = [iv.Event(at(1.5, 3.5), name="gate"), iv.Event(at(0.0), name="start", at_start=True), at(9.5)]
     sol = run("ode45", events, sensitivities=["y0"])
     sol.save(tmp_path / "sol.npz")
