@@ -50,16 +50,6 @@ int visit_one(visitproc visit, void* arg, const Holder& one)
 {
   return one.visit(visit, arg);
 }
-template <class Holder>
-int visit_one(visitproc visit, void* arg, const std::optional<Holder>& one) {
-  return one ? visit_one(visit, arg, *one) : 0;
-}
-template <class Holder>
-int visit_one(visitproc visit, void* arg, const std::vector<Holder>& all) {
-  for (const Holder& one : all)
-    if (const int stop = visit_one(visit, arg, one); stop != 0) return stop;
-  return 0;
-}
 template <class... Held>
 int visit_all(visitproc visit, void* arg, const Held&... held) {
   int stop = 0;

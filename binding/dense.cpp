@@ -81,15 +81,15 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
 
 }  // namespace
 
-std::vector<double> Dense::at(std::span<const double> t, const ProblemSpec* problem) const {
+std::vector<double> Dense::at(std::span<const double> t, nb::handle problem) const {
   std::optional<BoundProblem> bound;
   std::optional<Invariants> invariants;
   std::optional<Projector> projector;
   std::optional<TangentProjector> tangent;
   const Extent extent = output.extent();
-  if (output.projects() && problem && !problem->invariants.empty()) {
-    require(problem->m() == output.parts().m, "not the number of invariants of the run");
-    bound.emplace(*problem);
+  if (output.projects() && !problem.is_none()) bound.emplace(Record(problem));
+  if (bound && !bound->problem().invariants.empty()) {
+    require(bound->problem().value.size() == output.parts().m, "not the number of invariants of the run");
     require_sizes(bound->problem(), weights);
     require(bound->problem().extent() == extent, "not the sensitivities of the run");
     invariants.emplace(extent.n, bound->problem().invariants, bound->problem().value, weights);
@@ -107,7 +107,7 @@ std::vector<double> Dense::at(std::span<const double> t, const ProblemSpec* prob
   return y;
 }
 
-Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
+Table Dense::evaluate(const ConstVector& t, nb::handle problem) const {
   return to_array<Table>(at({t.data(), t.size()}, problem), t.size(), output.size());
 }
 

@@ -21,9 +21,9 @@ struct Dense {
 
   /// y at each t, one state after the other. Where the mode projects, onto the invariants of `problem`; without it
   /// values are corrected only.
-  [[nodiscard]] std::vector<double> at(std::span<const double> t, const ProblemSpec* problem) const;
+  [[nodiscard]] std::vector<double> at(std::span<const double> t, nb::handle problem) const;
   /// The same as an array, (len(t), n).
-  [[nodiscard]] Table evaluate(const ConstVector& t, const ProblemSpec* problem) const;
+  [[nodiscard]] Table evaluate(const ConstVector& t, nb::handle problem) const;
   /// Returns this solution followed by `next`, which starts where this ends.
   [[nodiscard]] Dense joined(const Dense& next) const;
   /// Everything, as the arguments of `from_parts`.

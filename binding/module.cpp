@@ -43,70 +43,70 @@ auto unlocked(const BoundProblem& bound, Work work) {
   return std::move(*result);
 }
 
-Points to_points(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& problem) {
+Points to_points(const ConstVector& t, const ConstMatrix& y, const Problem& problem) {
   if (y.shape(0) != t.size() || y.shape(1) != problem.n)
     throw std::invalid_argument("y must have a row of " + std::to_string(problem.n) + " reals for each of the " +
                                 std::to_string(t.size()) + " times");
   return {t.data(), y.data(), t.size()};
 }
 
-Table residual(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& problem) {
-  const BoundProblem bound(problem);
-  const Points points = to_points(t, y, problem);
+Table residual(const ConstVector& t, const ConstMatrix& y, nb::handle problem) {
+  const BoundProblem bound{Record(problem)};
+  const Points points = to_points(t, y, bound.problem());
   std::vector<double> r = unlocked(bound, [&] { return residuals(bound.problem(), points); });
-  return to_array<Table>(std::move(r), points.count, problem.m());
+  return to_array<Table>(std::move(r), points.count, bound.problem().value.size());
 }
 
-Table distance(const ConstVector& t, const ConstMatrix& y, const ProblemSpec& problem, const Tolerances& tolerances) {
-  const BoundProblem bound(problem);
-  const Weights weights = tolerances.for_size(problem.n);
-  const Points points = to_points(t, y, problem);
+Table distance(const ConstVector& t, const ConstMatrix& y, nb::handle problem, nb::handle tolerances) {
+  const BoundProblem bound{Record(problem)};
+  const Weights weights = read_weights(Record(tolerances), bound.problem().n);
+  const Points points = to_points(t, y, bound.problem());
   std::vector<double> d = unlocked(bound, [&] { return distances(bound.problem(), weights, points); });
-  return to_array<Table>(std::move(d), points.count, problem.m());
+  return to_array<Table>(std::move(d), points.count, bound.problem().value.size());
 }
 
 std::tuple<Table, Integers, Table, Integers> impose_points(const ConstVector& t, const ConstMatrix& y,
-                                                           const ProblemSpec& problem, const Tolerances& tolerances) {
-  const BoundProblem bound(problem);
-  const Weights weights = tolerances.for_size(problem.n);
-  const Points points = to_points(t, y, problem);
+                                                           nb::handle problem, nb::handle tolerances) {
+  const BoundProblem bound{Record(problem)};
+  const Weights weights = read_weights(Record(tolerances), bound.problem().n);
+  const Points points = to_points(t, y, bound.problem());
   ImposedPoints imposed = unlocked(bound, [&] { return impose(bound.problem(), weights, points); });
-  return {to_array<Table>(std::move(imposed.y), points.count, problem.n),
+  return {to_array<Table>(std::move(imposed.y), points.count, bound.problem().n),
           to_array<Integers>(std::move(imposed.converged), points.count),
-          to_array<Table>(std::move(imposed.residual), points.count, problem.m()),
+          to_array<Table>(std::move(imposed.residual), points.count, bound.problem().value.size()),
           to_array<Integers>(std::move(imposed.iterations), points.count)};
 }
 
-void require_point(const ConstVector& y, const ProblemSpec& problem) {
+void require_point(const ConstVector& y, const Problem& problem) {
   if (y.size() != problem.n)
     throw std::invalid_argument("a point of this problem has " + std::to_string(problem.n) + " reals, not " +
                                 std::to_string(y.size()));
 }
 
-std::optional<PointExamination> examine_point(double t, const ConstVector& y, const ProblemSpec& problem,
-                                              const Tolerances& tolerances) {
-  const BoundProblem bound(problem);
-  const Weights weights = tolerances.for_size(problem.n);
-  require_point(y, problem);
+std::optional<PointExamination> examine_point(double t, const ConstVector& y, nb::handle problem,
+                                              nb::handle tolerances) {
+  const BoundProblem bound{Record(problem)};
+  const Weights weights = read_weights(Record(tolerances), bound.problem().n);
+  require_point(y, bound.problem());
   PointExamination found = unlocked(bound, [&] { return examine(bound.problem(), weights, t, y.data()); });
   if (!found.finite) return {};
   return found;
 }
 
-std::pair<Vector, const char*> find_consistent_start(double t0, const ConstVector& y0, const ProblemSpec& problem,
-                                                     const Tolerances& tolerances) {
-  const BoundProblem bound(problem);
-  const Weights weights = tolerances.for_size(problem.n);
-  require_point(y0, problem);
+std::pair<Vector, const char*> find_consistent_start(double t0, const ConstVector& y0, nb::handle problem,
+                                                     nb::handle tolerances) {
+  const BoundProblem bound{Record(problem)};
+  const Weights weights = read_weights(Record(tolerances), bound.problem().n);
+  require_point(y0, bound.problem());
   ConsistentStart start = unlocked(bound, [&] { return consistent_start(bound.problem(), weights, t0, y0.data()); });
-  return {to_array<Vector>(std::move(start.y0), problem.n), name_of(start.verdict)};
+  return {to_array<Vector>(std::move(start.y0), bound.problem().n), name_of(start.verdict)};
 }
 
-std::tuple<Indices, Indices, Vector> jacobian(double t, const ConstVector& y, const ProblemSpec& problem,
-                                              const Tolerances& tolerances) {
-  const BoundProblem bound(problem);
-  const Weights weights = tolerances.for_size(problem.n);
-  require_point(y, problem);
+std::tuple<Indices, Indices, Vector> jacobian(double t, const ConstVector& y, nb::handle problem,
+                                              nb::handle tolerances) {
+  const BoundProblem bound{Record(problem)};
+  const Weights weights = read_weights(Record(tolerances), bound.problem().n);
+  require_point(y, bound.problem());
   const Matrix J = unlocked(bound, [&] { return jacobian_at(bound.problem(), weights, t, y.data()); });
   std::vector<int> rows, columns;
   std::vector<double> values;
@@ -124,9 +124,9 @@ std::tuple<Indices, Indices, Vector> jacobian(double t, const ConstVector& y, co
 }
 
 std::tuple<std::optional<std::pair<Indices, Indices>>, std::int64_t, std::size_t> find_sparsity(
-    double t, const ConstVector& y, const ProblemSpec& problem, std::int64_t most_calls, bool sparse_only) {
-  const BoundProblem bound(problem);
-  require_point(y, problem);
+    double t, const ConstVector& y, nb::handle problem, std::int64_t most_calls, bool sparse_only) {
+  const BoundProblem bound{Record(problem)};
+  require_point(y, bound.problem());
   FoundPattern found = unlocked(bound, [&] {
     return sparsity(bound.problem(), t, y.data(), {.most_calls = most_calls, .sparse_only = sparse_only});
   });
@@ -256,7 +256,6 @@ NB_MODULE(_core, module) {
   prepare_python_functions();
   define_arguments(module);
   define_callables(module);
-  define_problem(module);
   define_dense(module);
   define_run(module);
   define_points(module);

@@ -4,7 +4,6 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -12,16 +11,18 @@
 #include <tuple>
 #include <utility>
 
+#include "arguments.hpp"
+#include "arrays.hpp"
 #include "mechanics.hpp"
 #include "run/names.hpp"
 
 namespace invariode::binding {
 namespace {
 
-using Objects = std::vector<nb::object>;
-using OptionalVector = std::optional<ConstVector>;
-
-std::vector<double> to_vector(const OptionalVector& a) { return a ? binding::to_vector(*a) : std::vector<double>{}; }
+/// The values of an array; none of None.
+std::vector<double> values_of(nb::handle array) {
+  return array.is_none() ? std::vector<double>() : to_vector(nb::cast<ConstVector>(array));
+}
 
 template <class Value, std::size_t count>
 Value choose(const Named<Value> (&table)[count], const std::string& name, const char* what) {
@@ -37,87 +38,95 @@ constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::com
                                              {"3-point", Derivative::central},
                                              {"2-point", Derivative::forward}};
 
-Metric make_metric(const InvariantSpec& spec, Functions& functions) {
-  if (spec.metric.is_none()) return {};
-  const bool function = nb::isinstance<Native>(spec.metric) || nb::isinstance<MotionPart>(spec.metric) ||
-                        PyCallable_Check(spec.metric.ptr()) != 0;
-  if (!function) return {.function = {}, .values = to_vector(nb::cast<ConstVector>(spec.metric))};
-  const std::string name = "the metric of invariant " + spec.name;
-  const std::size_t k = spec.moves.empty() ? functions.state_size() : spec.moves.size();
-  const bool diagonal = spec.metric_size == k;
-  return {.function = diagonal ? functions.vector(spec.metric, name, k) : functions.square(spec.metric, name, k),
-          .values = std::vector<double>(spec.metric_size)};
+Metric make_metric(const Record& spec, Functions& functions) {
+  const nb::object metric = spec["metric"];
+  if (metric.is_none()) return {};
+  const bool function =
+      nb::isinstance<Native>(metric) || nb::isinstance<MotionPart>(metric) || PyCallable_Check(metric.ptr()) != 0;
+  if (!function) return {.function = {}, .values = values_of(metric)};
+  const std::string name = "the metric of invariant " + spec.get<std::string>("name");
+  const std::size_t moves = nb::len(spec["moves"]), k = moves == 0 ? functions.state_size() : moves;
+  const auto size = spec.get<std::size_t>("metric_size");
+  return {.function = size == k ? functions.vector(metric, name, k) : functions.square(metric, name, k),
+          .values = std::vector<double>(size)};
 }
 
-InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
-  const std::string name = "invariant " + spec.name;
+InvariantBlock make_block(const Record& spec, Functions& functions) {
+  const std::string name = "invariant " + spec.get<std::string>("name");
+  const nb::object fun = spec["fun"], jac = spec["jac"];
   InvariantBlock block;
-  block.g = functions.vector(spec.fun, name, spec.m);
-  block.m = spec.m;
-  block.held = spec.held;
-  block.level = spec.level;
-  block.moves = spec.moves;
+  block.m = spec.get<std::size_t>("m");
+  block.g = functions.vector(fun, name, block.m);
+  block.held = spec.get<bool>("held");
+  block.level = spec.get<int>("level");
+  block.moves = spec.get<std::vector<std::size_t>>("moves");
   block.metric = make_metric(spec, functions);
-  block.sense = spec.sense;
-  block.along_steps = spec.along_steps;
-  block.users = spec.users;
-  if (nb::isinstance<MotionPart>(spec.jac)) {
-    const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
+  block.sense = spec.get<int>("sense");
+  block.along_steps = spec.get<bool>("along_steps");
+  block.users = spec.get<bool>("users");
+  if (nb::isinstance<MotionPart>(jac)) {
+    const auto& [mechanics, part] = nb::cast<const MotionPart&>(jac);
     if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
       block.jacobian = motion.entries(part);
       block.pattern = motion.pattern(part);
       return block;
     }
   }
-  if (!nb::isinstance<nb::str>(spec.jac)) {
-    const auto& [starts, columns] = spec.pattern;
-    require(starts.empty() || (starts.size() == spec.m + 1 && starts.front() == 0 && starts.back() == columns.size() &&
+  if (!nb::isinstance<nb::str>(jac)) {
+    block.pattern = {spec.get<std::vector<std::size_t>>("starts"), spec.get<std::vector<int>>("columns")};
+    const auto& [starts, columns] = block.pattern;
+    require(starts.empty() || (starts.size() == block.m + 1 && starts.front() == 0 && starts.back() == columns.size() &&
                                std::ranges::is_sorted(starts)),
             "the pattern of an invariant's Jacobian is not one of its rows");
-    if (spec.pattern)
-      block.jacobian = functions.vector(spec.jac, "the Jacobian of " + name, spec.pattern.columns.size());
+    if (block.pattern)
+      block.jacobian = functions.vector(jac, "the Jacobian of " + name, columns.size());
     else
-      block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
-    block.pattern = spec.pattern;
+      block.jacobian = functions.rows(jac, "the Jacobian of " + name, block.m);
     return block;
   }
-  const auto substitute = nb::cast<std::string>(spec.jac);
+  const auto substitute = nb::cast<std::string>(jac);
   block.derivative = choose(substitutes, substitute, "kind of derivative");
   if (block.derivative != Derivative::complex_step) return block;
-  nb::object at_complex = spec.fun;
-  if (substitute == choose_derivative || nb::isinstance<Native>(spec.fun))
-    at_complex = nb::module_::import_("invariode._functions.increments").attr("at_complex")(spec.fun, spec.m);
-  block.complex_g = functions.complex_vector(at_complex, name, spec.m);
+  nb::object at_complex = fun;
+  if (substitute == choose_derivative || nb::isinstance<Native>(fun))
+    at_complex = nb::module_::import_("invariode._functions.increments").attr("at_complex")(fun, block.m);
+  block.complex_g = functions.complex_vector(at_complex, name, block.m);
   return block;
 }
 
-EventFunction make_event(const EventSpec& spec, Functions& functions) {
+EventFunction make_event(const Record& spec, Functions& functions) {
   EventFunction event;
-  const std::string title = spec.name == "event" ? spec.name : "event " + spec.name;
-  if (!spec.fun.is_none()) event.function = functions.event(spec.fun, title);
-  event.terminal = spec.terminal;
-  event.direction = spec.direction;
-  if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of " + title);
-  event.rehold = spec.rehold;
-  event.samples = spec.samples;
-  if (spec.series) event.series = functions.series(*spec.series);
-  event.touching = spec.touching;
-  event.at_jumps = spec.at_jumps;
+  const auto name = spec.get<std::string>("name");
+  const std::string title = name == "event" ? name : "event " + name;
+  const nb::object fun = spec["fun"], action = spec["action"], series = spec["series"];
+  if (!fun.is_none()) event.function = functions.event(fun, title);
+  event.terminal = spec.get<std::int64_t>("terminal");
+  event.direction = spec.get<int>("direction");
+  if (!action.is_none()) event.action = functions.state_valued(action, "the action of " + title);
+  event.rehold = spec.get<bool>("rehold");
+  event.samples = spec.get<int>("samples");
+  if (!series.is_none()) event.series = functions.series(nb::cast<const SeriesSpec&>(series));
+  event.touching = spec.get<bool>("touching");
+  event.at_jumps = spec.get<bool>("at_jumps");
   return event;
 }
 
 /// Its components are the events from `first` on, which have no function of their own.
-RootVector make_vector(const VectorSpec& spec, std::size_t number, Functions& functions,
+RootVector make_vector(const Record& spec, std::size_t number, Functions& functions,
                        std::vector<EventFunction>& events) {
-  if (spec.first + spec.count > events.size()) throw std::invalid_argument("a vector has more events than there are");
-  for (std::size_t k = 0; k < spec.count; ++k) events[spec.first + k].vector = number;
-  return {functions.events(spec.fun, "fun of " + spec.name, spec.count), spec.first, spec.count,
-          functions.action_of_vector(spec.action, "on_roots of " + spec.name, spec.count)};
+  const auto first = spec.get<std::size_t>("first"), size = spec.get<std::size_t>("size");
+  const auto name = spec.get<std::string>("name");
+  if (first + size > events.size()) throw std::invalid_argument("a vector has more events than there are");
+  for (std::size_t k = 0; k < size; ++k) events[first + k].vector = number;
+  return {functions.events(spec["fun"], "fun of " + name, size), first, size,
+          functions.action_of_vector(spec["action"], "on_roots of " + name, size)};
 }
 
-Breakpoint make_breakpoint(const BreakpointSpec& spec, Functions& functions) {
-  if (spec.action.is_none()) return {.t = spec.t, .action = {}, .jump = {}};
-  return {.t = spec.t, .action = functions.state_valued(spec.action, "the action at a breakpoint"), .jump = {}};
+Breakpoint make_breakpoint(const Record& spec, Functions& functions) {
+  Breakpoint point{.t = spec.get<double>("t"), .action = {}, .jump = {}};
+  const nb::object action = spec["action"];
+  if (!action.is_none()) point.action = functions.state_valued(action, "the action at a breakpoint");
+  return point;
 }
 
 Lapack read_lapack(const nb::object& capsules) {
@@ -139,95 +148,112 @@ Lapack read_lapack(const nb::object& capsules) {
   return lapack;
 }
 
-LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
-  LinearTerms linear{.source = {.kind = spec.kind,
+LinearTerms make_linear(const Record& spec, Functions& functions) {
+  using Kind = Jacobian::Kind;
+  const Structure structure{choose(structure_names, spec.get<std::string>("structure"), "structure"),
+                            spec.get<std::size_t>("n"), spec.get<std::size_t>("lower"), spec.get<std::size_t>("upper")};
+  const Kind kind = choose(jacobian_names, spec.get<std::string>("kind"), "kind of Jacobian");
+  LinearTerms linear{.source = {.kind = kind,
                                 .function = {},
                                 .complex_f = {},
                                 .rate = {},
                                 .product = {},
-                                .found_pattern = spec.found_pattern > 0},
-                     .jacobian = Matrix::without_values(spec.structure),
+                                .found_pattern = spec.get<std::int64_t>("found_pattern") > 0},
+                     .jacobian = Matrix::without_values(structure),
                      .mass = {},
                      .lapack = {},
                      .krylov = {}};
-  nb::object known = spec.jacobian;  // values or pattern
-  const bool is_function = spec.kind == Jacobian::Kind::function || spec.kind == Jacobian::Kind::derived;
-  if (is_function || spec.kind == Jacobian::Kind::complex_steps) {
+  nb::object known = spec["jacobian"];  // values or pattern
+  const nb::object product = spec["product"], rate = spec["rate"], given_mass = spec["mass"];
+  const bool is_function = kind == Kind::function || kind == Kind::derived;
+  if (is_function || kind == Kind::complex_steps) {
     nb::object code = std::exchange(known, nb::none());
     if (nb::isinstance<nb::tuple>(code)) std::tie(code, known) = nb::cast<std::pair<nb::object, nb::object>>(code);
     if (is_function && code.is_none())
-      linear.source.product = functions.product(spec.product, "∂f/∂y v");
+      linear.source.product = functions.product(product, "∂f/∂y v");
     else if (is_function)
       linear.source.function = functions.matrix(code);
     else
-      linear.source.complex_f = functions.complex_vector(code, "fun(t, y)", spec.structure.n);
+      linear.source.complex_f = functions.complex_vector(code, "fun(t, y)", structure.n);
   }
   if (!known.is_none()) read_matrix(known, linear.jacobian);
-  if (!spec.rate.is_none()) linear.source.rate = functions.vector(spec.rate, "∂f/∂t", spec.structure.n);
-  if (!spec.lapack.is_none() && by_lapack(spec.structure)) linear.lapack = read_lapack(spec.lapack());
-  if (spec.kind == Jacobian::Kind::products) {
+  if (!rate.is_none()) linear.source.rate = functions.vector(rate, "∂f/∂t", structure.n);
+  if (const nb::object lapack = spec["lapack"]; !lapack.is_none() && by_lapack(structure))
+    linear.lapack = read_lapack(lapack());
+  if (kind == Kind::products) {
     KrylovTerms& krylov = linear.krylov.emplace();
-    if (!spec.product.is_none()) krylov.product = functions.product(spec.product, "jac_product(t, y, v)");
-    if (!spec.preconditioner.is_none()) krylov.preconditioner = functions.preconditioner(spec.preconditioner);
-    krylov.dimension = spec.dimension;
+    const nb::object preconditioner = spec["preconditioner"];
+    if (!product.is_none()) krylov.product = functions.product(product, "jac_product(t, y, v)");
+    if (!preconditioner.is_none()) krylov.preconditioner = functions.preconditioner(preconditioner);
+    krylov.dimension = spec.get<std::size_t>("dimension");
   }
-  if (spec.mass.is_none()) return linear;
-  Matrix mass(spec.structure);
+  if (given_mass.is_none()) return linear;
+  Matrix mass(structure);
   MatrixFunction function;
-  if (PyCallable_Check(spec.mass.ptr()) != 0)
-    function = functions.matrix(spec.mass);
+  if (PyCallable_Check(given_mass.ptr()) != 0)
+    function = functions.matrix(given_mass);
   else
-    read_matrix(spec.mass, mass);
-  linear.mass.emplace(std::move(mass), function, read_sparse(spec.null_basis, spec.structure.n));
+    read_matrix(given_mass, mass);
+  linear.mass.emplace(std::move(mass), function, read_sparse(spec["null_basis"], structure.n));
   return linear;
 }
 
 /// Into the problem, whose invariants, events and breakpoints are there.
-void add_variations(const VariationsSpec& spec, Functions& functions, Problem& problem) {
-  const auto require_one_each = [](std::size_t given, std::size_t count, const char* what) {
-    if (given == count || given == 0) return;
-    throw std::invalid_argument("sensitivities have " + std::to_string(given) + " functions for " +
-                                std::to_string(count) + " " + what);
+void add_variations(const Record& spec, Functions& functions, Problem& problem) {
+  const auto each = [&](const char* name, std::size_t count) {
+    auto given = spec.get<std::vector<nb::object>>(name);
+    if (given.size() == count || given.empty()) return given;
+    throw std::invalid_argument("sensitivities have " + std::to_string(given.size()) + " functions for " +
+                                std::to_string(count) + " " + name);
   };
-  require_one_each(spec.invariants.size(), problem.invariants.size(), "invariants");
-  require_one_each(spec.jumps.size(), problem.events.size(), "events");
-  require_one_each(spec.breakpoints.size(), problem.breakpoints.size(), "breakpoints");
+  const auto tangents = each("invariants", problem.invariants.size()), jumps = each("events", problem.events.size()),
+             doses = each("breakpoints", problem.breakpoints.size());
   Variations& variations = problem.variations.emplace();
-  variations.k = spec.k;
-  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k,
+  variations.k = spec.get<std::size_t>("k");
+  variations.slope = functions.of_sensitivities(spec["slope"], "the slope of the sensitivities", variations.k,
                                                 problem.delays ? problem.delays->lags.size() : 0);
-  variations.tolerance.assign(spec.thresholds.data(), spec.thresholds.data() + spec.thresholds.size());
-  variations.error_test = spec.error_test;
-  variations.quadratures = spec.quadratures;
-  for (std::size_t i = 0; i < spec.invariants.size(); ++i) {
+  const auto thresholds = spec.get<ConstMatrix>("thresholds");
+  variations.tolerance.assign(thresholds.data(), thresholds.data() + thresholds.size());
+  variations.error_test = spec.get<bool>("error_test");
+  variations.quadratures = spec.get<bool>("quadratures");
+  for (std::size_t i = 0; i < tangents.size(); ++i) {
     InvariantBlock& block = problem.invariants[i];
-    block.tangent = functions.tangent(spec.invariants[i], "the tangent of an invariant", spec.k, block.m);
+    block.tangent = functions.tangent(tangents[i], "the tangent of an invariant", variations.k, block.m);
   }
   const auto jump = [&](const nb::object& one) {
-    return one.is_none() ? Callback() : functions.jump(one, "the jump of the sensitivities", spec.k);
+    return one.is_none() ? Callback() : functions.jump(one, "the jump of the sensitivities", variations.k);
   };
-  for (std::size_t i = 0; i < spec.jumps.size(); ++i) problem.events[i].jump = jump(spec.jumps[i]);
-  for (std::size_t i = 0; i < spec.breakpoints.size(); ++i) problem.breakpoints[i].jump = jump(spec.breakpoints[i]);
-  problem.landings.jump = jump(spec.landings);
+  for (std::size_t i = 0; i < jumps.size(); ++i) problem.events[i].jump = jump(jumps[i]);
+  for (std::size_t i = 0; i < doses.size(); ++i) problem.breakpoints[i].jump = jump(doses[i]);
+  problem.landings.jump = jump(spec["landings"]);
 }
 
-Landings make_landings(const LandingsSpec& spec) {
-  const auto& [times, first, periods] = spec;
+/// Of single times, and the first times and the periods of progressions.
+Landings make_landings(nb::handle given) {
+  using Times = std::vector<double>;
+  auto [times, first, periods] = nb::cast<std::tuple<Times, Times, Times>>(given);
   require(first.size() == periods.size(), "landings have not one period for each first time");
   std::vector<Landings::Progression> progressions;
   progressions.reserve(first.size());
   for (std::size_t i = 0; i < first.size(); ++i) progressions.push_back({.first = first[i], .period = periods[i]});
-  return {times, std::move(progressions)};
+  return {std::move(times), std::move(progressions)};
 }
 
-DelayTerms make_delays(const DelaysSpec& spec, Functions& functions) {
-  require(spec.parameters.size() == spec.lags.size(), "delays have not one number of a parameter each");
-  DelayTerms terms{.lags = {}, .constant = spec.constant, .history = {}, .jumps = spec.jumps, .rates = spec.rates};
-  for (std::size_t j = 0; j < spec.lags.size(); ++j) {
-    const std::int64_t number = spec.parameters[j];
-    terms.lags.push_back({spec.lags[j], number < 0 ? std::nullopt : std::optional(static_cast<std::size_t>(number))});
+DelayTerms make_delays(const Record& spec, Functions& functions) {
+  const auto lags = spec.get<std::vector<double>>("lags");
+  const auto parameters = spec.get<std::vector<std::int64_t>>("parameters");
+  require(parameters.size() == lags.size(), "delays have not one number of a parameter each");
+  DelayTerms terms{.lags = {},
+                   .constant = values_of(spec["constant"]),
+                   .history = {},
+                   .jumps = spec.get<std::vector<double>>("jumps"),
+                   .rates = spec.get<std::vector<double>>("rates")};
+  for (std::size_t j = 0; j < lags.size(); ++j) {
+    const std::int64_t number = parameters[j];
+    terms.lags.push_back({lags[j], number < 0 ? std::nullopt : std::optional(static_cast<std::size_t>(number))});
   }
-  if (!spec.history.is_none()) terms.history = functions.state_valued(spec.history, "history(t)");
+  if (const nb::object history = spec["history"]; !history.is_none())
+    terms.history = functions.state_valued(history, "history(t)");
   return terms;
 }
 
@@ -240,227 +266,91 @@ Weights to_weights(double rtol, std::vector<double> threshold, std::vector<doubl
   return {rtol, std::move(threshold), std::move(scale)};
 }
 
-Weights Tolerances::for_size(std::size_t n) const {
-  const auto* each = std::get_if<ConstVector>(&threshold);
-  return to_weights(rtol, each ? binding::to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
-                    to_vector(scale));
+Weights read_weights(const Record& tolerances, std::size_t n) {
+  const nb::object threshold = tolerances["threshold"];
+  const bool one = nb::isinstance<nb::float_>(threshold);
+  return to_weights(tolerances.get<double>("rtol"),
+                    one ? std::vector<double>(n, nb::cast<double>(threshold)) : values_of(threshold),
+                    values_of(tolerances["scale"]));
 }
 
-BoundProblem::BoundProblem(const ProblemSpec& spec)
-    : functions_({spec.n, spec.complex}, spec.args, binding::to_vector(spec.parameters)) {
-  problem_.n = spec.n;
-  problem_.complex = spec.complex;
-  const std::size_t delays = spec.delays ? spec.delays->lags.size() : 0;
-  if (!spec.fun.is_none()) problem_.f = functions_.slope(spec.fun, delays > 0 ? "fun(t, y, z)" : "fun(t, y)", delays);
-  if (spec.delays) problem_.delays = make_delays(*spec.delays, functions_);
-  if (spec.series) problem_.series.emplace().solution = functions_.series(*spec.series);
-  if (spec.series && spec.conditions) {
-    problem_.series->conditions = functions_.series(*spec.conditions);
-    problem_.series->count = spec.condition_count;
+BoundProblem::BoundProblem(const Record& spec)
+    : functions_({spec.get<std::size_t>("n"), spec.get<bool>("complex")}, spec.get<nb::tuple>("args"),
+                 values_of(spec["parameters"].attr("numbers"))) {
+  problem_.n = functions_.state_size();
+  problem_.complex = spec.get<bool>("complex");
+  if (const nb::object delays = spec["delays"]; !delays.is_none())
+    problem_.delays = make_delays(Record(delays), functions_);
+  const std::size_t delays = problem_.delays ? problem_.delays->lags.size() : 0;
+  const nb::object fun = spec["fun"], series = spec["series"], conditions = spec["conditions"];
+  if (!fun.is_none()) problem_.f = functions_.slope(fun, delays > 0 ? "fun(t, y, z)" : "fun(t, y)", delays);
+  if (!series.is_none()) problem_.series.emplace().solution = functions_.series(nb::cast<const SeriesSpec&>(series));
+  if (!series.is_none() && !conditions.is_none()) {
+    problem_.series->conditions = functions_.series(nb::cast<const SeriesSpec&>(conditions));
+    problem_.series->count = spec.get<std::size_t>("condition_count");
   }
-  if (nb::isinstance<MotionPart>(spec.fun))
-    problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
-  if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
-  for (const InvariantSpec& one : spec.invariants) problem_.invariants.push_back(make_block(one, functions_));
-  problem_.value = to_vector(spec.value);
-  if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
-  for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
-  for (const VectorSpec& one : spec.vectors)
-    problem_.vectors.push_back(make_vector(one, problem_.vectors.size(), functions_, problem_.events));
+  if (nb::isinstance<MotionPart>(fun))
+    problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(fun).mechanics).relative_error();
+  if (const nb::object callback = spec["callback"]; !callback.is_none())
+    problem_.callback = functions_.truth(callback, "callback(t, y)");
+  for (const nb::handle one : spec["invariants"]) problem_.invariants.push_back(make_block(Record(one), functions_));
+  problem_.value = values_of(spec["value"]);
+  if (const nb::object linear = spec["linear"]; !linear.is_none())
+    problem_.linear = make_linear(Record(linear), functions_);
+  for (const nb::handle one : spec["events"]) problem_.events.push_back(make_event(Record(one), functions_));
+  for (const nb::handle one : spec["vectors"])
+    problem_.vectors.push_back(make_vector(Record(one), problem_.vectors.size(), functions_, problem_.events));
   for (const EventFunction& event : problem_.events)
     if (event.vector == EventFunction::alone && !event.function)
       throw std::invalid_argument("an event has no function");
-  if (spec.lower || spec.upper) problem_.bounds.emplace(to_vector(spec.lower), to_vector(spec.upper));
-  problem_.signed_states = spec.signed_states;
-  for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
-  problem_.landings = make_landings(spec.landings);
-  if (spec.variations) add_variations(*spec.variations, functions_, problem_);
+  if (const nb::object bounds = spec["bounds"]; !bounds.is_none())
+    problem_.bounds.emplace(values_of(bounds.attr("lower")), values_of(bounds.attr("upper")));
+  problem_.signed_states = spec.get<bool>("signed_states");
+  for (const nb::handle one : spec["breakpoints"])
+    problem_.breakpoints.push_back(make_breakpoint(Record(one), functions_));
+  problem_.landings = make_landings(spec["landings"]);
+  if (const nb::object variations = spec["variations"]; !variations.is_none())
+    add_variations(Record(variations), functions_, problem_);
   problem_.parameters = functions_.parameters();
 }
 
-// ---------------------------------------------------------------------------------------------------------------------
-// What Python sees
-
 namespace {
 
-void define_functions(nb::module_& module) {
-  nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")
-      .def(nb::init<nb::object, nb::object, std::size_t, std::string, bool, int, std::vector<std::size_t>, nb::object,
-                    std::size_t, int, bool, std::vector<std::size_t>, std::vector<int>, bool>(),
-           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
-           nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
-           nb::arg("sense") = 0, nb::arg("along_steps") = false, nb::arg("starts") = std::vector<std::size_t>{},
-           nb::arg("columns") = std::vector<int>{}, nb::arg("users") = false,
-           "starts, columns: the places of the entries that a sparse jac returns, row by row.");
-  nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
-      .def(nb::init<double, nb::object>(), nb::arg("t"), nb::arg("action").none());
-  nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
-      .def(nb::init<nb::object, std::int64_t, int, std::string, nb::object, bool, int, std::optional<SeriesSpec>, bool,
-                    bool>(),
-           nb::arg("fun").none(), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
-           nb::arg("rehold"), nb::arg("samples") = 0, nb::arg("series") = nb::none(), nb::arg("touching") = false,
-           nb::arg("at_jumps") = true,
-           "fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. "
-           "series: along polynomials, for methods "
-           "whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where "
-           "jumps change its sign.");
-  nb::class_<VectorSpec>(module, "RootVector", nb::type_slots(slots<VectorSpec>),
-                         "Events that are one function with one action, for the core.")
-      .def(nb::init<nb::object, std::size_t, std::size_t, std::string, nb::object>(), nb::arg("fun"), nb::arg("first"),
-           nb::arg("count"), nb::arg("name"), nb::arg("action"));
-}
-
-void define_linear(nb::module_& module) {
-  nb::class_<LinearSpec>(module, "Linear", nb::type_slots(slots<LinearSpec>),
-                         "Known properties of the Jacobian of f and of the mass matrix.")
-      .def(
-          "__init__",
-          [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
-             const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack,
-             std::int64_t found_pattern, nb::object product, nb::object preconditioner, std::size_t dimension,
-             nb::object rate) {
-            new (self) LinearSpec{{choose(structure_names, structure, "structure"), n, lower, upper},
-                                  choose(jacobian_names, kind, "kind of Jacobian"),
-                                  std::move(jacobian),
-                                  std::move(mass),
-                                  std::move(null_basis),
-                                  std::move(lapack),
-                                  found_pattern,
-                                  std::move(product),
-                                  std::move(preconditioner),
-                                  dimension,
-                                  std::move(rate)};
-          },
-          nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
-          nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none(),
-          nb::arg("found_pattern") = 0, nb::arg("product").none() = nb::none(),
-          nb::arg("preconditioner").none() = nb::none(), nb::arg("dimension") = 0, nb::arg("rate").none() = nb::none())
-      .def_prop_ro(
-          "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); },
-          "Kind of Jacobian, as it was given.")
-      .def_prop_ro(
-          "structure", [](const LinearSpec& l) { return name_in(structure_names, l.structure.kind); },
-          "Structure of the Jacobian, as it was given.")
-      .def_ro("found_pattern", &LinearSpec::found_pattern, "Evaluations of f that found the pattern; 0: it was given.")
-      .def_prop_ro(
-          "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
-          "Number of algebraic equations: the dimension of the left null space of M.");
-}
-
-void define_variations(nb::module_& module) {
-  nb::class_<VariationsSpec>(module, "Variations", nb::type_slots(slots<VariationsSpec>),
-                             "Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 "
-                             "+ k, n): y, then dy/dp_j.")
-      .def(nb::init<std::size_t, nb::object, ConstMatrix, Objects, Objects, Objects, nb::object, bool, bool>(),
-           nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
-           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("landings") = nb::none(),
-           nb::arg("error_test") = true, nb::arg("quadratures") = false,
-           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
-           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-           "or None if it does not act. An empty list: none has any. landings: such a function for all landings, or "
-           "None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of "
-           "(t, y) alone, and M the identity for S.")
-      .def_ro("k", &VariationsSpec::k)
-      .def_ro("error_test", &VariationsSpec::error_test);
-}
-
-void define_delays(nb::module_& module) {
-  nb::class_<DelaysSpec>(module, "Delays", nb::type_slots(slots<DelaysSpec>), "Constant delays, for the core.")
-      .def(nb::init<std::vector<double>, std::vector<std::int64_t>, std::vector<double>, nb::object,
-                    std::vector<double>, std::vector<double>>(),
-           nb::arg("lags"), nb::arg("parameters"), nb::arg("constant"), nb::arg("history").none(), nb::arg("jumps"),
-           nb::arg("rates"),
-           "lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if "
-           "it "
-           "is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. "
-           "rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.");
-}
-
-void define_description(nb::module_& module) {
-  nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
-                          "Problem to be solved, except its initial value. n: reals in a state.")
-      .def(nb::init<std::size_t, bool, nb::object, nb::tuple, ConstVector, std::optional<LinearSpec>,
-                    std::vector<EventSpec>, std::vector<VectorSpec>, std::vector<BreakpointSpec>, LandingsSpec,
-                    nb::object, std::vector<InvariantSpec>, OptionalVector, OptionalVector, OptionalVector, bool,
-                    std::optional<VariationsSpec>, std::optional<SeriesSpec>, std::optional<SeriesSpec>, std::size_t,
-                    std::optional<DelaysSpec>>(),
-           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
-           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-           nb::arg("vectors") = nb::list(), nb::arg("breakpoints") = nb::list(), nb::arg("landings") = LandingsSpec(),
-           nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
-           nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("signed_states") = false,
-           nb::arg("variations") = nb::none(), nb::arg("series") = nb::none(), nb::arg("conditions") = nb::none(),
-           nb::arg("condition_count") = 0, nb::arg("delays") = nb::none(),
-           "signed_states: y may be negative, and none that falls below 0 is reported. landings: single times in "
-           "increasing order, and the first times and periods of progressions. conditions: "
-           "condition_count values along a polynomial, of which one changes its sign where f changes its "
-           "branch.");
-  nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
-      .def(nb::init<double, std::variant<double, ConstVector>, OptionalVector>(), nb::arg("rtol"), nb::arg("threshold"),
-           nb::arg("scale").none());
-}
-
-/// A setting of the core's structs: its name, and how its value gets there and back.
+/// A setting of the core's structs that a method and its options determine: its name, and how it takes its value.
 struct Setting {
   const char* name;
   void (*set)(RunSettings&, nb::handle);
-  nb::object (*get)(const RunSettings&);
 };
 
 template <auto member>
 constexpr Setting plain(const char* name) {
   using Value = std::remove_cvref_t<decltype(std::declval<RunSettings>().*member)>;
-  return {name, [](RunSettings& s, nb::handle value) { s.*member = nb::cast<Value>(value); },
-          [](const RunSettings& s) { return nb::cast(s.*member); }};
-}
-
-void set_times(RunSettings& s, nb::handle times) {
-  s.output_at_times = !times.is_none();
-  s.times = {};
-  if (!s.output_at_times) return;
-  const auto array = nb::cast<ConstVector>(times);
-  s.times = Times({array.data(), array.size()});
-}
-nb::object get_times(const RunSettings& s) {
-  if (!s.output_at_times) return nb::none();
-  const std::span<const double> all = s.times.from(0);
-  return nb::cast(to_array<Vector>(std::vector<double>(all.begin(), all.end()), all.size()), nb::rv_policy::move);
+  return {name, [](RunSettings& s, nb::handle value) { s.*member = nb::cast<Value>(value); }};
 }
 
 /// A method by its name; "": none.
 template <auto member>
 constexpr Setting named_method(const char* name) {
-  return {name,
-          [](RunSettings& s, nb::handle value) {
+  return {name, [](RunSettings& s, nb::handle value) {
             const auto given = nb::cast<std::string>(value);
             s.*member = given.empty() ? nullptr : find_method(given);
             if (s.*member == nullptr && !given.empty()) throw std::invalid_argument("unknown method '" + given + "'");
-          },
-          [](const RunSettings& s) { return nb::cast(s.*member ? (s.*member)->name : ""); }};
+          }};
 }
 
-/// The settings in the order of `Settings` in plan.py, which tests/test_binding.py compares.
-constexpr Setting settings[] = {
-    plain<&RunSettings::t0>("t0"),
-    plain<&RunSettings::tf>("tf"),
-    plain<&RunSettings::hmax>("max_step"),
-    {"times", set_times, get_times},
-    plain<&RunSettings::max_points>("max_points"),
-    plain<&RunSettings::max_bytes>("max_bytes"),
+constexpr Setting settings_of_methods[] = {
     plain<&RunSettings::first_step>("first_step"),
     plain<&RunSettings::refine>("refine"),
     {"interpolation",
      [](RunSettings& s, nb::handle name) {
        s.interpolation = choose(interpolation_names, nb::cast<std::string>(name), "interpolation");
-     },
-     [](const RunSettings& s) { return nb::cast(name_of(s.interpolation)); }},
+     }},
     plain<&RunSettings::dense>("dense"),
     plain<&RunSettings::sections>("sections"),
     plain<&RunSettings::save_all>("save_all"),
     plain<&RunSettings::record>("record"),
     plain<&RunSettings::check>("check"),
-    {"fsal", [](RunSettings& s, nb::handle name) { s.fsal = choose(fsal_names, nb::cast<std::string>(name), "fsal"); },
-     [](const RunSettings& s) { return nb::cast(name_of(s.fsal)); }},
+    {"fsal", [](RunSettings& s, nb::handle name) { s.fsal = choose(fsal_names, nb::cast<std::string>(name), "fsal"); }},
     plain<&RunSettings::max_order>("max_order"),
     plain<&RunSettings::bdf>("bdf"),
     named_method<&RunSettings::prefer_explicit>("prefer_explicit"),
@@ -471,44 +361,31 @@ constexpr Setting settings[] = {
     plain<&RunSettings::time_limit>("time_limit"),
 };
 
-void define_settings(nb::module_& module) {
-  nb::class_<RunSettings> defined(module, "Settings", "The options of a run, in the form the core takes.");
-  defined.def(nb::init<>());
-  defined.def(
-      "__init__",
-      [](RunSettings* self, const nb::tuple& values) {
-        if (values.size() != std::size(settings)) throw nb::value_error("not one value for each of Settings.FIELDS");
-        RunSettings given;
-        for (std::size_t i = 0; i < std::size(settings); ++i) settings[i].set(given, values[i]);
-        new (self) RunSettings(std::move(given));
-      },
-      nb::arg("values"), "All of them, in the order of FIELDS.");
-  std::vector<const char*> names;
-  for (const Setting& one : settings) {
-    names.push_back(one.name);
-    defined.def_prop_rw(
-        one.name, [get = one.get](const RunSettings& s) { return get(s); },
-        [set = one.set](RunSettings& s, const nb::object& value) { set(s, value); });
-  }
-  defined.attr("FIELDS") = nb::tuple(nb::cast(names));
-}
+/// The fields of a `Course`, in their order.
+using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
 
 }  // namespace
+
+void read_course(nb::handle course, Settings& settings) {
+  nb::object times;
+  std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) =
+      nb::cast<Course>(course);
+  settings.output_at_times = !times.is_none();
+  settings.times = settings.output_at_times ? Times(numbers_of(times)) : Times();
+}
+
+RunSettings read_settings(nb::handle course, const Record& settings) {
+  RunSettings all;
+  read_course(course, all);
+  for (const Setting& one : settings_of_methods) one.set(all, settings[one.name]);
+  return all;
+}
 
 bool BoundProblem::raise_overflow(const Integration& ended) const {
   const Report& report = ended.report();
   const bool undefined = report.component >= 0 && (report.cause == Cause::not_finite || report.cause == Cause::newton);
   if (ended.state() != State::start_undefined && !(ended.state() == State::step_failed && undefined)) return false;
   return functions_.raise_overflow(report.t, ended.forward());
-}
-
-void define_problem(nb::module_& module) {
-  define_functions(module);
-  define_linear(module);
-  define_variations(module);
-  define_delays(module);
-  define_description(module);
-  define_settings(module);
 }
 
 }  // namespace invariode::binding

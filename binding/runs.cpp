@@ -61,10 +61,13 @@ void require_state(const State& y0, std::size_t n) {
 /// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
 /// do not need it.
 struct BoundSolver {
-  BoundSolver(const std::string& method, const ProblemSpec& problem, const Tolerances& tolerances,
-              const RunSettings& settings)
-      : bound(problem),
-        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
+  BoundSolver(const std::string& method, nb::handle problem, nb::handle tolerances, nb::handle course,
+              nb::handle settings)
+      : BoundSolver(method, problem, tolerances, read_settings(course, Record(settings))) {}
+  BoundSolver(const std::string& method, nb::handle problem, nb::handle tolerances, const RunSettings& settings)
+      : bound(Record(problem)),
+        solver(method_of(method), bound.problem(), read_weights(Record(tolerances), bound.problem().n), settings,
+               settings) {}
   int visit(visitproc visit, void* arg) const {
     const int stop = visit_all(visit, arg, course);
     return stop == 0 ? bound.visit(visit, arg) : stop;
@@ -347,18 +350,11 @@ class Lent {
   BoundSolver* solver_;
 };
 
-/// The fields of `Settings` that depend on the problem, in the order of their names in Python.
-using Course = std::tuple<double, double, double, nb::object, std::int64_t, std::int64_t>;
-
 /// Sets the solver on a course, unless it is on this very one.
 void follow(const nb::object& course, BoundSolver& self) {
   if (course.is(self.course)) return;
   Settings settings = self.solver.settings();
-  nb::object times;
-  std::tie(settings.t0, settings.tf, settings.hmax, times, settings.max_points, settings.max_bytes) =
-      nb::cast<Course>(course);
-  settings.output_at_times = !times.is_none();
-  settings.times = settings.output_at_times ? Times(numbers_of(times)) : Times();
+  read_course(course, settings);
   self.course.reset();
   self.solver.cover(std::move(settings));
   self.course = course;
@@ -453,7 +449,7 @@ class Stepper {
   }
   /// y at a time within the last step of a run that goes on, projected as `Dense::evaluate` does; None: t is not
   /// within.
-  nb::object at(double t, const ProblemSpec* problem) {
+  nb::object at(double t, nb::handle problem) {
     const bool within = accepted_ && integration().state() == State::running &&
                         integration().forward() * (t - t_old_) >= 0 && !is_ahead(t);
     if (!within) return nb::none();
@@ -688,8 +684,9 @@ void define_solver(nb::module_& module) {
                                  "A problem with a method: all that is known before the initial value.");
   define_other_runs(solver);
   solver
-      .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
-           nb::arg("problem"), nb::arg("tolerances"), nb::arg("settings"))
+      .def(nb::init<const std::string&, nb::handle, nb::handle, nb::handle, nb::handle>(), nb::arg("method"),
+           nb::arg("problem"), nb::arg("tolerances"), nb::arg("course"), nb::arg("settings"),
+           "From a CoreProblem, Weights, a Course and Settings.")
       .def_prop_ro(
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "True if no function needs the interpreter.")
@@ -758,7 +755,7 @@ void define_steps_of_stepper(nb::class_<Stepper>& stepper) {
       .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
       .def(
           "at", &Stepper::at, nb::lock_self(), nb::arg("t"), nb::arg("problem").none(),
-          nb::sig("def at(self, t: float, problem: Problem | None) -> numpy.ndarray | None"),
+          nb::sig("def at(self, t: float, problem: object | None) -> numpy.ndarray | None"),
           "y at a time within the last step, of a run that has not ended, projected as by `Dense.evaluate`; None: t is "
           "not within it.")
       .def("result", &Stepper::result, nb::lock_self(),

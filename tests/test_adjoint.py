@@ -9,9 +9,9 @@ import scipy.integrate
 import invariode as iv
 from cases import FAMILIES, IMPLICIT, METHODS, SERIES, dealt, explicit_and_implicit, families
 from gradients import ATOL, CHECKPOINTS, RATES, RTOL, START, predators, solved
-from invariode import _core
 from invariode._plan.plan import solver
 from invariode._plan.planning import make_plan
+from invariode._problem.core_problem import VariationTerms
 
 #: The last digits of the reference are those of an error of 1e-13.
 GRADIENT = np.array([0.6219615855514, 0.0680014041508, 0.1691764639959, 0.27256069395])
@@ -197,7 +197,7 @@ def test_quadratures_need_no_linear_systems(method, mass):
         def slope(t, Y):
             return np.append(integrands(t, Y[0]), 0.0).reshape(3, 2)
 
-        behind = _core.Variations(k=3, slope=slope, thresholds=np.full((3, 2), tol), quadratures=True)
+        behind = VariationTerms(k=3, slope=slope, thresholds=np.full((3, 2), tol), quadratures=True)
         run = solver(plan, behind).integrate(np.append([0.0, 1.0], np.zeros(6)))
         assert run.state == "reached_end"
         np.testing.assert_allclose(run.end[:7], whole.y[:, -1], atol=100 * tol)

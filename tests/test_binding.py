@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from cases import FAMILIES, METHODS, dealt, families
+from core_problems import core_solver
 from invariode import Event, _core, compile, solve_ivp
+from invariode._base.arguments import Weights
 from invariode._plan.plan import solver as planned_solver
 from invariode._plan.planning import make_plan
+from invariode._problem.core_problem import CoreProblem, EventSpec, InvariantSpec, LinearTerms
 from invariode._problem.problem import Problem
 
 n, m = 2, 1
@@ -28,37 +31,33 @@ def energy(t: float, y: Any) -> float:
     return float(y[0] ** 2 + y[1] ** 2)
 
 
-def problem(**changed: Any) -> _core.Problem:
+def problem(**changed: Any) -> CoreProblem:
     given: dict[str, Any] = dict(
         n=n,
         complex=False,
         fun=f,
         args=(),
-        parameters=NOTHING,
-        invariants=[_core.Invariant(energy, "3-point", m, "energy", True)],
+        invariants=[InvariantSpec(energy, "3-point", m, "energy", True)],
         value=np.ones(m),
     )
-    return _core.Problem(**{**given, **changed})
+    return CoreProblem(**{**given, **changed})
 
 
-def tolerances(size: int = n) -> _core.Tolerances:
-    return _core.Tolerances(1e-6, np.full(size, 1e-3), None)
+def tolerances(size: int = n) -> Weights:
+    return Weights(1e-6, np.full(size, 1e-3))
 
 
 def solver(settings: dict[str, Any] | None = None, method: str = "ode45", **changed: Any) -> _core.Solver:
-    told = _core.Settings()
-    for name, value in {"tf": 1.0, "max_step": 0.1, **(settings or {})}.items():
-        setattr(told, name, value)
-    return _core.Solver(method, problem(**changed), tolerances(), told)
+    return core_solver(method, problem(**changed), tolerances(), **(settings or {}))
 
 
-def linear(**changed: Any) -> _core.Linear:
+def linear(**changed: Any) -> LinearTerms:
     empty = np.zeros(1, np.int32), np.zeros(0, np.int32), NOTHING
     given: dict[str, Any] = dict(
         structure="dense", n=n, lower=0, upper=0, kind="differences", jacobian=None, mass=None, null_basis=empty,
         lapack=None,
     )  # fmt: skip
-    return _core.Linear(**{**given, **changed})
+    return LinearTerms(**{**given, **changed})
 
 
 def columns(starts: list[int], rows: list[int]) -> tuple[Any, Any, Any]:
@@ -71,7 +70,7 @@ MISFITS: dict[str, Callable[[], object]] = {
     "y0": lambda: solver().integrate(np.ones(n + 1)),
     "y0 of a stepper": lambda: _core.Stepper(solver(), np.ones(n - 1)),
     "values": lambda: solver(value=np.ones(m + 1)),
-    "tolerances": lambda: _core.Solver("ode45", problem(), tolerances(n + 1), _core.Settings()),
+    "tolerances": lambda: core_solver("ode45", problem(), tolerances(n + 1)),
     "no f": lambda: solver(fun=None),
     "no method": lambda: solver(method="ode46"),
     "no Jacobian": lambda: solver(method="ode15s"),
@@ -138,34 +137,8 @@ def test_any_number_of_arguments_is_handed_over(extra: int) -> None:
     assert all(given == args for given in seen)
 
 
-def test_settings_are_what_they_were_set_to() -> None:
-    settings = _core.Settings()
-    for name in _core.Settings.FIELDS:
-        before = getattr(settings, name)
-        if isinstance(before, bool):
-            after: Any = not before
-        elif isinstance(before, str):
-            after = {"reuse": "evaluate", "projected": "raw", "": "ode45"}[before]
-        elif before is None:
-            after = np.arange(3.0)
-        else:
-            after = before - 1  # some are the largest there is
-        setattr(settings, name, after)
-        assert np.array_equal(getattr(settings, name), after)
-    with pytest.raises(AttributeError):
-        settings.max_stp = 1  # type: ignore[attr-defined]  # misspelt on purpose
-
-
-def test_a_plan_hands_over_every_setting_in_its_place() -> None:
-    from invariode._plan.plan import Course, Settings
-
-    assert (*Course._fields, *Settings._fields) == _core.Settings.FIELDS
-    with pytest.raises(ValueError, match="not one value for each"):
-        _core.Settings((0.0, 1.0))
-
-
 def test_an_event_that_never_occurs_has_empty_arrays() -> None:
-    event = _core.Event(lambda t, y: 1.0, 0, 0, "never", None, True)
+    event = EventSpec(lambda t, y: 1.0, 0, 0, "never", None, True)
     ((times, states),) = solver(events=[event]).integrate(y0).take_events()
     assert times.shape == (0,)
     assert states.shape == (0, n)
@@ -182,7 +155,7 @@ def test_a_function_that_owns_its_problem_is_collected(kind: str) -> None:
     owner = Owner()
     given: dict[str, Any] = {
         "function": {"fun": owner},
-        "event": {"events": [_core.Event(owner, 0, 0, "e", None, True)]},
+        "event": {"events": [EventSpec(owner, 0, 0, "e", None, True)]},
         "matrix": {"linear": linear(kind="function", jacobian=owner, mass=owner)},
         "callback": {"callback": owner},
     }[kind]

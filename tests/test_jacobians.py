@@ -14,6 +14,7 @@ from cases import IMPLICIT
 from invariode import _core
 from invariode._functions.graph.derived import derived
 from invariode._plan.planning import make_plan
+from invariode._problem.core_problem import CoreProblem
 from stiff import PROBLEMS
 
 ROBERTSON, BRUSSELATOR = PROBLEMS["Robertson"], PROBLEMS["Brusselator"]
@@ -23,10 +24,7 @@ def jacobian(problem, t, y):
     """(n, n), as ode15s begins with it at (t, y), and its kind and structure."""
     plan = make_plan(problem, "ode15s", {})
     its = plan.functions
-    core = _core.Problem(
-        n=its.n, complex=False, fun=its.fun, args=its.args, parameters=its.parameters.numbers, linear=its.linear
-    )
-    rows, columns, values = _core.jacobian(t, y, core, _core.Tolerances(*plan.tolerances))
+    rows, columns, values = _core.jacobian(t, y, its, plan.tolerances)
     return sparse.csc_array((values, (rows, columns)), (its.n, its.n)).toarray(), its.linear.kind, its.linear.structure
 
 
@@ -312,7 +310,7 @@ def test_the_detected_pattern_contains_the_true_one(p):
 
 def searched(fun, y0, args=()):
     n = len(y0)
-    problem = _core.Problem(n=n, complex=False, fun=fun, args=args, parameters=np.zeros(0))
+    problem = CoreProblem(n=n, complex=False, fun=fun, args=args)
     (starts, rows), calls, _ = _core.sparsity(0.0, y0, problem, 10 * n + 100, False)
     return starts, rows, calls
 

@@ -9,7 +9,10 @@ import pytest
 
 import invariode as iv
 from cases import METHODS, dealt, families
+from core_problems import core_solver
 from invariode import _core
+from invariode._base.arguments import Weights
+from invariode._problem.core_problem import CoreProblem, EventSpec, LinearTerms, VariationTerms
 from variations import (
     MASSES,
     PROBLEMS,
@@ -64,10 +67,8 @@ def test_explicit_steps_are_differentiated_exactly(method):
         def fun(t, y, p=p):
             return np.array([p[0] * y[0] - p[1] * y[0] * y[1], -p[2] * y[1] + p[3] * y[0] * y[1]])
 
-        described = _core.Problem(n=4, complex=True, fun=fun, args=(), parameters=np.zeros(0))
-        settings = _core.Settings()
-        settings.tf, settings.first_step, settings.max_step = 2.0, h, h
-        solver = _core.Solver(method, described, _core.Tolerances(1.0, 1.0, None), settings)
+        described = CoreProblem(n=4, complex=True, fun=fun, args=())
+        solver = core_solver(method, described, Weights(1.0, 1.0), tf=2.0, max_step=h, first_step=h)
         t, y, *_ = solver.integrate(np.array([1.0, 0, 1.0, 0])).take_points()
         assert np.array_equal(t, ours.t)
         np.testing.assert_allclose(ours.S[:, j], y.imag.T / 1e-30, rtol=0, atol=1e-12 * np.abs(ours.S[:, j]).max())
@@ -270,14 +271,11 @@ def test_sensitivities_run_backwards(method):
 @families
 def test_complex_states_have_complex_sensitivities(method):
     """y' = i p y: dy/dp = i t y. From `integrate_anew`, as prepared solvers call it."""
-    variations = _core.Variations(1, lambda t, Y: 2j * Y[1:] + 1j * Y[:1], np.full((1, 2), 1e-5))
-    linear = _core.Linear(structure="dense", n=2, lower=0, upper=0, kind="differences", jacobian=None, mass=None,
+    variations = VariationTerms(1, lambda t, Y: 2j * Y[1:] + 1j * Y[:1], np.full((1, 2), 1e-5))
+    linear = LinearTerms(structure="dense", n=2, lower=0, upper=0, kind="differences", jacobian=None, mass=None,
                           null_basis=lotka_volterra().null_basis, lapack=None)  # fmt: skip
-    described = _core.Problem(n=2, complex=True, fun=lambda t, y: 2j * y, args=(), parameters=np.zeros(0),
-                              linear=linear, variations=variations)  # fmt: skip
-    settings = _core.Settings()
-    settings.tf, settings.max_step = 1.0, 0.1
-    solver = _core.Solver(method, described, _core.Tolerances(1e-5, 1.0, None), settings)
+    described = CoreProblem(n=2, complex=True, fun=lambda t, y: 2j * y, args=(), linear=linear, variations=variations)
+    solver = core_solver(method, described, Weights(1e-5, 1.0))
     course = 0.0, 1.0, 0.1, None, 10**6, 10**9
     run = solver.integrate_anew(np.array([1.0, 0, 0, 0]), None, (), None, course, None, None, True, None, None, None)
     np.testing.assert_allclose(run.end, [np.exp(2j), 1j * np.exp(2j)], atol=1e-3)
@@ -289,15 +287,14 @@ def test_robertson_costs_no_more_steps_than_promised():
     problem = robertson()
     atol = np.array([1e-8, 1e-14, 1e-6])
     k, n = problem.S0.shape
-    variations = _core.Variations(k, problem.slope, atol[None, :] / problem.p[:, None])
-    linear = _core.Linear(structure="dense", n=n, lower=0, upper=0, kind="function", mass=None, lapack=None,
+    variations = VariationTerms(k, problem.slope, atol[None, :] / problem.p[:, None])
+    linear = LinearTerms(structure="dense", n=n, lower=0, upper=0, kind="function", mass=None, lapack=None,
                           jacobian=lambda t, y: np.array(problem.jac(t, y, problem.p), float),
                           null_basis=problem.null_basis)  # fmt: skip
-    described = _core.Problem(n=n, complex=False, fun=lambda t, y: problem.fun(t, y, problem.p), args=(),
-                              parameters=np.zeros(0), linear=linear, variations=variations)  # fmt: skip
-    settings = _core.Settings()
-    settings.tf, settings.max_step, settings.times = 4e10, np.inf, np.array([0.4, 4e7, 4e10])
-    solver = _core.Solver("ode15s", described, _core.Tolerances(1e-4, atol / 1e-4, None), settings)
+    described = CoreProblem(n=n, complex=False, fun=lambda t, y: problem.fun(t, y, problem.p), args=(),
+                            linear=linear, variations=variations)  # fmt: skip
+    times = np.array([0.4, 4e7, 4e10])
+    solver = core_solver("ode15s", described, Weights(1e-4, atol / 1e-4), tf=4e10, max_step=np.inf, times=times)
     points = Points(solver.integrate(problem.start), n)
     assert points.counts["steps"] <= 560
     np.testing.assert_allclose(points.S[0, 0], [-0.35595257, 3.9025e-4, 0.35556231], rtol=3e-5)
@@ -310,26 +307,24 @@ def test_what_sensitivities_do_not_go_with_is_named():
     description = problem.description
 
     def solver(described, method="ode45"):
-        settings = _core.Settings()
-        settings.tf, settings.max_step = 1.0, 0.1
-        return _core.Solver(method, described, _core.Tolerances(1e-3, 1.0, None), settings)
+        return core_solver(method, described, Weights(1e-3, 1.0))
 
     def described(**other):
-        parts = {"n": 2, "complex": False, "fun": lambda t, y: y, "args": (), "parameters": np.zeros(0)}
-        return _core.Problem(**parts | other)
+        parts = {"n": 2, "complex": False, "fun": lambda t, y: y, "args": ()}
+        return CoreProblem(**parts | other)
 
     def variations(k=1, tolerances=(1, 2), **other):
-        return _core.Variations(k, lambda t, Y: Y[1:], np.ones(tolerances), **other)
+        return VariationTerms(k, lambda t, Y: Y[1:], np.ones(tolerances), **other)
 
     with pytest.raises(ValueError, match="tolerances of sensitivities do not fit 1 parameters of a problem of 2"):
         solver(described(variations=variations(tolerances=(2, 2))))
-    event = _core.Event(lambda t, y: y[0], 0, 0, "e", lambda t, y: y, True, 0)
+    event = EventSpec(lambda t, y: y[0], 0, 0, "e", lambda t, y: y, True, 0)
     with pytest.raises(ValueError, match="2 functions for 1 events"):
-        solver(described(events=[event], variations=variations(jumps=[None, None])))
+        solver(described(events=[event], variations=variations(events=[None, None])))
     with pytest.raises(ValueError, match="an event has an action and no jump"):
-        solver(described(events=[event], variations=variations(jumps=[None])))
+        solver(described(events=[event], variations=variations(events=[None])))
     with pytest.raises(ValueError, match="y0 has 2 reals, the problem has 10"):
         solver(description()).integrate(np.ones(2))
-    wrong = solver(described(variations=_core.Variations(2, lambda t, Y: np.zeros(2), np.ones((2, 2)))))
+    wrong = solver(described(variations=VariationTerms(2, lambda t, Y: np.zeros(2), np.ones((2, 2)))))
     with pytest.raises(ValueError, match=r"the slope of the sensitivities returned shape \(2,\), expected shape"):
         wrong.integrate(np.ones(6))

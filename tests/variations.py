@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 
 from cases import METHODS
+from core_problems import core_solver
 from invariode import _core
+from invariode._base.arguments import Weights
+from invariode._problem.bounds import Bounds
+from invariode._problem.core_problem import CoreProblem, EventSpec, InvariantSpec, LinearTerms, VariationTerms
 
 NO_NULL_SPACE = (np.zeros(1, np.int32), np.zeros(0, np.int32), np.zeros(0))
 
@@ -49,30 +53,29 @@ class Varied:
         return Y[1:] @ np.reshape(G(t, Y[0], self.p), (m, -1)).T + np.reshape(dgdp(t, Y[0], self.p), (-1, m))
 
     def description(self, sensitivities: bool = True, project: bool = True, atol: Any = 1e-6, scale: Any = 1.0,
-                    error_test: bool = True) -> _core.Problem:  # fmt: skip
+                    error_test: bool = True) -> CoreProblem:  # fmt: skip
         """The core's problem; tolerances of S are atol / scale."""
         k, n = self.S0.shape
         invariants, value = [], []
         for i, (g, G, _, m) in enumerate(self.invariants if project else ()):
             level, moves = self.levels[i] if self.levels else (0, ())
-            invariants.append(_core.Invariant(lambda t, y, g=g: g(t, y, self.p), lambda t, y, G=G: G(t, y, self.p), m,
+            invariants.append(InvariantSpec(lambda t, y, g=g: g(t, y, self.p), lambda t, y, G=G: G(t, y, self.p), m,
                                               "g", self.held, level, list(moves)))  # fmt: skip
             value.extend(np.atleast_1d(g(0, self.y0, self.p)) if self.held else np.zeros(m))
         variations = None
         if sensitivities:
             thresholds = np.broadcast_to(atol / np.broadcast_to(scale, k)[:, None], (k, n)).copy()
             tangents = [lambda t, Y, i=i: self.tangent(i, t, Y) for i in range(len(invariants))]
-            variations = _core.Variations(k, self.slope, thresholds, tangents, self.jumps, error_test=error_test)
-        lower, upper = self.bounds or (None, None)
-        linear = _core.Linear(
+            variations = VariationTerms(k, self.slope, thresholds, tangents, self.jumps, error_test=error_test)
+        linear = LinearTerms(
             structure="dense", n=n, lower=0, upper=0, kind="function",
             jacobian=lambda t, y: np.array(self.jac(t, y, self.p), float), mass=self.mass,
             null_basis=self.null_basis, lapack=None,
         )  # fmt: skip
-        return _core.Problem(
-            n=n, complex=False, fun=lambda t, y: self.fun(t, y, self.p), args=(), parameters=np.zeros(0),
-            linear=linear, events=self.events, invariants=invariants, value=np.array(value, float),
-            lower=lower, upper=upper, variations=variations,
+        return CoreProblem(
+            n=n, complex=False, fun=lambda t, y: self.fun(t, y, self.p), args=(), linear=linear, events=self.events,
+            invariants=invariants, value=np.array(value, float), bounds=self.bounds and Bounds(*self.bounds),
+            variations=variations,
         )  # fmt: skip
 
     def solver(self, method: str, rtol: float = 1e-6, *, tf: float | None = None, **options: Any) -> _core.Solver:
@@ -80,12 +83,8 @@ class Varied:
         names = ("sensitivities", "project", "scale", "error_test")
         described = {name: options.pop(name) for name in names if name in options}
         problem = self.description(atol=rtol, **described)
-        settings = _core.Settings()
-        settings.tf = self.tf if tf is None else tf
-        settings.max_step = options.pop("max_step", abs(settings.tf) / 10)
-        for name, value in options.items():
-            setattr(settings, name, value)
-        return _core.Solver(method, problem, _core.Tolerances(rtol, 1.0, None), settings)
+        tf = self.tf if tf is None else tf
+        return core_solver(method, problem, Weights(rtol, 1.0), tf=tf, **{"max_step": abs(tf) / 10, **options})
 
     def run(self, method: str, rtol: float = 1e-6, **options: Any) -> Points:
         """Points of a run; without sensitivities from y0 alone."""
@@ -252,7 +251,7 @@ def bouncing_ball() -> Varied:
     ball = Varied(
         fun, lambda t, y, p: [[0, 1], [0, 0]], lambda t, y, p: [[0, 0], [0, -1]], np.array([0.8, 9.81]),
         np.array([1.0, 0]), np.zeros((2, 2)), 1.5,
-        events=[_core.Event(lambda t, y: y[0], 0, -1, "ground", action, True, 0)], jumps=[jump],
+        events=[EventSpec(lambda t, y: y[0], 0, -1, "ground", action, True, 0)], jumps=[jump],
     )  # fmt: skip
     return ball
 

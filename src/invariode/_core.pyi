@@ -1,7 +1,7 @@
 """The native core. Private: `invariode` is the interface."""
 
 from collections.abc import Sequence
-from typing import Annotated, overload
+from typing import Annotated
 
 import numpy
 from numpy.typing import NDArray
@@ -112,242 +112,6 @@ def solve_addresses() -> tuple[int, int]:
     Addresses of functions (k, m, numbers) and (k, m, entries, places, numbers) that solve a linear system in place, for generated code.
     """
 
-class Invariant:
-    """An invariant, for the core."""
-
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False, starts: Sequence[int] = [], columns: Sequence[int] = [], users: bool = False) -> None:
-        """
-        starts, columns: the places of the entries that a sparse jac returns, row by row.
-        """
-
-class Breakpoint:
-    """A breakpoint, for the core."""
-
-    def __init__(self, t: float, action: object | None) -> None: ...
-
-class Event:
-    """An event, for the core."""
-
-    def __init__(self, fun: object | None, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0, series: Series | None = None, touching: bool = False, at_jumps: bool = True) -> None:
-        """
-        fun: None for a component of a vector. samples: points inside a step; 0: the usual ones, -1: adaptive. series: along polynomials, for methods whose steps are such. touching: zeros without a change of sign are reported too. at_jumps: it occurs where jumps change its sign.
-        """
-
-class RootVector:
-    """Events that are one function with one action, for the core."""
-
-    def __init__(self, fun: object, first: int, count: int, name: str, action: object) -> None: ...
-
-class Linear:
-    """Known properties of the Jacobian of f and of the mass matrix."""
-
-    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0, rate: object | None = None) -> None: ...
-
-    @property
-    def kind(self) -> str:
-        """Kind of Jacobian, as it was given."""
-
-    @property
-    def structure(self) -> str:
-        """Structure of the Jacobian, as it was given."""
-
-    @property
-    def found_pattern(self) -> int:
-        """Evaluations of f that found the pattern; 0: it was given."""
-
-    @property
-    def algebraic(self) -> int:
-        """
-        Number of algebraic equations: the dimension of the left null space of M.
-        """
-
-class Variations:
-    """
-    Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 + k, n): y, then dy/dp_j.
-    """
-
-    def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], landings: object | None = None, error_test: bool = True, quadratures: bool = False) -> None:
-        """
-        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. landings: such a function for all landings, or None. error_test=False: S has no part in the error test. quadratures=True: the slope is a function of (t, y) alone, and M the identity for S.
-        """
-
-    @property
-    def k(self) -> int: ...
-
-    @property
-    def error_test(self) -> bool: ...
-
-class Delays:
-    """Constant delays, for the core."""
-
-    def __init__(self, lags: Sequence[float], parameters: Sequence[int], constant: Sequence[float], history: object | None, jumps: Sequence[float], rates: Sequence[float]) -> None:
-        """
-        lags: their values. parameters: of each its number among the parameters, or -1. constant: the history, if it is constant; history: or else a function (t, y, *args) -> y. jumps: times before t0 at which it jumps. rates: derivatives of the delays for the parameters of sensitivities, one row for each delay.
-        """
-
-class Problem:
-    """Problem to be solved, except its initial value. n: reals in a state."""
-
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], vectors: Sequence[RootVector] = [], breakpoints: Sequence[Breakpoint] = [], landings: tuple[Sequence[float], Sequence[float], Sequence[float]] = ([], [], []), callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, signed_states: bool = False, variations: Variations | None = None, series: Series | None = None, conditions: Series | None = None, condition_count: int = 0, delays: Delays | None = None) -> None:
-        """
-        signed_states: y may be negative, and none that falls below 0 is reported. landings: single times in increasing order, and the first times and periods of progressions. conditions: condition_count values along a polynomial, of which one changes its sign where f changes its branch.
-        """
-
-class Tolerances:
-    """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
-
-    def __init__(self, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None) -> None: ...
-
-class Settings:
-    """The options of a run, in the form the core takes."""
-
-    @overload
-    def __init__(self) -> None: ...
-
-    @overload
-    def __init__(self, values: tuple) -> None:
-        """All of them, in the order of FIELDS."""
-
-    @property
-    def t0(self) -> object: ...
-
-    @t0.setter
-    def t0(self, arg: object, /) -> None: ...
-
-    @property
-    def tf(self) -> object: ...
-
-    @tf.setter
-    def tf(self, arg: object, /) -> None: ...
-
-    @property
-    def max_step(self) -> object: ...
-
-    @max_step.setter
-    def max_step(self, arg: object, /) -> None: ...
-
-    @property
-    def times(self) -> object: ...
-
-    @times.setter
-    def times(self, arg: object, /) -> None: ...
-
-    @property
-    def max_points(self) -> object: ...
-
-    @max_points.setter
-    def max_points(self, arg: object, /) -> None: ...
-
-    @property
-    def max_bytes(self) -> object: ...
-
-    @max_bytes.setter
-    def max_bytes(self, arg: object, /) -> None: ...
-
-    @property
-    def first_step(self) -> object: ...
-
-    @first_step.setter
-    def first_step(self, arg: object, /) -> None: ...
-
-    @property
-    def refine(self) -> object: ...
-
-    @refine.setter
-    def refine(self, arg: object, /) -> None: ...
-
-    @property
-    def interpolation(self) -> object: ...
-
-    @interpolation.setter
-    def interpolation(self, arg: object, /) -> None: ...
-
-    @property
-    def dense(self) -> object: ...
-
-    @dense.setter
-    def dense(self, arg: object, /) -> None: ...
-
-    @property
-    def sections(self) -> object: ...
-
-    @sections.setter
-    def sections(self, arg: object, /) -> None: ...
-
-    @property
-    def save_all(self) -> object: ...
-
-    @save_all.setter
-    def save_all(self, arg: object, /) -> None: ...
-
-    @property
-    def record(self) -> object: ...
-
-    @record.setter
-    def record(self, arg: object, /) -> None: ...
-
-    @property
-    def check(self) -> object: ...
-
-    @check.setter
-    def check(self, arg: object, /) -> None: ...
-
-    @property
-    def fsal(self) -> object: ...
-
-    @fsal.setter
-    def fsal(self, arg: object, /) -> None: ...
-
-    @property
-    def max_order(self) -> object: ...
-
-    @max_order.setter
-    def max_order(self, arg: object, /) -> None: ...
-
-    @property
-    def bdf(self) -> object: ...
-
-    @bdf.setter
-    def bdf(self, arg: object, /) -> None: ...
-
-    @property
-    def prefer_explicit(self) -> object: ...
-
-    @prefer_explicit.setter
-    def prefer_explicit(self, arg: object, /) -> None: ...
-
-    @property
-    def prefer_implicit(self) -> object: ...
-
-    @prefer_implicit.setter
-    def prefer_implicit(self, arg: object, /) -> None: ...
-
-    @property
-    def iterations(self) -> object: ...
-
-    @iterations.setter
-    def iterations(self, arg: object, /) -> None: ...
-
-    @property
-    def negligible(self) -> object: ...
-
-    @negligible.setter
-    def negligible(self, arg: object, /) -> None: ...
-
-    @property
-    def max_steps(self) -> object: ...
-
-    @max_steps.setter
-    def max_steps(self, arg: object, /) -> None: ...
-
-    @property
-    def time_limit(self) -> object: ...
-
-    @time_limit.setter
-    def time_limit(self, arg: object, /) -> None: ...
-
-    FIELDS: tuple = ...
-
 class Dense:
     """The continuous solution of a run."""
 
@@ -358,7 +122,7 @@ class Dense:
     def parts(self) -> dict:
         """Return the contents as arrays, numbers and names."""
 
-    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem | None) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object | None) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """
         y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`. With sensitivities Y, (len(t), (1 + k) n).
         """
@@ -649,7 +413,8 @@ class StopRequest:
 class Solver:
     """A problem with a method: all that is known before the initial value."""
 
-    def __init__(self, method: str, problem: Problem, tolerances: Tolerances, settings: Settings) -> None: ...
+    def __init__(self, method: str, problem: object, tolerances: object, course: object, settings: object) -> None:
+        """From a CoreProblem, Weights, a Course and Settings."""
 
     def integrate_anew(self, y0: object, functions: object | None, args: object, parameters: object | None, course: object, breakpoints: object | None, limit: StepLimit | None, remember: bool, remarks: object | None, value: object | None, tolerances: object | None) -> Run | None:
         """
@@ -713,7 +478,7 @@ class Stepper:
     def interpolant(self) -> Dense:
         """The continuous solution over the last step."""
 
-    def at(self, t: float, problem: Problem | None) -> numpy.ndarray | None:
+    def at(self, t: float, problem: object | None) -> numpy.ndarray | None:
         """
         y at a time within the last step, of a run that has not ended, projected as by `Dense.evaluate`; None: t is not within it.
         """
@@ -790,35 +555,35 @@ STATES: list = ...
 
 COUNTS: tuple = ...
 
-def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: object) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """g(t, y) - value of each row of y: (len(t), m)."""
 
-def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Distances of each row of y from the level sets, in units of rtol: (len(t), m).
     """
 
-def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
+def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
     """
     Projects each row of y to roundoff: (y, converged, residual, iterations).
     """
 
-def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> Examination | None:
+def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> Examination | None:
     """
     Examine each invariant at one point; None where g, its Jacobian or f is not finite there.
     """
 
-def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
+def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
 
-def jacobian(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+def jacobian(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
     """
     The Jacobian of f at a point, as an implicit method begins with it: (rows, columns, values).
     """
 
-def sparsity(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, most_calls: int, sparse_only: bool) -> tuple[tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')]] | None, int, int]:
+def sparsity(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, most_calls: int, sparse_only: bool) -> tuple[tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')]] | None, int, int]:
     """
     (starts, rows) of the pattern of the Jacobian of f near a point, or None if it is not sparse or f may not be evaluated more often; the evaluations of f; those that differences take with it.
     """

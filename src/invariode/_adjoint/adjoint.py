@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from .._base.arguments import LEAST_RTOL, Array, Weights, function, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
 from .._base.types import MethodName
@@ -39,6 +38,7 @@ from .._plan.call_errors import takes
 from .._plan.plan import Plan, solver
 from .._plan.planning import longest_step, make_plan, ordered_breakpoints
 from .._problem.breakpoints import Breakpoint, to_breakpoints
+from .._problem.core_problem import VariationTerms
 from .._problem.events import roots_among
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
@@ -533,7 +533,7 @@ class _Adjoint:
     def _carried_out(self, plan: Plan, rates: _Rates, piece: _Piece) -> Array:
         """Return μ at the end of its run. The quadratures of the gradient, which start from 0, follow it."""
         points = len(plan.functions.breakpoints)
-        quadratures = _core.Variations(
+        quadratures = VariationTerms(
             k=rates.blocks,
             slope=rates.of_quadratures,
             thresholds=rates.in_blocks(plan.tolerances.rtol * self._of_quadratures, fill=1.0),

@@ -16,6 +16,7 @@ from .. import _core
 from .._base.arguments import (
     EPS,
     Array,
+    Weights,
     as_array,
     call_name,
     distinct,
@@ -37,6 +38,7 @@ from .._functions.derivatives import derived_unnoticed
 from .._functions.graph.derived import derived
 from .._functions.increments import complex_steps_fit
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, layout_of
+from .._problem.core_problem import CoreProblem, InvariantSpec, VariationTerms
 from .._problem.invariants import Invariants
 from .jacobians import sparse_jacobian, takes_no_more, traced_jacobian
 
@@ -52,25 +54,6 @@ _LEVEL_ITERATIONS = 10
 #: those of mechanical systems.
 MANY_COLUMNS, _FEW_ENTRIES = 100, 0.1
 _FULL: Sequence[int] = ()
-
-
-class InvariantSpec(NamedTuple):
-    """An invariant in the form that the core takes."""
-
-    fun: Any
-    jac: Any  # a function, or how the Jacobian is computed without one
-    m: int  # number of its values
-    name: str
-    held: bool  # at its initial value; False: at one that was demanded
-    level: int = 0
-    moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
-    metric: Any = None  # in which its correction is smallest: a function, or flat values
-    metric_size: int = 0  # number of its values
-    sense: int = 0  # -1: it never rises as t grows; 1: it never falls; 0: it keeps its value
-    along_steps: bool = False  # its correction is along the stages of the step
-    starts: Sequence[int] = ()  # where the entries of each row of a sparse `jac` begin; none: it has all entries
-    columns: Sequence[int] = ()  # the components to which these entries belong
-    users: bool = False  # `jac` is the user's function: where it returns NaN, the solution stops
 
 
 class ValueJump(NamedTuple):
@@ -94,7 +77,7 @@ class Imposed(NamedTuple):
 class BoundInvariants:
     """Invariants together with the values they are held at and the arguments of their functions."""
 
-    specs: list[InvariantSpec]
+    specs: Sequence[InvariantSpec]
     value: Array
     names: list[str]
     args: tuple[Any, ...]
@@ -258,34 +241,27 @@ class BoundInvariants:
         problem = self._problem(dense.n, dense.complex, self.value, dense.parameters) if self.specs else None
         return dense.evaluate(t, problem)
 
-    def alone(self, y: Array) -> _core.Problem | None:
+    def alone(self, y: Array) -> CoreProblem | None:
         """Return the invariants of a state like y for the core; None: it has none to hold."""
         return self._problem_of(y, self.value) if self.specs else None
 
-    def _problem_of(self, y: Array, value: Array) -> _core.Problem:
+    def _problem_of(self, y: Array, value: Array) -> CoreProblem:
         return self._problem(reals(y), y.dtype.kind == "c", value)
 
-    def _problem(self, n: int, is_complex: bool, value: Array, parameters: int = 0) -> _core.Problem:
+    def _problem(self, n: int, is_complex: bool, value: Array, parameters: int = 0) -> CoreProblem:
         """The invariants alone, for the core; n: reals in a state. With `parameters` for states with as many
         sensitivities."""
         variations = None
         if parameters and self.specs:
             none = np.zeros((parameters, n))
-            variations = _core.Variations(parameters, self.tangents[0], none, list(self.tangents))  # no slope is needed
-        return _core.Problem(
-            n=n,
-            complex=is_complex,
-            fun=None,
-            args=self.args,
-            parameters=self.parameters.numbers,
-            invariants=[_core.Invariant(*spec) for spec in self.specs],
-            value=value,
-            variations=variations,
+            variations = VariationTerms(parameters, self.tangents[0], none, self.tangents)  # no slope is needed
+        return CoreProblem(
+            n, is_complex, None, self.args, self.parameters, invariants=self.specs, value=value, variations=variations
         )
 
 
-def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> _core.Tolerances:
-    return _core.Tolerances(*weights_of(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype)))
+def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> Weights:
+    return weights_of(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype))
 
 
 def _as_rows(y: Array) -> Array:
@@ -467,7 +443,7 @@ def _metric_at(
     return to_native(what, metric, len(y), at_start.size, p), at_start.size
 
 
-def _in_levels(specs: list[InvariantSpec]) -> bool:
+def _in_levels(specs: Sequence[InvariantSpec]) -> bool:
     """Return whether the invariants have levels, in which all may move the same components in the same metric."""
     first: dict[int, InvariantSpec] = {}
     for spec in specs:
@@ -485,7 +461,7 @@ def _in_levels(specs: list[InvariantSpec]) -> bool:
     return any(spec.level or spec.moves or spec.metric is not None for spec in specs)
 
 
-def _require_one_direction(specs: list[InvariantSpec], levelled: bool) -> None:
+def _require_one_direction(specs: Sequence[InvariantSpec], levelled: bool) -> None:
     along = [spec for spec in specs if spec.along_steps]
     if not along:
         return

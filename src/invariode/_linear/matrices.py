@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from .._base.arguments import Array, warn
 from .._base.matrices import as_dense, as_matrix, compressed, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
@@ -23,6 +22,7 @@ from .._functions.graph.derived import Derived, derived, native
 from .._functions.increments import compiled_at_complex, python_at_complex
 from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
+from .._problem.core_problem import LinearTerms
 from .._problem.matrices import Matrices
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
@@ -130,7 +130,7 @@ class FunctionAtStart:
         return native(made, self.traced, vectors * len(self.y), size, self.parameters.size)
 
 
-def prepare(given: Matrices, start: FunctionAtStart, matrix_free: Krylov | None = None) -> _core.Linear:
+def prepare(given: Matrices, start: FunctionAtStart, matrix_free: Krylov | None = None) -> LinearTerms:
     """Return a problem's matrices for the core. A Jacobian function is called once, at (t0, y0), to see what it
     returns.
 
@@ -142,7 +142,7 @@ def prepare(given: Matrices, start: FunctionAtStart, matrix_free: Krylov | None 
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
     n = reals * storage.n
-    return _core.Linear(
+    return LinearTerms(
         structure=storage.kind,
         n=n,
         lower=reals * storage.lower + (reals - 1) * banded,

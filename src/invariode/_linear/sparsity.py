@@ -14,6 +14,7 @@ from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
+from .._problem.core_problem import CoreProblem
 from .._problem.matrices import Matrices
 
 #: From this n on a pattern is sought: below it dense factors take less time than f.
@@ -40,10 +41,7 @@ def find_pattern(
     if way == "dense" or n == 0 or (way is None and not is_large(given, n)):
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
-    within = {} if bounds is None else bounds._asdict()
-    problem = _core.Problem(
-        n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters.numbers, **within
-    )
+    problem = CoreProblem(n, y.dtype.kind == "c", form, args, parameters, bounds=bounds)
     most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
     found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)
     if found is None or (way is None and not (is_sparse_enough(len(found[1]), n) and each <= _PART_OF_COLUMNS * n)):

@@ -19,11 +19,10 @@ from .._base.arguments import (
 from .._base.failures import InvariantError
 from .._base.types import Numbers, OnFailure, OnInterrupt, Progress
 from .._functions.compiled import Watch
-from .._functions.layout import ArgumentLayout, undefined_arguments
-from .._laws.bound import BoundInvariants, InvariantSpec
-from .._problem.bounds import Bounds
-from .._problem.breakpoints import Breakpoint
-from .._problem.events import EventSpec, Roots, VectorSpec, titled
+from .._functions.layout import undefined_arguments
+from .._laws.bound import BoundInvariants
+from .._problem.core_problem import CoreProblem, VariationTerms
+from .._problem.events import Roots, titled
 from .._problem.grouped import Checkpoint
 from .._problem.methods import Method
 from .._problem.options import Options
@@ -86,26 +85,6 @@ class Settings(NamedTuple):
     time_limit: float = math.inf
 
 
-class CoreFunctions(NamedTuple):
-    """Functions that the core evaluates."""
-
-    fun: Any
-    args: tuple[Any, ...]
-    n: int  # reals that make up y
-    complex: bool
-    parameters: ArgumentLayout  # `args` for native functions
-    linear: _core.Linear | None
-    events: list[EventSpec]
-    vectors: list[VectorSpec]
-    breakpoints: list[Breakpoint]
-    callback: Any
-    invariants: list[InvariantSpec]
-    value: Array  # at which they are held
-    bounds: Bounds | None  # of y
-    signed_states: bool = False  # none that falls below 0 is reported
-    delays: _core.Delays | None = None
-
-
 class Choice(NamedTuple):
     """A method with its options, checked: what is known of a run before its problem."""
 
@@ -121,7 +100,7 @@ class Plan(NamedTuple):
     settings: Settings
     bound: BoundInvariants
     called: Names  # the names in tables and pictures
-    functions: CoreFunctions
+    functions: CoreProblem
     y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
     method: Method
     tolerances: Weights
@@ -272,30 +251,12 @@ def say_established(
         warn(f"{method}: {discontinuous(discontinuities)}", DiscontinuityWarning)
 
 
-def solver(plan: Plan, quadratures: _core.Variations | None = None) -> _core.Solver:
+def solver(plan: Plan, quadratures: VariationTerms | None = None) -> _core.Solver:
     """The plan handed to the core: a solver with functions of its own. `quadratures`: integrals that the run computes
     after y, of a plan without sensitivities."""
-    functions = plan.functions
-    problem = _core.Problem(
-        n=functions.n,
-        complex=functions.complex,
-        fun=functions.fun,
-        args=functions.args,
-        parameters=functions.parameters.numbers,
-        linear=functions.linear,
-        events=[_core.Event(*spec) for spec in functions.events],
-        vectors=[_core.RootVector(*spec) for spec in functions.vectors],
-        breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
-        landings=([], [], []) if plan.schedule is None else plan.schedule.landings.for_core(),
-        callback=functions.callback,
-        invariants=[_core.Invariant(*spec) for spec in functions.invariants],
-        value=functions.value,
-        lower=None if functions.bounds is None else functions.bounds.lower,
-        upper=None if functions.bounds is None else functions.bounds.upper,
-        signed_states=functions.signed_states,
-        variations=quadratures if plan.varied is None else plan.varied.for_core,
-        delays=functions.delays,
-        **({} if plan.expansion is None else plan.expansion.for_core()),
-    )
-    settings = _core.Settings((*plan.course, *plan.settings))
-    return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
+    functions = plan.functions._replace(variations=quadratures if plan.varied is None else plan.varied.for_core)
+    if plan.schedule is not None:
+        functions = functions._replace(landings=plan.schedule.landings.for_core())
+    if plan.expansion is not None:
+        functions = functions._replace(**plan.expansion.for_core())
+    return _core.Solver(plan.method.name, functions, plan.tolerances, plan.course, plan.settings)

@@ -36,6 +36,7 @@ from .._functions.graph.function import OnGraph
 from .._functions.layout import ArgumentLayout, layout_of
 from .._laws.bound import BoundInvariants, bind
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
+from .._problem.core_problem import CoreProblem, DelayTerms, LinearTerms
 from .._problem.delays import Undelayed, depends_on_args
 from .._problem.events import RootOf, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import FunctionAtStart
     from .._taylor.expansion import SeriesSystem
-from .plan import Choice, CoreFunctions, Course, Plan, Settings
+from .plan import Choice, Course, Plan, Settings
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -317,7 +318,7 @@ def ordered_breakpoints(problem: Problem, given: Any) -> list[Breakpoint]:
     return ordered([*problem.breakpoints, *(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
-def _delays(problem: Problem, parameters: ArgumentLayout, given: Any) -> _core.Delays | None:
+def _delays(problem: Problem, parameters: ArgumentLayout, given: Any) -> DelayTerms | None:
     """The delays for the core, with the breakpoints of the problem and of the run that lie before the start."""
     if problem.delays is None:
         return None
@@ -366,14 +367,14 @@ def _functions(
     problem: Problem,
     fun: Any,
     parameters: ArgumentLayout,
-    linear: _core.Linear | None,
+    linear: LinearTerms | None,
     bound: BoundInvariants,
     watch: Watch | None,
     breakpoints: list[Breakpoint],
     options: Options,
-) -> CoreFunctions:
+) -> CoreProblem:
     n = reals(problem.y0)
-    return CoreFunctions(
+    return CoreProblem(
         fun=fun,
         args=problem.args,
         n=n,
@@ -424,7 +425,7 @@ def _linear_algebra(
     parameters: ArgumentLayout,
     weights: Weights,
     jac: str | None = None,
-) -> tuple[_core.Linear | None, Array]:
+) -> tuple[LinearTerms | None, Array]:
     """Return the matrices of an implicit method for the core, and y0, moved where the algebraic equations of a singular
     mass matrix require it. `jac`: instead of the problem's."""
     if "jac" not in method.options:
@@ -452,16 +453,10 @@ def _linear_algebra(
             "GMRES cannot be used with a singular mass matrix, whose algebraic equations need the Jacobian as a "
             "matrix: use linear_solver='direct' with jac_sparsity or jac=Banded(lower, upper)"
         )
-    algebraic = _core.Problem(
-        n=reals(y0),
-        complex=y0.dtype.kind == "c",
-        fun=fun,
-        args=problem.args,
-        parameters=parameters.numbers,
-        linear=linear,
-        **({} if bounds is None else bounds._asdict()),
+    algebraic = CoreProblem(
+        reals(y0), y0.dtype.kind == "c", fun, problem.args, parameters, linear=linear, bounds=bounds
     )
-    y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
+    y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, weights)
     if verdict == "undetermined" and matrices.jac is None and y0.dtype.kind != "c":
         with suppress(TypeError), np.errstate(all="ignore"):  # unless it can be traced, nothing more is known
             traced, jac = compile(problem.fun, by="trace"), "trace"
@@ -525,7 +520,7 @@ def _require_free_directions(bound: BoundInvariants, problem: Problem) -> None:
     )
 
 
-def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:
+def _names(bound: BoundInvariants, linear: LinearTerms | None) -> list[str]:
     """Return the names of all imposed quantities: the invariants, then the algebraic equations."""
     algebraic = linear.algebraic if linear else 0
     return [*bound.names, *(f"algebraic equation {i + 1}" for i in range(algebraic))]

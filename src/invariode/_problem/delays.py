@@ -11,12 +11,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from .._base.arguments import Array, call_name, extra_arguments, interval, items, number, reals, shown
 from .._base.types import Span
 from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
 from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, place_of
+from .core_problem import DelayTerms
 from .parameters import ParameterName, parameter_names, values_of
 
 DelaysLike: TypeAlias = float | str | Sequence[float | str]
@@ -70,16 +70,16 @@ class Delays:
         parameters: ArgumentLayout,
         jumps: list[float],
         varied: Sequence[ParameterName],
-    ) -> _core.Delays:
+    ) -> DelayTerms:
         """The delays as the core takes them. `jumps`: times before the start at which the history jumps. `varied`: the
         parameters of the sensitivities."""
         places = [
             -1 if name is None or not parameters.size else place_of(args, name.index, name.item) for name in self.names
         ]
-        constant: Any = [] if self.constant is None else self.constant.astype(y0.dtype).view(float)
+        constant = None if self.constant is None else self.constant.astype(y0.dtype).view(float)
         history = None if self.constant is not None else _History(self.history)
         rates = [float(_same(name, one)) for name in self.names for one in varied]
-        return _core.Delays(self.values(args, y0), places, constant, history, jumps, rates)
+        return DelayTerms(self.values(args, y0), places, constant, history, jumps, rates)
 
     def in_one_vector(self, fun: Any, n: int) -> Any:
         """Return f as a function of (t, x) with x = (y, z), for its derivatives."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from types import FunctionType
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from .._base.arguments import Array, call_name, encodable, flag, function, numbe
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
+from .core_problem import EventSpec, VectorSpec
 
 
 class Event:
@@ -366,31 +367,6 @@ def direction_sign(event: Event) -> int:
     if type(direction) is not int:
         direction = number(f"direction of {event.__name__}", direction)
     return int(direction > 0) - int(direction < 0)
-
-
-class EventSpec(NamedTuple):
-    """An event in the form that the core takes."""
-
-    fun: Any
-    terminal: int  # the occurrence that ends the integration, 0 for none
-    direction: int
-    name: str
-    action: Any
-    rehold: bool
-    samples: int  # 0: the usual number, -1: adaptive
-    series: Any = None  # along polynomials
-    touching: bool = False
-    at_jumps: bool = True
-
-
-class VectorSpec(NamedTuple):
-    """The functions of a `Roots` in the form that the core takes; they are events from number `first` on."""
-
-    fun: Any
-    first: int
-    size: int
-    name: str
-    action: Any
 
 
 def vector_specs(events: Sequence[Event], n: int, p: ArgumentLayout) -> list[VectorSpec]:

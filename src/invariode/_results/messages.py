@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from .._base.arguments import EPS
-from .._core import Linear, Run, Stepper
+from .._core import Run, Stepper
 from .._problem.bounds import Bounds
+from .._problem.core_problem import LinearTerms
 
 #: The most times that a message lists.
 _TIMES = 4
@@ -479,7 +480,7 @@ def refusal(run: Run, laws: LawNames, rtol: float, pairs: bool) -> str:
 _FORMED = {"function": "given", "derived": "traced", "complex-step": "complex step"}
 
 
-def formed(linear: Linear | None, run: Run) -> str | None:
+def formed(linear: LinearTerms | None, run: Run) -> str | None:
     """Return how the Jacobian of f was computed, in words; None if the method uses no Jacobian."""
     if linear is None:
         return None

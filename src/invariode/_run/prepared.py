@@ -29,10 +29,11 @@ from .._functions.compiled import (
 )
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
-from .._laws.bound import MANY_COLUMNS, BoundInvariants, InvariantSpec, values_at_start
+from .._laws.bound import MANY_COLUMNS, BoundInvariants, values_at_start
 from .._plan.plan import Choice, Course, Plan, solver
 from .._plan.planning import choose, course_of, names_of, planned
 from .._plan.second_order import fits_any_args
+from .._problem.core_problem import InvariantSpec, LinearTerms
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants
 from .._problem.matrices import NO_MATRICES
@@ -198,7 +199,7 @@ def _of_any_y0(problem: Problem, plan: Plan, native: bool) -> bool:
     return all(compiled) or (not any(compiled) and all(map(_starts_anywhere, problem.invariants, plan.bound.specs)))
 
 
-def _by_differences(linear: _core.Linear) -> bool:
+def _by_differences(linear: LinearTerms) -> bool:
     """Return whether the Jacobian is formed in each run from values of f, in a structure that does not depend on f."""
     return linear.kind == "differences" and not linear.found_pattern
 

@@ -19,9 +19,9 @@ from .._functions.derivatives import Derivative, Given, Point, derivative_of, ha
 from .._functions.graph.nodes import Node
 from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
-from .._laws.bound import InvariantSpec
 from .._problem.breakpoints import Breakpoint
-from .._problem.events import Event, EventSpec, RootOf, event_spec, roots_among, titled
+from .._problem.core_problem import EventSpec, InvariantSpec, VariationTerms
+from .._problem.events import Event, RootOf, event_spec, roots_among, titled
 from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
@@ -46,7 +46,7 @@ class Variations:
     names: list[str]  # names of the parameters
     start: Array  # (k, n): S at the start
     sizes: Sizes  # sizes from which the tolerances of S follow
-    for_core: _core.Variations  # the sensitivities as the core takes them
+    for_core: VariationTerms  # the sensitivities as the core takes them
     slope: Any  # callable: (t, Y) -> f_y S_j + f_pj, as the core calls it
     tangents: list[Any]  # (t, Y) -> G S_j + g_pj of each invariant
     how: dict[str, str]  # for each function, the way in which its derivatives are formed
@@ -235,12 +235,12 @@ def make_variations(
     at_start = (t0, np.vstack([y0, start]))
     tangents = [form(law.for_core(*at_start), complex_values=False) for law in about.of_laws(problem, specs)]
     slope_for_core = slope.for_core(t0, _with_past(problem, *at_start))
-    for_core = _core.Variations(
+    for_core = VariationTerms(
         k=len(names),
         slope=form(slope_for_core if mass is None else WithMass(slope, mass)),
         thresholds=measure.tolerances(y0, values_of(args, sizes, names)),
         invariants=tangents,
-        jumps=[form(one) for one in (*jumps, *(one.jump for one in switches))],
+        events=[form(one) for one in (*jumps, *(one.jump for one in switches))],
         breakpoints=[form(one) for one in doses],
         landings=form(landing_jump(schedule, problem, names, rate)),
         error_test=wanted.error_test,

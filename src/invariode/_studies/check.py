@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, weights_of
+from .._base.arguments import ATOL, RTOL, Array, Weights, flag, number, quietly, reals, state, weights_of
 from .._base.notebook import html_of_check
 from .._base.package import public
 from .._base.types import Function, Numbers
 from .._functions.compiled import native_parameters
 from .._laws.bound import BoundInvariants, bind
+from .._problem.core_problem import CoreProblem
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.problem import Problem
 from .._results.messages import wrong_jacobian
@@ -171,17 +172,11 @@ def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: 
     weights = weights_of(rtol, atol, point)
     bound = bind(listed, at, point, extra, weights.threshold)
     p = native_parameters(extra, [given.fun, *(f for one in listed for f in (one.fun, one.jac))])
-    problem = _core.Problem(
-        n=reals(point),
-        complex=np.iscomplexobj(point),
-        fun=given.slope.for_core(point, p),
-        args=extra,
-        parameters=p.numbers,
-        invariants=[_core.Invariant(*spec) for spec in bound.specs],
-        value=bound.value,
+    fun = given.slope.for_core(point, p)
+    problem = CoreProblem(
+        reals(point), np.iscomplexobj(point), fun, extra, p, invariants=bound.specs, value=bound.value
     )
-    tolerances = _core.Tolerances(*weights)
-    found = _core.examine(at, point.view(float), problem, tolerances)
+    found = _core.examine(at, point.view(float), problem, weights)
     if found is None:
         raise ValueError(
             f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}: give a point where all are"
@@ -192,7 +187,7 @@ def checked_at(given: Problem, at: float, point: Array, *, rtol: Numbers, atol: 
     others = _points_nearby(
         Problem(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
     )
-    return _with_points(report, [_examined(*other, problem, tolerances) for other in others])
+    return _with_points(report, [_examined(*other, problem, weights) for other in others])
 
 
 #: Points near the one that is checked, and their distance in units of the sizes of the components.
@@ -232,7 +227,7 @@ class _Elsewhere(NamedTuple):
     found: _core.Examination
 
 
-def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
+def _examined(t: float, y: Array, problem: CoreProblem, weights: Weights) -> _Elsewhere | None:
     """Return the examination of the invariants at a point; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)

@@ -18,7 +18,8 @@ from .._functions.graph.nodes import Node
 from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
-from .._problem.events import Event, EventSpec, RootOf
+from .._problem.core_problem import EventSpec
+from .._problem.events import Event, RootOf
 from .._problem.methods import Method
 from .._problem.problem import Problem
 from .._sensitivity.landings import with_inputs
