@@ -249,7 +249,6 @@ Integration::Verdict Integration::attempt() {
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};
   if (manifold_.any())
     if (const Verdict verdict = place(ends); verdict != Verdict::accepted) return verdict;
-  if (bounded_slope_ != nullptr) bounded_slope_->start_at(ends.y1);
   switch (step_->accept(ends.y1)) {
     case Outcome::stop: return end_attempt(State::interrupted);
     case Outcome::not_finite: return reject(Cause::not_finite);
@@ -472,8 +471,8 @@ State Integration::finish_step() {
   ++counts_.steps;
   if (ended(find_discontinuities())) return state_;
   interpolant_.accept(t0_, y0_.data());
-  if (ended(find_events()) || ended(record()) || ended(emit(settings_.output_at_times && jumps_here())) ||
-      ended(conclude()))
+  if (ended(find_events()) || ended(find_arrived()) || ended(record()) ||
+      ended(emit(settings_.output_at_times && jumps_here())) || ended(conclude()))
     return state_;
   if (limits_.due(counts_.steps)) look_at_limits();
   return state_;
@@ -525,6 +524,23 @@ Integration::Course Integration::find_events() {
   return Course::goes_on;
 }
 
+/// Where a component comes to rest at a bound the slope of explicit methods jumps, and S: to 0, and those of algebraic
+/// variables follow; differential ones do not. The step ends before the jump, as its memory and its continuous solution
+/// have it; the point reached is after it, where the method starts again.
+Integration::Course Integration::find_arrived() {
+  arrived_.clear();
+  if (bounded_slope_ == nullptr || reached_.t != aim_.t1()) return Course::goes_on;
+  if (ended(unless_stopped(
+          bounded_slope_->find_arrived(reached_.t, extent_, y0_.data(), reached_.y, arrived_, memory_outdated_))))
+    return Course::ended;
+  if (!memory_outdated_ || extent_.k == 0) return Course::goes_on;
+  rested_.assign(reached_.y, reached_.y + n_);
+  forget_at_bounds(*manifold_.bounds(), extent_, arrived_, rested_.data());
+  if (jumps_.follow_equations(reached_.t, rested_.data()) != State::running) return end(State::interrupted);
+  reached_.y = rested_.data();
+  return Course::goes_on;
+}
+
 /// Keeps the step itself: its row, and its part of the continuous solution.
 Integration::Course Integration::record() {
   if (emitter_.records())
@@ -556,8 +572,9 @@ Integration::Course Integration::conclude() {
   if (callback_ && ended(unless_stopped(callback_(t, y, &stop)))) return Course::ended;
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0)  // the jump does not come
-    return ended(unless_stopped(emitter_.emit_times(reached_, false))) ? Course::ended
-                                                                       : end(State::stopped_by_callback);
+    return ended(unless_stopped(emitter_.emit_times(reached_, false))) || ended(rest())
+               ? Course::ended
+               : end(State::stopped_by_callback);
   if (keeps_last_ && ended(keep_step_before_jump())) return Course::ended;
   const bool breaks = aim_.lands() && breaks_.at(t);
   const bool smooth = breaks && !events_.acts() && goes_smoothly_on(t);
@@ -565,7 +582,15 @@ Integration::Course Integration::conclude() {
   if (!smooth && (events_.acts() || breaks) &&
       ended(land({.acts = events_.acts(), .breaks = breaks, .inside = t != aim_.t1()})))
     return Course::ended;
-  return aim_.lands() && t == settings_.tf ? end(State::reached_end) : Course::goes_on;
+  if (aim_.lands() && t == settings_.tf) return end(State::reached_end);
+  return rest();
+}
+
+/// Starts the method again where components have come to rest at bounds.
+Integration::Course Integration::rest() {
+  if (!memory_outdated_) return Course::goes_on;
+  discard_step(reached_.y);
+  return start_memory(reached_.t, reached_.y);
 }
 
 /// Ends the run if a stop was requested or a limit is reached.
@@ -595,7 +620,7 @@ void Integration::reach(Limit limit) {
 /// The last step, which nobody can look into once the method has started again at its end.
 Integration::Course Integration::keep_step_before_jump() {
   last_one_.reset();
-  if (!jumps_here()) return Course::goes_on;
+  if (!jumps_here() && !memory_outdated_) return Course::goes_on;
   last_one_ = last_step();
   return last_one_ ? Course::goes_on : Course::ended;
 }

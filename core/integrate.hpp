@@ -168,6 +168,8 @@ class Integration {
   Course judge_invariants();
   Course find_discontinuities();
   Course find_events();
+  Course find_arrived();
+  Course rest();
   Course record();
   Course begin_past(const double* y);
   Course mark_images(double t, int level, const std::vector<double>& rates);
@@ -232,6 +234,8 @@ class Integration {
   std::vector<double> y0_;
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
+  std::vector<std::size_t> arrived_;     // components that the step has brought to rest at their bounds
+  std::vector<double> rested_;           // Y after that, where their sensitivities have jumped to 0
   std::vector<double> left_;             // Y where it jumps, before all actions
   bool due_ = false;                     // the run that is continued ended before the actions of events
   bool keeps_last_ = false;              // see `keep_last_step`

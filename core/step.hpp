@@ -124,8 +124,7 @@ class Step : public StepReport, public Archived {
     assert(h > 0);
     h_ = h;
   }
-  /// The candidate about to be accepted was moved onto bounds: what the next step takes from f at its end is evaluated
-  /// at y₁, not at the candidate.
+  /// The candidate about to be accepted was moved onto bounds: what rounding has dropped from it is not carried on.
   void moved_onto_bounds(bool moved) { moved_onto_bounds_ = moved; }
 
  protected:

@@ -161,6 +161,20 @@ def test_sensitivities_are_zero_while_a_bound_holds_the_solution(method, mirrore
     np.testing.assert_allclose(sol.sensitivities[0, 0], [sign * np.sin(2), 0, sign], atol=1e-4)
 
 
+def test_sensitivities_follow_f_up_to_the_rest_at_a_bound():
+    """y' = -k from 1: S = -t until y rests at t = 1, between steps too, then 0; steps of 1/4, or 0.23, end about there."""
+    times = np.linspace(0, 2, 42)
+    for method in METHODS:
+        for longest in (0.25, 0.23):
+            sol = iv.solve_ivp(
+                lambda t, y, k: [-k, y[0]], (0, 2), [1.0, 0.0], method, times, args=(1.0,), nonnegative=[0],
+                sensitivities=True, first_step=longest, max_step=longest,
+            )  # fmt: skip
+            exact = np.where(times < 1, -times, 0)
+            np.testing.assert_allclose(sol.sensitivities[0, 0], exact, atol=1e-4, err_msg=f"{method} {longest}")
+            np.testing.assert_allclose(sol.sensitivities[1, 0, -1], -0.5, atol=2e-3, err_msg=f"{method} {longest}")
+
+
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_the_knee(method):
     def knee(t, y):

@@ -60,6 +60,10 @@ SLIPS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: iv.solve_ivp(*CALL, "ode15s", mass=lambda t, y: np.eye(2)),
         "M(t, y) is not supported",
     ),
+    "an action of a breakpoint without t": (
+        lambda: iv.solve_ivp(*CALL, breakpoints=[(0.5, lambda y: y)]),
+        "the action of the breakpoint at t = 0.5: called with t and y alone",
+    ),
     "an output time beyond the end by rounding": (
         lambda: iv.solve_ivp(circle, (0, 0.3), [1.0, 0], t_eval=[0, 0.1 + 0.2]),
         "by rounding: numpy.clip",

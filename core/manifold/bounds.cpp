@@ -81,10 +81,10 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
     : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method), mass_(std::move(mass)) {
   inside_.resize(bounds.intervals().size());
   passed_.resize(bounds.intervals().size());
+  slope_.resize(bounds.n());
   if (!by_step_) return;
   rests_.resize(bounds.intervals().size());
   at_bound_.assign(bounds.intervals().size(), 1);  // at the start nothing has come to a bound
-  slope_.resize(bounds.n());
 }
 
 BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, DifferentialRate rate)
@@ -127,13 +127,45 @@ Status BoundedSlope::look(double t, const double* y) {
     any = any || rests_[k] != 0;
   }
   if (!any) return Status::ok;
-  ++evaluations_;
-  if (evaluate(t, y, slope_.data()) == Status::stop) return Status::stop;
-  for (const Bounds::Interval& one : bounds_.intervals()) slope_[one.component] *= mass(one.component);  // its sign
+  if (evaluate_signs(t, y) == Status::stop) return Status::stop;
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const Bounds::Interval& one = bounds_.intervals()[k];
     const bool stays = slope_[one.component] == 0 && (arrived_[k] != 0 || rested_[k] != 0);
     if (!stays && !Bounds::leads_out(one, y, forward_, slope_.data())) rests_[k] = 0;
+  }
+  return Status::ok;
+}
+
+/// The slopes of bounded components, but for positive factors.
+Status BoundedSlope::evaluate_signs(double t, const double* y) {
+  ++evaluations_;
+  if (evaluate(t, y, slope_.data()) == Status::stop) return Status::stop;
+  for (const Bounds::Interval& one : bounds_.intervals()) slope_[one.component] *= mass(one.component);
+  return Status::ok;
+}
+
+Status BoundedSlope::find_arrived(double t, Extent extent, const double* Y0, const double* Y1,
+                                  std::vector<std::size_t>& arrived, bool& changed) {
+  arrived.clear();
+  changed = false;
+  if (by_step_ && extent.k == 0) return Status::ok;   // `begin_step` sees it
+  std::vector<std::pair<std::size_t, double>> there;  // with the sense of what leads out
+  for (std::size_t k = 0; k < bounds_.intervals().size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    if (lower < Y1[i] && Y1[i] < upper) continue;
+    bool rests = by_step_ && rests_[k] != 0;
+    if (!by_step_) {  // a component that rests in a step with an explicit method, and its S, do not change
+      rests = true;
+      for (std::size_t j = 0; j <= extent.k; ++j) rests = rests && Y0[j * extent.n + i] == Y1[j * extent.n + i];
+    }
+    if (!rests) there.emplace_back(i, Y1[i] <= lower ? -forward_ : forward_);
+  }
+  if (there.empty()) return Status::ok;
+  if (evaluate_signs(t, Y1) == Status::stop) return Status::stop;
+  for (const auto& [i, outward] : there) {
+    if (!(outward * slope_[i] >= 0)) continue;
+    arrived.push_back(i);
+    changed = changed || slope_[i] != 0 || extent.k > 0;
   }
   return Status::ok;
 }

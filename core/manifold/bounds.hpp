@@ -9,6 +9,7 @@
 
 #include "callback.hpp"
 #include "linear/mass.hpp"
+#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -80,9 +81,13 @@ class BoundedSlope {
   Status begin_step(double t, const double* y, bool& changed);
   /// Evaluations of f from now on belong to a step that starts at y.
   void start_at(const double* y);
+  /// The components that the step from Y0 to (t, Y1) has brought to rest at their bounds: f does not lead them back
+  /// inside. Evaluates f if there may be any. `changed`: their slopes or sensitivities jump there.
+  Status find_arrived(double t, Extent extent, const double* Y0, const double* Y1, std::vector<std::size_t>& arrived,
+                      bool& changed);
   /// Returns how far, since `start_at`, a component that followed f was beyond its bound where f led it out.
   [[nodiscard]] Bounds::Excess passed(const Weights& weights) const;
-  /// Returns the number of evaluations of f by `begin_step`.
+  /// Returns the number of evaluations of f by `begin_step` and `find_arrived`.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// Archives the components held too, which slopes of sensitivities at other points take from the last evaluation of
   /// f.
@@ -104,6 +109,7 @@ class BoundedSlope {
 
  private:
   Status look(double t, const double* y);
+  Status evaluate_signs(double t, const double* y);
   void find_held(const double* slope);
   void find_outward(const double* y, const double* slope);
   Status evaluate(double t, const double* y, double* slope);

@@ -20,7 +20,6 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
     : invariants_(terms.steps),
       bounds_(terms.bounds),
       bounded_slope_(terms.bounded_slope),
-      consistent_tangent_(terms.consistent_tangent),
       off_bounds_only_(terms.off_bounds_only),
       check_(settings.check),
       weights_(weights),
@@ -146,7 +145,6 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   if (outside.size > weights_.rtol()) return false;
   std::copy(ends.y1, ends.y1 + extent_.size(), y1_.begin());
   outside_.clipped = bounds_->clip(y1_.data());
-  rest_at_bounds(*bounds_, extent_, ends.y1, y1_.data());
   ends.y1 = y1_.data();
   return true;
 }
@@ -164,7 +162,7 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_
   correction_ = defined ? projected_.correction : std::numeric_limits<double>::infinity();
   const bool large = correction_ > largest_correction * weights_.rtol();
   if (large && (!defined || !(correction_ <= roundoff_of_correction()))) return Placed::too_far;
-  switch (follow_tangent(ends.t1, candidate)) {
+  switch (follow_tangent(ends.t1)) {
     case Outcome::stop: return Placed::stop;
     case Outcome::not_finite: return Placed::undefined;
     case Outcome::ok: break;
@@ -175,13 +173,9 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_
   return Placed::accepted;
 }
 
-/// The sensitivities of y₁ from those of the candidate. Where a component comes to its bound its S jumps to 0, and
-/// those of algebraic variables follow; differential ones do not.
-Outcome Manifold::follow_tangent(double t, const double* candidate) {
+/// The sensitivities of y₁ from those of the candidate.
+Outcome Manifold::follow_tangent(double t) {
   if (!tangent_) return Outcome::ok;
-  if (bounds_ != nullptr && rest_at_bounds(*bounds_, extent_, candidate, y1_.data()) && consistent_tangent_ &&
-      consistent_tangent_(t, y1_.data()) == Status::stop)
-    return Outcome::stop;
   return projected_.skipped ? tangent_->settle(t, y1_.data()) : tangent_->follow(*projector_, t, y1_.data());
 }
 

@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <vector>
 
@@ -36,8 +35,6 @@ struct ManifoldTerms {
   const Bounds* bounds = nullptr;
   const BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds
   bool off_bounds_only = false;                 ///< steps are projected only after they were moved onto bounds
-  /// Moves sensitivities of algebraic variables at (t, Y) onto their equations; an empty function without any.
-  std::function<Status(double t, double* Y)> consistent_tangent;
 };
 
 class Manifold {
@@ -122,7 +119,7 @@ class Manifold {
   Status start_tangent(double t, double* y, bool rehold);
   double settle(StepEnds& ends);
   bool move_onto_bounds(Step& step, StepEnds& ends);
-  Outcome follow_tangent(double t, const double* candidate);
+  Outcome follow_tangent(double t);
   Placed project(const Step& step, StepEnds& ends, std::int64_t steps);
   void choose_directions(const Step& step);
   [[nodiscard]] double roundoff_of_correction() const;
@@ -132,7 +129,6 @@ class Manifold {
   Invariants* invariants_;
   const Bounds* bounds_;
   const BoundedSlope* bounded_slope_;
-  std::function<Status(double t, double* Y)> consistent_tangent_;
   bool off_bounds_only_, check_;
   const Weights& weights_;
   Extent extent_;

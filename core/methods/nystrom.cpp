@@ -18,9 +18,9 @@ namespace {
 template <const auto& T>
 class NystromStep final : public runge_kutta::PairStep<T> {
   using Base = runge_kutta::PairStep<T>;
-  using Base::accepted_, Base::candidate_, Base::error_, Base::evaluate, Base::fsal_, Base::k_, Base::last,
-      Base::moved_onto_bounds_, Base::n, Base::other_, Base::purified_, Base::stage_, Base::stages, Base::start_,
-      Base::t1_, Base::t_, Base::weights_, Base::y_;
+  using Base::accepted_, Base::candidate_, Base::error_, Base::evaluate, Base::fsal_, Base::k_, Base::last, Base::n,
+      Base::other_, Base::purified_, Base::stage_, Base::stages, Base::start_, Base::t1_, Base::t_, Base::weights_,
+      Base::y_;
   using typename Base::Attempt, typename Base::Span;
   /// True if v* depends on f(t₁, q*): the extension does then not end at y* with another slope in its place.
   static constexpr bool last_has_weight = T.b[last] != 0;
@@ -136,7 +136,7 @@ class NystromStep final : public runge_kutta::PairStep<T> {
 
   /// Returns whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, q*).
   [[nodiscard]] bool evaluates_again(const double* y1) const {
-    return (fsal_ == Fsal::evaluate || moved_onto_bounds_) && !std::equal(y1, y1 + n(), candidate_);
+    return fsal_ == Fsal::evaluate && !std::equal(y1, y1 + n(), candidate_);
   }
 
   /// The last stage of the accepted step is the first of the next one (FSAL).

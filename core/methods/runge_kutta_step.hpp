@@ -24,8 +24,8 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
   using Base = PairStep<T, Small>;
   using Kernel = runge_kutta::Kernel<T, double, MaxNorm, Small>;
   using Base::accepted_, Base::candidate_, Base::error_, Base::evaluate, Base::evaluated_, Base::extension_size,
-      Base::f_, Base::fsal_, Base::h_, Base::k_, Base::last, Base::moved_onto_bounds_, Base::n, Base::purified_,
-      Base::stage_, Base::stages, Base::start_, Base::t1_, Base::t_, Base::weights_, Base::y_;
+      Base::f_, Base::fsal_, Base::h_, Base::k_, Base::last, Base::n, Base::purified_, Base::stage_, Base::stages,
+      Base::start_, Base::t1_, Base::t_, Base::weights_, Base::y_;
   using typename Base::Attempt, typename Base::Span, typename Base::Trust;
   static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
 
@@ -117,7 +117,7 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
   void provide_reevaluated() { reevaluated_ = resized(again_, n()); }
 
   /// Returns whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
-  [[nodiscard]] bool evaluates_again() const { return projected_ && (fsal_ == Fsal::evaluate || moved_onto_bounds_); }
+  [[nodiscard]] bool evaluates_again() const { return projected_ && fsal_ == Fsal::evaluate; }
 
   /// The last stage of the accepted step is the first of the next one (FSAL).
   void advance_memory() {
@@ -145,7 +145,7 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
   }
 
   std::vector<double> again_;
-  double* reevaluated_ = nullptr;     // f(t₁, y₁), with Fsal::evaluate or within bounds
+  double* reevaluated_ = nullptr;     // f(t₁, y₁), with Fsal::evaluate
   bool reevaluation_failed_ = false;  // it was not finite
   bool projected_ = false;            // y₁ differs from y*
 };

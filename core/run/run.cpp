@@ -262,7 +262,6 @@ void Run::start_loop() {
       return make_tangent_consistent(linear_algebra(), t, Y);
     };
   manifold_.bounded_slope = functions.bounded_slope;
-  manifold_.consistent_tangent = functions.consistent_tangent;
   integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
   if (solver_.settings().sections) sections_.emplace(integration_->most_bytes_of_step());
 }

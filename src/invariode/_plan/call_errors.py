@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from types import FunctionType
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from .._base.arguments import PACKAGE, Array, call_name, raised_in, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._functions.second_order import SecondOrder
+from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import titled
 from .._problem.problem import Problem
 
@@ -19,16 +20,18 @@ from .._problem.problem import Problem
 _FED = ("fun", "jac")
 
 
-def explain(error: TypeError | ValueError, problem: Problem, callback: Any = None) -> None:
-    """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
+def explain(error: TypeError | ValueError, problem: Problem, options: Mapping[str, Any] | None = None) -> None:
+    """Adds a note to an exception that comes from how a function was called; the exception stays the same. `options`
+    of the run: its callback, and its own breakpoints."""
+    options = options or {}
     if isinstance(error, TypeError):
-        if not takes(callback, ()) and _is_of_the_call(error):
+        if not takes(options.get("callback"), ()) and _is_of_the_call(error):
             error.add_note("callback: called with t and y alone, after each step; it returns True to stop the run")
             return
         if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
             error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
             return
-        found = _not_taking(problem) if _is_of_the_call(error) else []
+        found = _not_taking(problem, options.get("breakpoints")) if _is_of_the_call(error) else []
         if found and not problem.args:
             error.add_note(f"{' and '.join(found)}: called with t and y alone; args=(a, b) passes further arguments")
         elif found:
@@ -119,11 +122,11 @@ def _is_of_the_call(error: TypeError) -> bool:
     return not file or file.startswith(PACKAGE)
 
 
-def _not_taking(problem: Problem) -> list[str]:
+def _not_taking(problem: Problem, breakpoints: Any) -> list[str]:
     """Return the names of the functions that do not accept the arguments they are called with."""
     return [
         name
-        for name, fun in _functions(problem)
+        for name, fun in (*_functions(problem), *_actions(to_breakpoints("breakpoints", breakpoints or ())))
         if not takes(fun, [*(problem.before_args if name in _FED else ()), *problem.args])
     ]
 
@@ -136,7 +139,12 @@ def _functions(problem: Problem) -> Iterator[tuple[str, Any]]:
     yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
     yield from ((titled(event.__name__), event.fun) for event in problem.events)
     yield from ((f"the action of {titled(event.__name__)}", event.action) for event in problem.events)
-    yield from ((f"the action of the breakpoint at t = {point.t}", point.action) for point in problem.breakpoints)
+    yield from _actions(problem.breakpoints)
+
+
+def _actions(breakpoints: Iterable[Breakpoint]) -> Iterator[tuple[str, Any]]:
+    """Iterate over the actions of breakpoints, with their names for messages."""
+    yield from ((f"the action of the breakpoint at t = {point.t}", point.action) for point in breakpoints)
 
 
 def takes_time(fun: Any) -> bool:

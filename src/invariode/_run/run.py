@@ -249,7 +249,7 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
             found = make_plan(problem, method, options)
         return _solved(found, source)
     except (TypeError, ValueError) as error:
-        explain(error, problem, options.get("callback"))
+        explain(error, problem, options)
         raise
 
 
@@ -271,7 +271,7 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
         sol = _solved(found, source)
         return Outputs(sol["y"], sol["t_end"], sol["status"], sol["message"])
     except (TypeError, ValueError) as error:
-        explain(error, problem, options.get("callback"))
+        explain(error, problem, options)
         raise
 
 
