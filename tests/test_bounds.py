@@ -162,7 +162,7 @@ def test_sensitivities_are_zero_while_a_bound_holds_the_solution(method, mirrore
 
 
 def test_sensitivities_follow_f_up_to_the_rest_at_a_bound():
-    """y' = -k from 1: S = -t until y rests at t = 1, between steps too, then 0; steps of 1/4, or 0.23, end about there."""
+    """y' = -k from 1: S = -t until y rests at t = 1, between steps too, then 0; steps of 1/4 may end there exactly."""
     times = np.linspace(0, 2, 42)
     for method in METHODS:
         for longest in (0.25, 0.23):
