@@ -1,4 +1,6 @@
-# Each command works from a clean clone and makes its own virtual environment in .venv.
+# Each command works from a clean clone and makes its own virtual environment in .venv. What is imported there is compiled
+# once: a process that may not write it down would compile NumPy, SciPy and Matplotlib anew.
+export PYTHONDONTWRITEBYTECODE :=
 
 PYTHON ?= python3
 VENV := .venv
