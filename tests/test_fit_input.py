@@ -210,6 +210,8 @@ class TestForms:
         with pytest.raises(
             ValueError, match=r"the column 'day' is no component, .*; if it has the times, pass t='day'"
         ):
+            iv.objective(problem, table.set_axis(T), parameters={"a": (0, 5)})
+        with pytest.raises(ValueError, match=r"no column t or time, but prey, predators, day, .* such as t='day'"):
             iv.objective(problem, table, parameters={"a": (0, 5)})
 
     def test_replicates_are_data(self):

@@ -205,3 +205,14 @@ class TestStarts:
                 [iv.Experiment(self.problem(), t, data, observe="B", sigma=0.1, y0=lambda t, y, k, l, s: [s])],  # noqa: E741
                 {"k": (0.1, 2)},
             )
+
+
+def test_data_at_the_time_of_an_action_are_counted():
+    """They are compared with the state after it, which is said: samples are usually taken before a dose."""
+    problem = iv.Problem(
+        lambda t, y, k: [-k * y[0]], (0, 3), [1.0], args=(1.0,), breakpoints={1.0: lambda t, y, k: y + 1}
+    )
+    t = np.array([0.5, 1.0, 1.5, 2.5])
+    fit = iv.fit(problem, t, np.exp(-t) + np.where(t >= 1, np.exp(1 - t), 0), {"k": (0.1, 9)}, sigma=0.1)
+    assert fit.parameters["k"] == pytest.approx(1.0, rel=1e-4)
+    assert any("(1 of 4)" in one for one in fit.remarks)

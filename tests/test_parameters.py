@@ -162,5 +162,32 @@ def test_what_is_wrong_is_named():
             iv.Problem(named, (0, 1), [1.0], parameters=wrong)
     with pytest.raises(ValueError, match="args or parameters"):
         iv.Problem(named, (0, 1), [1.0], args=(1.0,), parameters=NAMES)
-    with pytest.raises(TypeError, match="no parameters by name"):
-        both()[1].prepare("ode45")(args={"a": 1.0})
+
+
+def test_arguments_of_fun_are_changed_by_name():
+    """Without a record, the names are those that f has for its arguments; numbers in an array have theirs."""
+    problem = iv.Problem(lambda t, y, k, p: [k * y[0] + p[1]], (0, 1), [1.0], args=(2.0, [3.0, 4.0]))
+    other = problem.replace(args={"k": 5.0, "p[1]": 6.0})
+    assert (other.args[0], [*other.args[1]]) == (5.0, [3.0, 6.0])
+    assert problem.prepare("ode45")(args={"k": 5.0, "p[1]": 6.0}).y[0, -1] == other.solve("ode45").y[0, -1]
+    with pytest.raises(ValueError, match="takes no parameter 'kk'; parameters are k, p"):
+        problem.replace(args={"kk": 1.0})
+    with pytest.raises(TypeError, match=r"k is an argument of fun: replace\(args="):
+        problem.replace(k=1.0)
+    with pytest.raises(TypeError, match=r"change by name with replace\(args="):
+        problem.replace(parameters={"k": 1.0})
+    with pytest.raises(TypeError, match=r"one by one, in a tuple, got \{'k': 1\}"):
+        iv.Problem(lambda t, y, k: [k], (0, 1), [1.0], args={"k": 1})
+
+
+def test_parameters_by_name_for_a_function_of_single_arguments():
+    """The message has the args that such a function takes; of many actions the first are named."""
+    problem = iv.Problem(lambda t, y, k, c: [-k * c * y[0]], (0, 1), [1.0], parameters={"k": 2.0, "c": 3.0})
+    with pytest.raises(TypeError) as raised:
+        problem.solve()
+    assert "give args=(2.0, 3.0)" in raised.value.__notes__[0]
+    idle = [(t, lambda t, y: y) for t in range(9)]
+    with pytest.raises(TypeError) as raised:
+        iv.solve_ivp(lambda t, y, k: [-k * y[0]], (0, 9), [1.0], args=(1.0,), breakpoints=idle)
+    assert raised.value.__notes__[0].count("breakpoint") == 3
+    assert "and 6 more" in raised.value.__notes__[0]

@@ -241,3 +241,11 @@ def test_what_has_no_steady_state_says_so():
         iv.steady_state(lambda t, y: y)
     with pytest.raises(ValueError, match="totals must be"):
         iv.steady_state(PROBLEMS["enzyme"], totals="all")
+
+
+def test_actions_of_breakpoints_do_not_count():
+    """The message says so."""
+    problem = iv.Problem(lambda t, y: [-y[0]], (0, 9), [1.0], breakpoints={3.0: lambda t, y: y + 1})
+    found = iv.steady_state(problem)
+    assert found.y == pytest.approx([0.0], abs=1e-9)
+    assert "breakpoints, such as doses, do not count" in found.message

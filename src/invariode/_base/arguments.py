@@ -8,7 +8,7 @@ import os
 import reprlib
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
@@ -453,6 +453,11 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
     require_no_unit("args", args)
+    if isinstance(args, Mapping):
+        raise TypeError(
+            f"args are the values one by one, in a tuple, got {shown(args)}: numbers by name are "
+            "Problem(parameters=...), with f(t, y, p); one dict as an argument is args=(d,)"
+        )
     listed = None if isinstance(args, str) else items(args)
     if listed is None:
         raise TypeError(

@@ -16,6 +16,9 @@ from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import titled
 from .._problem.problem import Problem
 
+#: This many functions are named in a message.
+_MOST_NAMED = 3
+
 #: The functions of a problem that are called with its inputs too.
 _FED = ("fun", "jac")
 
@@ -35,7 +38,7 @@ def explain(error: TypeError | ValueError, problem: Problem, options: Mapping[st
         if found and not problem.args:
             error.add_note(f"{' and '.join(found)}: called with t and y alone; args=(a, b) passes further arguments")
         elif found:
-            if "fun" in found and (note := _one_array(problem)):
+            if "fun" in found and (note := _one_record(problem) or _one_array(problem)):
                 error.add_note(note)
                 return
             several = len(found) > 1
@@ -74,6 +77,17 @@ def require_called(name: str, fun: Any, signature: str, args: tuple[Any, ...]) -
         raise TypeError(
             f"{name} is called as {signature}{further}: {call_name(fun, name)} does not take these arguments"
         )
+
+
+def _one_record(problem: Problem) -> str:
+    """Return a note on parameters by name for an f that takes them one by one; empty if there are none."""
+    values = None if problem.parameters is None else [*problem.parameters.values()]
+    if values is None or not takes(problem.fun, [*problem.before_args, *values]):
+        return ""
+    return (
+        "with parameters=, all functions are called as f(t, y, p), with the numbers p.name: for arguments one by one "
+        f"give args={shown(tuple(values))}"
+    )
 
 
 def _one_array(problem: Problem) -> str:
@@ -123,12 +137,13 @@ def _is_of_the_call(error: TypeError) -> bool:
 
 
 def _not_taking(problem: Problem, breakpoints: Any) -> list[str]:
-    """Return the names of the functions that do not accept the arguments they are called with."""
-    return [
+    """Return the names of the functions that do not accept the arguments they are called with; of many the first."""
+    found = [
         name
         for name, fun in (*_functions(problem), *_actions(to_breakpoints("breakpoints", breakpoints or ())))
         if not takes(fun, [*(problem.before_args if name in _FED else ()), *problem.args])
     ]
+    return found if len(found) <= _MOST_NAMED else [*found[:_MOST_NAMED], f"{len(found) - _MOST_NAMED} more"]
 
 
 def _functions(problem: Problem) -> Iterator[tuple[str, Any]]:

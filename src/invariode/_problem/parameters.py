@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import operator
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import FunctionType
@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .._base.arguments import Array, call_name, items, shown
+from .._base.arguments import Array, call_name, items, number, shown
 from .._base.record import Record
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction
@@ -121,6 +121,21 @@ def with_values(
     return with_numbers(args, changes), start
 
 
+def with_named(
+    fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, changes: Mapping[str, Any], first: int
+) -> tuple[Any, ...]:
+    """Return args with other values of the arguments that are named as f calls them, or of numbers in them.
+
+    Raises TypeError, ValueError: Names that f does not have, values that are no real numbers.
+    """
+    known = _Known(fun, args, labels, 0, first, "args")
+    whole = {known.names.index(name): value for name, value in changes.items() if name in known.names}
+    inside = {name: number(f"args: {name}", value) for name, value in changes.items() if name not in known.names}
+    found = [one for name in inside for one in known.found(name)]
+    changed, _ = with_values(args, np.zeros(0), found, inside.values())
+    return tuple(whole.get(i, one) for i, one in enumerate(changed))
+
+
 class _Known:
     """The parameters of a problem by name."""
 
@@ -128,7 +143,7 @@ class _Known:
         self, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int, option: str
     ) -> None:
         self._fun, self._args, self._labels, self._n, self._option = fun, args, labels, n, option
-        self._names = _names_of_arguments(fun, len(args), first)
+        self.names = names_of_arguments(fun, len(args), first)
         self._inside: dict[int, list[ParameterName]] = {}
 
     def of_argument(self, index: int) -> list[ParameterName]:
@@ -136,7 +151,7 @@ class _Known:
         if index not in self._inside and isinstance(record := self._args[index], Record):
             self._inside[index] = [ParameterName(one, "args", index, i) for i, one in enumerate(record.keys())]
         if index not in self._inside:
-            name = self._names[index]
+            name = self.names[index]
             found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
             self._inside[index] = [
                 ParameterName(name + suffix, "args", index, i if suffix else None) for i, suffix in found
@@ -147,7 +162,7 @@ class _Known:
     def _by_name(self) -> dict[str, ParameterName]:
         """Map of both names of all numbers in `args` to their parameters; the first one of a name counts."""
         found: dict[str, ParameterName] = {}
-        for index, argument in enumerate(self._names):
+        for index, argument in enumerate(self.names):
             for one in self.of_argument(index):
                 found.setdefault(one.name, one)
                 if not isinstance(self._args[index], Record):
@@ -185,8 +200,8 @@ class _Known:
     def _named(self, name: str) -> list[ParameterName]:
         if name in self._in_records:
             return [self._in_records[name]]
-        if name in self._names:
-            return self._all_of(self._names.index(name))
+        if name in self.names:
+            return self._all_of(self.names.index(name))
         if name == Y0:
             if Y0 in _parameters_of(self._fun):
                 called = call_name(self._fun, "fun")
@@ -195,7 +210,7 @@ class _Known:
                     f"name {Y0}[...] of single components, or args[...] for the argument"
                 )
             return [self.of_y0(i) for i in range(self._n)]
-        if together := [i for i, one in enumerate(self._names) if one.startswith(f"{name}[")]:
+        if together := [i for i, one in enumerate(self.names) if one.startswith(f"{name}[")]:
             return [one for i in together for one in self._all_of(i)]
         if name in self._by_name:
             return [self._by_name[name]]
@@ -206,7 +221,7 @@ class _Known:
         found = self.of_argument(index)
         if not found:
             raise ValueError(
-                f"{self._option}: {self._names[index]} is {shown(self._args[index])}, and parameters are real numbers"
+                f"{self._option}: {self.names[index]} is {shown(self._args[index])}, and parameters are real numbers"
             )
         return found
 
@@ -217,7 +232,7 @@ class _Known:
             return list(self._labels).index(inside)
         if inside is not None and inside.isdecimal() and int(inside) < self._n:
             return int(inside)
-        names = [*self._names, *(one.name for i in range(len(self._args)) for one in self.of_argument(i)), Y0]
+        names = [*self.names, *(one.name for i in range(len(self._args)) for one in self.of_argument(i)), Y0]
         names += [self.of_y0(i).name for i in range(self._n)]
         raise ValueError(
             f"{self._option}: {call_name(self._fun, 'fun')} takes no parameter {name!r}; parameters are "
@@ -240,8 +255,8 @@ def _parameters_of(fun: Any) -> list[str]:
         return []
 
 
-def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
-    """Return the names of the arguments as f calls them."""
+def names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
+    """Return the names of the `size` arguments of f after its `first` ones, as f calls them."""
     plain = [f"args[{i}]" for i in range(size)]
     compiled = isinstance(fun, CompiledFunction)
     python = fun.fun if compiled else fun

@@ -55,7 +55,7 @@ from .options import (
     table_of,
     unknown_option,
 )
-from .parameters import ParameterName
+from .parameters import ParameterName, names_of_arguments, with_named
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
 from .start import follow_start
@@ -294,13 +294,13 @@ class Problem:
         return None if record is None else dict(record.items())
 
     def arguments(self, given: Any) -> Any:
-        """The arguments that were given in place of `args`: a dict changes some of the parameters."""
+        """The arguments that were given in place of `args`: a dict changes some of them, by name."""
         if not isinstance(given, Mapping):
             return given
         record = _record_in(self.args)
-        if record is None:
-            raise TypeError(f"args are a tuple, since the problem has no parameters by name, got {shown(given)}")
-        return (record.changed(given),)
+        if record is not None:
+            return (record.changed(given),)
+        return with_named(self.fun, self.args, self._labels, given, first=2 + len(self.before_args))
 
     @property
     def inplace(self) -> bool:
@@ -355,7 +355,8 @@ class Problem:
         ----------
         **changes
             Arguments of `Problem` by name, `fun`, `t_span` and `y0` included. `parameters` changes the values of those
-            that it names, if the problem has parameters.
+            that it names, if the problem has parameters; so does `args`, given as a dict by the names that f has for
+            its arguments.
 
         Raises
         ------
@@ -368,10 +369,13 @@ class Problem:
         >>> def decay(t, y, rate):
         ...     return [-rate * y[0]]
         >>> slow = iv.Problem(decay, (0, 1), [1.0], args=(1,))
-        >>> fast = slow.replace(args=(10,), name="fast decay")
+        >>> fast = slow.replace(args={"rate": 10}, name="fast decay")
         >>> slow, fast
         (Problem('decay', t_span=(0.0, 1.0), n=1), Problem('fast decay', t_span=(0.0, 1.0), n=1))
         """
+        for name in changes.keys() - ProblemArguments.__annotations__.keys():
+            if name in names_of_arguments(self.fun, len(self.args), 2 + len(self.before_args)):
+                raise TypeError(f'{name} is an argument of fun: replace(args={{"{name}": value}}) changes it')
         now = {
             "fun": self.fun,
             "t_span": self.t_span,
@@ -392,6 +396,8 @@ class Problem:
         }
         if (parameters := changes.get("parameters")) is not None:
             record = _record_in(self.args)
+            if record is None and self.args:
+                raise TypeError('the problem has args, which change by name with replace(args={"name": value})')
             changes["parameters"] = parameters if record is None else dict(record.changed(parameters).items())
             now["args"] = ()
         elif isinstance(changes.get("args"), Mapping):

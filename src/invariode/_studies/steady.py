@@ -167,7 +167,8 @@ def steady_state(
     """Return the steady state to which the solution of a problem goes: f(t0, y) = 0 with the totals of y0.
 
     The solution of y' = f(t0, y) from y0 is followed until it hardly moves; Newton's method with the exact Jacobian and
-    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Events and invariants do not.
+    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Events, invariants and breakpoints
+    do not: a state that returns after each dose is not a steady one.
 
     Parameters
     ----------
@@ -224,6 +225,8 @@ def steady_state(
             found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None
         )  # fmt: skip
     message = "The solution goes to this state." if found.stable else "The state is unstable; the solution stays there."
+    if any(point.action is not None for point in problem.breakpoints):
+        message += " Actions in the problem's breakpoints, such as doses, do not count."
     return SteadyState(
         found.y, residual, W, True, message, found.stable, found.eigenvalues, found.time, labels, found.slopes
     )

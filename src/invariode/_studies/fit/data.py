@@ -45,6 +45,11 @@ def read(t: Any, data: Any, m: int) -> Data:
     if hasattr(data, "columns") and hasattr(data, "index"):
         columns = {name: data[name] for name in data.columns}
         own = t is None and _column_of_times(columns) is None
+        if own and _row_numbers(data):
+            raise ValueError(
+                f"the table has no column t or time, but {', '.join(map(str, columns))}, and its index only counts the "
+                f"rows: name the column of times, such as t={str([*columns][-1])!r}"
+            )
         return _of_columns(data.index.to_numpy() if own else t, columns)
     if hasattr(data, "data_vars"):
         if "y" not in data.data_vars:

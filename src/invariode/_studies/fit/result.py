@@ -16,7 +16,7 @@ from ..._base.package import public
 from ..._base.suggestions import meant
 from ..._results.solution import Solution
 from . import picture
-from .experiment import Failed
+from .experiment import Experiment, Failed
 from .likelihood import FittedModel
 from .profile import Profile, Scale, profile
 from .search import Optimum
@@ -454,6 +454,11 @@ class Fit:
         found += [
             f"the 95 % interval of {name} is wider than its bounds: use profile({name!r})" for name in self._too_wide()
         ]
+        if count := sum(map(_after_actions, self._model.experiments)):
+            found.append(
+                f"data at times of actions, such as doses, are compared with the state after them ({count} of "
+                f"{self._model.size}): for those that were measured before, give a time just before"
+            )
         if self.failures:
             found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
         return found
@@ -510,3 +515,9 @@ class Fit:
 
     def _repr_html_(self) -> str:
         return html_of_fit(self)
+
+
+def _after_actions(one: Experiment) -> int:
+    """Return how many data are at times of actions in breakpoints."""
+    times = [point.t for point in one.problem.breakpoints if point.action is not None]
+    return int(np.isfinite(one.data.values[:, np.isin(one.data.t, times)]).sum())
