@@ -37,6 +37,21 @@ struct Space {
   [[nodiscard]] std::size_t components() const { return complex ? size / 2 : size; }
 };
 
+/// A Python object whose fields are read by their names, such as those of `_problem/core_problem.py`.
+class Record {
+ public:
+  explicit Record(nb::handle object) : object_(object) {}
+
+  nb::object operator[](const char* name) const { return object_.attr(name); }
+  template <class Value>
+  [[nodiscard]] Value get(const char* name) const {
+    return nb::cast<Value>((*this)[name]);
+  }
+
+ private:
+  nb::handle object_;
+};
+
 // Garbage collection. None of the objects that Python sees changes what it holds: a cycle through one is broken
 // elsewhere.
 
@@ -220,7 +235,7 @@ class Functions {
   /// Any other function of t and one vector or two.
   Callback of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns);
 
-  /// The motion of a MechanicsSpec: one for all functions of a problem that are parts of it.
+  /// The motion of a MechanicsTerms: one for all functions of a problem that are parts of it.
   Motion& motion(const nb::object& mechanics);
   /// The motions made by `motion`.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return motions_; }

@@ -73,10 +73,37 @@ Differentiable make_differentiable(const nb::object& given, const std::string& n
   return {forms, static_cast<std::size_t>(with_v ? arguments.n_q + arguments.n_v : arguments.n_q), m};
 }
 
-MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
-  MotionTerms terms = spec.terms;
-  const Arguments arguments{static_cast<std::ptrdiff_t>(terms.n_q), static_cast<std::ptrdiff_t>(terms.n_v)};
-  const auto named = [&](const char* key) { return nb::object(spec.functions[key]); };
+MassTerm::Writes writes_named(const std::string& name) {
+  if (name == "nothing") return MassTerm::Writes::nothing;
+  if (name == "diagonal") return MassTerm::Writes::diagonal;
+  if (name == "rows") return MassTerm::Writes::rows;
+  if (name == "entries") return MassTerm::Writes::entries;
+  throw std::invalid_argument("a mass matrix is not written as '" + name + "'");
+}
+
+MotionTerms make_terms(const Record& spec, Functions& functions) {
+  const auto n_q = spec.get<std::size_t>("n_q"), n_v = spec.get<std::size_t>("n_v"),
+             m_phi = spec.get<std::size_t>("m_phi"), m_psi = spec.get<std::size_t>("m_psi");
+  const nb::object by_name = spec["functions"];
+  const auto named = [&](const char* key) { return nb::object(by_name[key]); };
+  const auto kept = spec.get<std::vector<bool>>("kept");
+  const std::size_t map = named("kinematics").is_none() ? 0 : n_q;
+  MotionTerms terms{
+      .n_q = n_q,
+      .n_v = n_v,
+      .mass = {writes_named(spec.get<std::string>("mass_writes")), read_sparse(spec["mass"], n_v, n_v), {}},
+      .force = {},
+      .constraints = {},
+      .velocity_constraints = {},
+      .kinematics = {},
+      .jacobian = {.function = {}, .entries = spec.get<bool>("jacobian_entries")},
+      .phi_pattern = read_sparse(spec["phi"], m_phi, n_q),
+      .psi_pattern = read_sparse(spec["psi"], m_psi, n_q + n_v),
+      .kinematics_pattern = read_sparse(spec["kinematics"], map, n_q + n_v),
+      .kept = std::vector<char>(kept.begin(), kept.end()),
+      .sparse = spec.get<bool>("sparse"),
+      .dependent = spec.get<double>("dependent")};
+  const Arguments arguments{static_cast<std::ptrdiff_t>(n_q), static_cast<std::ptrdiff_t>(n_v)};
   if (terms.mass.writes != MassTerm::Writes::nothing) {
     Returns returns{.rows = arguments.n_v};
     if (terms.mass.writes == MassTerm::Writes::rows) returns.columns = returns.rows, returns.matrix = true;
@@ -87,11 +114,11 @@ MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
   const auto derived = [&](const char* key, const char* name, bool with_v, std::size_t m) {
     return make_differentiable(named(key), name, arguments, with_v, m, functions);
   };
-  terms.constraints = derived("constraints", "constraints(t, q)", false, spec.m_phi);
-  terms.velocity_constraints = derived("velocity_constraints", "velocity_constraints(t, q, v)", true, spec.m_psi);
+  terms.constraints = derived("constraints", "constraints(t, q)", false, m_phi);
+  terms.velocity_constraints = derived("velocity_constraints", "velocity_constraints(t, q, v)", true, m_psi);
   terms.kinematics = derived("kinematics", "kinematics(t, q, v)", true, terms.n_q);
   if (const nb::object given = named("jacobian"); !given.is_none()) {
-    Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.m_phi), .columns = arguments.n_q, .matrix = true};
+    Returns returns{.rows = static_cast<std::ptrdiff_t>(m_phi), .columns = arguments.n_q, .matrix = true};
     if (terms.jacobian.entries) returns = {.rows = terms.phi_pattern.nonZeros()};
     terms.jacobian.function = functions.of_motion(given, "jacobian(t, q)", arguments.of(false), returns);
   }
@@ -194,8 +221,8 @@ class BoundMotion {
 
  private:
   static std::size_t size_of(const nb::object& mechanics) {
-    const auto& spec = nb::cast<const MechanicsSpec&>(mechanics);
-    return spec.terms.n_q + spec.terms.n_v;
+    const Record spec(mechanics);
+    return spec.get<std::size_t>("n_q") + spec.get<std::size_t>("n_v");
   }
   const double* state(const ConstVector& y) const {
     require(y.size() == motion_.size(), "y has not the size of (q, v)");
@@ -238,59 +265,21 @@ std::tuple<Vector, Vector, int, bool> solve(const ConstMatrix& mass, const Const
   return {to_numpy(found.a), to_numpy(found.lambda), static_cast<int>(found.rank), found.unique};
 }
 
-MassTerm::Writes writes_named(const std::string& name) {
-  if (name == "nothing") return MassTerm::Writes::nothing;
-  if (name == "diagonal") return MassTerm::Writes::diagonal;
-  if (name == "rows") return MassTerm::Writes::rows;
-  if (name == "entries") return MassTerm::Writes::entries;
-  throw std::invalid_argument("a mass matrix is not written as '" + name + "'");
-}
-
 void define_system(nb::module_& module) {
-  nb::class_<MechanicsSpec>(module, "Mechanics", nb::type_slots(slots<MechanicsSpec>),
-                            "A mechanical system, for the core.")
-      .def(
-          "__init__",
-          [](MechanicsSpec* self, std::size_t n_q, std::size_t n_v, std::size_t m_phi, std::size_t m_psi,
-             nb::dict functions, const std::string& mass_writes, const nb::object& mass, bool jacobian_entries,
-             const nb::object& phi, const nb::object& psi, const nb::object& kinematics, const std::vector<bool>& kept,
-             bool sparse, double dependent) {
-            const std::size_t map = functions["kinematics"].is_none() ? 0 : n_q;
-            MotionTerms terms{.n_q = n_q,
-                              .n_v = n_v,
-                              .mass = {writes_named(mass_writes), read_sparse(mass, n_v, n_v), {}},
-                              .force = {},
-                              .constraints = {},
-                              .velocity_constraints = {},
-                              .kinematics = {},
-                              .jacobian = {.function = {}, .entries = jacobian_entries},
-                              .phi_pattern = read_sparse(phi, m_phi, n_q),
-                              .psi_pattern = read_sparse(psi, m_psi, n_q + n_v),
-                              .kinematics_pattern = read_sparse(kinematics, map, n_q + n_v),
-                              .kept = std::vector<char>(kept.begin(), kept.end()),
-                              .sparse = sparse,
-                              .dependent = dependent};
-            new (self) MechanicsSpec{std::move(terms), m_phi, m_psi, std::move(functions)};
-          },
-          nb::kw_only(), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m_phi"), nb::arg("m_psi"), nb::arg("functions"),
-          nb::arg("mass_writes"), nb::arg("mass"), nb::arg("jacobian_entries"), nb::arg("phi"), nb::arg("psi"),
-          nb::arg("kinematics"), nb::arg("kept"), nb::arg("sparse"), nb::arg("dependent"));
   nb::class_<MotionPart>(module, "MotionPart", nb::type_slots(slots<MotionPart>),
                          "A function of (t, y) that a mechanical system has: its slope, one of its laws.")
       .def(
           "__init__",
           [](MotionPart* self, nb::object mechanics, const std::string& part) {
-            static_cast<void>(nb::cast<const MechanicsSpec&>(mechanics));  // it is one
             new (self) MotionPart{std::move(mechanics), part_named(part)};
           },
-          nb::arg("mechanics"), nb::arg("part"));
+          nb::arg("mechanics"), nb::arg("part"), "mechanics: a MechanicsTerms.");
 }
 
 }  // namespace
 
 OwnedMotion::OwnedMotion(nb::object mechanics, Functions& functions)
-    : mechanics_(std::move(mechanics)),
-      motion_(std::make_unique<Motion>(make_terms(nb::cast<const MechanicsSpec&>(mechanics_), functions))) {}
+    : mechanics_(std::move(mechanics)), motion_(std::make_unique<Motion>(make_terms(Record(mechanics_), functions))) {}
 
 nb::dict to_dict(const MotionWork& work) {
   nb::dict counts;

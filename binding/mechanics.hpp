@@ -15,19 +15,9 @@ namespace nb = nanobind;
 
 namespace invariode::binding {
 
-/// A mechanical system but for its arguments. `functions` by name: mass, force, jacobian; constraints,
-/// velocity_constraints and kinematics as (function, complex form, the same without warnings). None: there is no such.
-struct MechanicsSpec {
-  MotionTerms terms;  ///< without functions
-  std::size_t m_phi, m_psi;
-  nb::dict functions;
-
-  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, functions); }
-};
-
 /// One of the functions of (t, y) that a mechanical system has.
 struct MotionPart {
-  nb::object mechanics;  // a MechanicsSpec
+  nb::object mechanics;  // a MechanicsTerms
   Motion::Part part;
 
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, mechanics); }

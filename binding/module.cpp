@@ -83,14 +83,36 @@ void require_point(const ConstVector& y, const Problem& problem) {
                                 std::to_string(y.size()));
 }
 
-std::optional<PointExamination> examine_point(double t, const ConstVector& y, nb::handle problem,
-                                              nb::handle tolerances) {
+/// The columns of a report on invariants by name, and (invariant, component, entry, difference quotient) of a Jacobian
+/// that is wrong; or None.
+std::optional<nb::dict> examine_point(double t, const ConstVector& y, nb::handle problem, nb::handle tolerances) {
   const BoundProblem bound{Record(problem)};
   const Weights weights = read_weights(Record(tolerances), bound.problem().n);
   require_point(y, bound.problem());
-  PointExamination found = unlocked(bound, [&] { return examine(bound.problem(), weights, t, y.data()); });
+  const PointExamination found = unlocked(bound, [&] { return examine(bound.problem(), weights, t, y.data()); });
   if (!found.finite) return {};
-  return found;
+  nb::dict fields;
+  const auto column = [&](const char* name, auto member) {
+    std::vector<double> values;
+    for (const Guard::Examination& one : found.invariants) values.push_back(static_cast<double>(one.*member));
+    const std::size_t m = values.size();
+    fields[name] = to_array<Vector>(std::move(values), m);
+  };
+  using One = Guard::Examination;
+  column("residual", &One::residual);
+  column("distance", &One::distance);
+  column("gradient", &One::gradient);
+  column("rate", &One::rate);
+  column("angle", &One::angle);
+  column("redundant", &One::redundant);
+  column("detectable", &One::detectable);
+  column("conserved", &One::conserved);
+  const Finding& wrong = found.jacobian;
+  fields["wrong_jacobian"] =
+      wrong.kind == Finding::Kind::wrong_jacobian
+          ? nb::object(nb::make_tuple(wrong.invariant, wrong.component, wrong.size, wrong.distance))
+          : nb::object(nb::none());
+  return fields;
 }
 
 std::pair<Vector, const char*> find_consistent_start(double t0, const ConstVector& y0, nb::handle problem,
@@ -139,41 +161,6 @@ std::tuple<std::optional<std::pair<Indices, Indices>>, std::int64_t, std::size_t
   return {std::move(pattern), found.calls, found.groups};
 }
 
-template <class Member>
-void column(nb::class_<PointExamination>& examination, const char* name, Member member, const char* what) {
-  examination.def_prop_ro(
-      name,
-      [member](const PointExamination& self) {
-        std::vector<double> values;
-        for (const Guard::Examination& one : self.invariants) values.push_back(static_cast<double>(one.*member));
-        const std::size_t m = values.size();
-        return to_array<Vector>(std::move(values), m);
-      },
-      nb::rv_policy::move, what);
-}
-
-void define_examination(nb::module_& module) {
-  using One = Guard::Examination;
-  nb::class_<PointExamination> examination(module, "Examination",
-                                           "Examination of the invariants at a point: arrays (m,).");
-  column(examination, "residual", &One::residual, "g - value.");
-  column(examination, "distance", &One::distance, "From the level set, in units of rtol.");
-  column(examination, "gradient", &One::gradient, "Weighted norm of the gradient; 0: stationary.");
-  column(examination, "rate", &One::rate, "d/dt along f, on the manifold.");
-  column(examination, "angle", &One::angle, "The rate in units of the size of its terms.");
-  column(examination, "redundant", &One::redundant, "1 where the others imply it.");
-  column(examination, "detectable", &One::detectable, "The smallest angle that tells from roundoff.");
-  column(examination, "conserved", &One::conserved, "1 where f conserves it, as far as can be told.");
-  examination.def_prop_ro(
-      "wrong_jacobian",
-      [](const PointExamination& self) -> std::optional<std::tuple<int, int, double, double>> {
-        const Finding& found = self.jacobian;
-        if (found.kind != Finding::Kind::wrong_jacobian) return {};
-        return std::make_tuple(found.invariant, found.component, found.size, found.distance);
-      },
-      "(invariant, component, entry, difference quotient), or None.");
-}
-
 void define_points(nb::module_& module) {
   module.def("residual", &residual, nb::arg("t"), nb::arg("y"), nb::arg("problem"),
              "g(t, y) - value of each row of y: (len(t), m).");
@@ -197,47 +184,41 @@ void define_points(nb::module_& module) {
 
 std::optional<int> unless_zero(int count) { return count > 0 ? std::optional(count) : std::nullopt; }
 
+/// A row of the registry, by the names of the fields of `Method` in Python.
+nb::dict as_dict(const Method& m) {
+  nb::dict row;
+  row["name"] = m.name;
+  row["summary"] = m.summary;
+  row["family"] = m.family;
+  row["min_order"] = m.min_order;
+  row["order"] = m.order;
+  row["extension_order"] = m.extension_order;
+  row["stages"] = unless_zero(m.stages);
+  row["extra"] = m.extra;
+  row["iterations"] = m.iterations;
+  row["refine"] = m.refine;
+  row["source"] = m.source;
+  row["scipy_name"] = m.scipy_name ? std::optional(m.scipy_name) : std::nullopt;
+  row["scipy_bdf"] = m.scipy_bdf;
+  row["mass"] = name_of(m.mass);
+  row["equations"] = name_of(m.equations);
+  row["delays"] = m.delays;
+  std::vector<const char*> options;
+  for (const char* one : m.options)
+    if (one != nullptr) options.push_back(one);
+  row["options"] = nb::tuple(nb::cast(options));
+  return row;
+}
+
 void define_methods(nb::module_& module) {
-  nb::class_<Method>(module, "Method", "A row of the registry.")
-      .def_ro("name", &Method::name)
-      .def_ro("summary", &Method::summary, "Summary: the method and its use in a few words.")
-      .def_ro("family", &Method::family)
-      .def_ro("min_order", &Method::min_order)
-      .def_ro("order", &Method::order)
-      .def_ro("extension_order", &Method::extension_order)
-      .def_prop_ro(
-          "stages", [](const Method& m) { return unless_zero(m.stages); },
-          "Evaluations of f per step; None: no fixed number.")
-      .def_ro("extra", &Method::extra)
-      .def_ro("iterations", &Method::iterations)
-      .def_ro("refine", &Method::refine)
-      .def_ro("source", &Method::source)
-      .def_prop_ro(
-          "scipy_name", [](const Method& m) { return m.scipy_name ? std::optional(m.scipy_name) : std::nullopt; },
-          "Name of the corresponding method of `scipy.integrate.solve_ivp`, or None.")
-      .def_ro("scipy_bdf", &Method::scipy_bdf, "True if the SciPy name implies the option bdf.")
-      .def_prop_ro(
-          "mass", [](const Method& m) { return name_of(m.mass); },
-          "Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.")
-      .def_prop_ro(
-          "equations", [](const Method& m) { return name_of(m.equations); },
-          "Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a "
-          "'second-order' system.")
-      .def_ro("delays", &Method::delays, "True if f may take values of the solution at earlier times.")
-      .def_prop_ro("options", [](const Method& m) {
-        std::vector<const char*> names;
-        for (const char* one : m.options)
-          if (one != nullptr) names.push_back(one);
-        return nb::tuple(nb::cast(names));
-      });
   module.def(
       "methods",
       [] {
-        std::vector<const Method*> rows;
-        for (const Method& row : methods()) rows.push_back(&row);
+        std::vector<nb::dict> rows;
+        for (const Method& row : methods()) rows.push_back(as_dict(row));
         return rows;
       },
-      nb::rv_policy::reference, "The registry of methods.");
+      "The registry of methods: the fields of each, by name.");
 }
 
 }  // namespace
@@ -261,6 +242,5 @@ NB_MODULE(_core, module) {
   define_points(module);
   define_mechanics(module);
   define_manifolds(module);
-  define_examination(module);
   define_methods(module);
 }

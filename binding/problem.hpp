@@ -15,21 +15,6 @@
 
 namespace invariode::binding {
 
-/// A Python object whose fields are read by their names, such as those of `_problem/core_problem.py`.
-class Record {
- public:
-  explicit Record(nb::handle object) : object_(object) {}
-
-  nb::object operator[](const char* name) const { return object_.attr(name); }
-  template <class Value>
-  [[nodiscard]] Value get(const char* name) const {
-    return nb::cast<Value>((*this)[name]);
-  }
-
- private:
-  nb::handle object_;
-};
-
 /// The weights of a state of n reals, from rtol, thr of all reals or of each, and the scales of a vector rtol or None.
 Weights read_weights(const Record& tolerances, std::size_t n);
 

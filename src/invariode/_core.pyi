@@ -568,7 +568,7 @@ def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', d
     Projects each row of y to roundoff: (y, converged, residual, iterations).
     """
 
-def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> Examination | None:
+def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: object, tolerances: object) -> dict | None:
     """
     Examine each invariant at one point; None where g, its Jacobian or f is not finite there.
     """
@@ -588,17 +588,13 @@ def sparsity(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), 
     (starts, rows) of the pattern of the Jacobian of f near a point, or None if it is not sparse or f may not be evaluated more often; the evaluations of f; those that differences take with it.
     """
 
-class Mechanics:
-    """A mechanical system, for the core."""
-
-    def __init__(self, *, n_q: int, n_v: int, m_phi: int, m_psi: int, functions: dict, mass_writes: str, mass: object, jacobian_entries: bool, phi: object, psi: object, kinematics: object, kept: Sequence[bool], sparse: bool, dependent: float) -> None: ...
-
 class MotionPart:
     """
     A function of (t, y) that a mechanical system has: its slope, one of its laws.
     """
 
-    def __init__(self, mechanics: object, part: str) -> None: ...
+    def __init__(self, mechanics: object, part: str) -> None:
+        """mechanics: a MechanicsTerms."""
 
 class Differentiable:
     """A function of t and x with its arguments, and its derivatives."""
@@ -657,111 +653,5 @@ class Quadratic:
 
     def __init__(self, n: int, terms: int, first: Sequence[int], second: Sequence[int], gradient: bool) -> None: ...
 
-class Examination:
-    """Examination of the invariants at a point: arrays (m,)."""
-
-    @property
-    def residual(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """g - value."""
-
-    @property
-    def distance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """From the level set, in units of rtol."""
-
-    @property
-    def gradient(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """Weighted norm of the gradient; 0: stationary."""
-
-    @property
-    def rate(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """d/dt along f, on the manifold."""
-
-    @property
-    def angle(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """The rate in units of the size of its terms."""
-
-    @property
-    def redundant(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """1 where the others imply it."""
-
-    @property
-    def detectable(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """The smallest angle that tells from roundoff."""
-
-    @property
-    def conserved(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """1 where f conserves it, as far as can be told."""
-
-    @property
-    def wrong_jacobian(self) -> tuple[int, int, float, float] | None:
-        """(invariant, component, entry, difference quotient), or None."""
-
-class Method:
-    """A row of the registry."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def summary(self) -> str:
-        """Summary: the method and its use in a few words."""
-
-    @property
-    def family(self) -> str: ...
-
-    @property
-    def min_order(self) -> int: ...
-
-    @property
-    def order(self) -> int: ...
-
-    @property
-    def extension_order(self) -> int: ...
-
-    @property
-    def stages(self) -> int | None:
-        """Evaluations of f per step; None: no fixed number."""
-
-    @property
-    def extra(self) -> int: ...
-
-    @property
-    def iterations(self) -> int: ...
-
-    @property
-    def refine(self) -> int: ...
-
-    @property
-    def source(self) -> str: ...
-
-    @property
-    def scipy_name(self) -> str | None:
-        """
-        Name of the corresponding method of `scipy.integrate.solve_ivp`, or None.
-        """
-
-    @property
-    def scipy_bdf(self) -> bool:
-        """True if the SciPy name implies the option bdf."""
-
-    @property
-    def mass(self) -> str:
-        """
-        Mass matrices that it accepts: 'none', 'regular' ones that are constant, or 'any'.
-        """
-
-    @property
-    def equations(self) -> str:
-        """
-        Functions f that it accepts: 'any' function of (t, y), one with a known 'graph', or that of a 'second-order' system.
-        """
-
-    @property
-    def delays(self) -> bool:
-        """True if f may take values of the solution at earlier times."""
-
-    @property
-    def options(self) -> tuple: ...
-
-def methods() -> list[Method]:
-    """The registry of methods."""
+def methods() -> list[dict]:
+    """The registry of methods: the fields of each, by name."""

@@ -18,6 +18,7 @@ from .._functions.graph.function import TracedFunction
 from .._functions.increments import somewhere
 from .._functions.layout import ArgumentLayout
 from .._laws.jacobians import SparseJacobian
+from .._problem.core_problem import MechanicsTerms
 from .differentiable import Differentiable, full_pattern
 from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
@@ -118,7 +119,7 @@ class Motion:
         self.kept = np.ones(self.m, dtype=bool)
         self._sparse = True
         self._graphs = self._graphs_of(functions)
-        self._specs: dict[bytes, _core.Mechanics] = {}
+        self._specs: dict[bytes, MechanicsTerms] = {}
         self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
         self._idle: dict[bytes, tuple[tuple[Any, ...], _core.Motion]] = {}
 
@@ -226,12 +227,12 @@ class Motion:
         """Number of all constraints."""
         return self.m_phi + self.m_psi
 
-    def spec(self, kept: Array | None = None) -> _core.Mechanics:
+    def spec(self, kept: Array | None = None) -> MechanicsTerms:
         """Return the system for the core; `kept`: which constraints it imposes."""
         imposed = self.kept if kept is None else kept
         key = imposed.tobytes()
         if key not in self._specs:
-            self._specs[key] = _core.Mechanics(
+            self._specs[key] = MechanicsTerms(
                 n_q=self.n_q,
                 n_v=self.n_v,
                 m_phi=self.m_phi,

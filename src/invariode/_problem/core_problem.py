@@ -107,6 +107,25 @@ class DelayTerms(NamedTuple):
     rates: Sequence[float]  # derivatives for the parameters of sensitivities, one row for each delay
 
 
+class MechanicsTerms(NamedTuple):
+    """A mechanical system, except its arguments."""
+
+    n_q: int
+    n_v: int
+    m_phi: int
+    m_psi: int
+    functions: dict[str, Any]  # mass, force, jacobian; constraints, velocity_constraints, kinematics with derivatives
+    mass_writes: str
+    mass: Any
+    jacobian_entries: bool
+    phi: Any  # patterns of Jacobians
+    psi: Any
+    kinematics: Any
+    kept: Sequence[bool]  # constraints that are imposed
+    sparse: bool
+    dependent: float
+
+
 class CoreProblem(NamedTuple):
     """A problem, except its initial value."""
 

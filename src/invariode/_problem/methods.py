@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -96,9 +96,9 @@ def _restored(given: dict[str, Any]) -> Method:
     return Method(**{**given, "scipy_options": MappingProxyType(given["scipy_options"])})
 
 
-def _from_core(row: _core.Method) -> Method:
-    given = {field.name: getattr(row, field.name) for field in fields(Method) if field.name != "scipy_options"}
-    return Method(**given, scipy_options=MappingProxyType({"bdf": True} if row.scipy_bdf else {}))
+def _from_core(row: dict[str, Any]) -> Method:
+    implied = {"bdf": True} if row.pop("scipy_bdf") else {}
+    return Method(**row, scipy_options=MappingProxyType(implied))
 
 
 #: The methods by name, as the core lists them.

@@ -224,7 +224,7 @@ class _Elsewhere(NamedTuple):
 
     t: float
     y: Array
-    found: _core.Examination
+    found: dict[str, Any]
 
 
 def _examined(t: float, y: Array, problem: CoreProblem, weights: Weights) -> _Elsewhere | None:
@@ -244,9 +244,9 @@ def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckR
     """Return the report, with functions marked as not conserved that are conserved only at its point."""
     conserved, findings = report.conserved.copy(), []
     for i in np.flatnonzero(report.conserved):
-        there = [other for other in others if other is not None and not other.found.conserved[i]]
+        there = [other for other in others if other is not None and not other.found["conserved"][i]]
         if there:
-            worst = max(there, key=lambda other: float(other.found.angle[i]))
+            worst = max(there, key=lambda other: float(other.found["angle"][i]))
             conserved[i] = False
             kept, does = (
                 ("dissipated", "falls" if report.senses[i] > 0 else "rises") if report.senses[i] else _CONSERVED
@@ -254,18 +254,18 @@ def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckR
             findings.append(
                 f"{report.names[i]} is not {kept} by fun: it looks so at this point, but at t = {worst.t:.6g}, "
                 f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it {does} at the rate "
-                f"{worst.found.rate[i]:.3g} ({worst.found.angle[i]:.1e} of its terms)"
+                f"{worst.found['rate'][i]:.3g} ({worst.found['angle'][i]:.1e} of its terms)"
             )
     if not findings:
         return report
     return replace(report, conserved=conserved, findings=[*report.findings, *findings], ok=False)
 
 
-def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
+def _report(found: dict[str, Any], bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
     """Make the report of an examination. `pairs`: the reals that make up y are pairs."""
-    stationary = found.gradient == 0
-    redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
-    on_manifold = found.distance <= 1
+    stationary = found["gradient"] == 0
+    redundant, conserved = found["redundant"].astype(bool), found["conserved"].astype(bool)
+    on_manifold = found["distance"] <= 1
     kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
     senses = np.array(bound.senses)
     findings = [
@@ -276,18 +276,14 @@ def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: b
         *_each(bound.names, stationary & (senses == 0), "{} is stationary here: it holds nothing"),
         *_each(bound.names, redundant & ~stationary, "{} is redundant here: the others imply it"),
     ]
-    wrong = found.wrong_jacobian
+    wrong = found["wrong_jacobian"]
     if wrong is not None:
         i, j, entry, quotient = wrong
         findings.append(wrong_jacobian(bound.names[i], t, j, entry, quotient, pairs))
     return CheckReport(
         names=list(bound.names),
         value=bound.value,
-        residual=found.residual,
-        distance=found.distance,
-        rate=found.rate,
-        angle=found.angle,
-        detectable=found.detectable,
+        **{name: found[name] for name in ("residual", "distance", "rate", "angle", "detectable")},
         stationary=stationary,
         redundant=redundant,
         conserved=conserved,
