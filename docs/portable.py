@@ -21,9 +21,8 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
-
-import invariode
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
@@ -130,15 +129,23 @@ def _role(page: Path, kind: str, content: str) -> str:
 
 
 def _summary(name: str) -> str:
-    """Return the first line of a public object's documentation."""
-    value = getattr(invariode, name)
-    text = "all methods by name" if name == "METHODS" else inspect.getdoc(value) or ""
+    """Return the first line of the documentation of an object of the package."""
+    text = "all methods by name" if name == "METHODS" else inspect.getdoc(resolve_name(f"invariode.{name}")) or ""
     return text.partition("\n\n")[0].replace("\n", " ").replace("|", "\\|").replace("``", "`")
 
 
 def _names(block: str) -> str:
-    """Return a list of public names of the reference as a table."""
-    rows = [f"| `{name}` | {_summary(name)} |" for name in re.findall(r"^   (\w+)$", block, re.MULTILINE)]
+    """Return the names of a block of the reference as a table: public ones, and those of modules with their classes."""
+    names = re.findall(r"^   (\w+)$", block, re.MULTILINE)
+    made = r"^\.\. auto(module|class):: invariode\.(\S+)(?:\n   :members:(.*))?"
+    for kind, name, listed in re.findall(made, block, re.MULTILINE):
+        members = listed.replace(",", " ").split()
+        if kind == "class":
+            names.append(name)
+        elif not members:
+            members = resolve_name(f"invariode.{name}").__all__
+        names += [f"{name}.{one}" for one in members]
+    rows = [f"| `{name}` | {_summary(name)} |" for name in names]
     return "\n".join(["| name | is |", "|---|---|", *rows]) if rows else ""
 
 

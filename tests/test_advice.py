@@ -205,3 +205,39 @@ def test_smooth_problems_of_the_literature_are_solved_without_a_word() -> None:
             sol, said = ended(fun, tf, y0, "auto", rtol=10.0**-k, atol=10.0**-k)
             assert sol.success
             assert not said, (tf, k, said)
+
+
+def test_functions_with_the_state_before_time_are_noticed():
+    """By whatever name of the state; not where time is first, or the second is something else."""
+    for fun in (lambda x, t: -x, lambda state, time: -state):
+        with pytest.warns(UserWarning, match=r"is called as fun\(t, y\): swap them, or use odeint"):
+            iv.solve_ivp(fun, (0, 1), [1.0])
+    with pytest.warns(UserWarning, match=r"the action of event has the parameters \(y, t\)"):
+        iv.Event(lambda t, y: y[0], action=lambda y, t: y)
+    for fun in (lambda t, T: -T, lambda time, t: -t, lambda s, theta: -theta):
+        iv.solve_ivp(fun, (0, 1), [1.0], events=fun)
+
+
+def test_misspelt_options_of_events_are_named():
+    def down(t, y):
+        return y[0] - 0.5
+
+    with pytest.raises(TypeError, match="an Event has no option 'isterminal'; did you mean 'terminal'"):
+        iv.Event(down, isterminal=True)
+    down.terminate = True
+    with pytest.warns(UserWarning, match="the attribute terminate of down has no meaning; did you mean terminal"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], events=down)
+
+
+@pytest.mark.parametrize(("given", "meant"), [("lsoda", "LSODA"), ("Ode45", "ode45"), ("vode", "ode15s")])
+def test_methods_of_other_packages_have_counterparts(given, meant):
+    with pytest.raises(ValueError, match=f"(did you mean|its counterpart is) '{meant}'"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], given)
+
+
+def test_an_inconsistent_start_names_the_equation_that_is_farthest_off():
+    def no_solution(t, y):
+        return [-y[0], y[1] ** 2 + 4]
+
+    with pytest.raises(ValueError, match=r"the largest, component 1, is 13 at y0"):
+        iv.solve_ivp(no_solution, (0, 1), [1.0, 3.0], "ode15s", mass=np.diag([1.0, 0.0]))

@@ -157,7 +157,7 @@ def _wrong():
         "too many for z, too few for x, y": (
             lambda t, y, yp: [y[0] + y[1] - np.sin(t), y[2] - np.sin(t), yp[2] - np.cos(t)],
             {**t_only, "names": ["x", "y", "z"]},
-            r"Too many equations: F\[1\], F\[2\] \(2\) contain only z \(1\).*x, y \(2\) are only in F\[0\]",
+            r"Too many equations: F\[1\], F\[2\] \(2\) contain only z \(1\).*x, y \(2\) only in F\[0\]",
         ),
         "no ground": (
             lambda t, y, yp: [
@@ -252,7 +252,7 @@ def test_what_solve_dae_does_not_take_is_named():
         return [yp[0] + y[0]]
 
     for given in ({"order": 2}, {"args": (1.0,)}):
-        with pytest.raises(TypeError, match=r"F is called as F\(t, y, yp.*\).*: decay does not take these arguments"):
+        with pytest.raises(TypeError, match=r"F is called as F\(t, y, yp.*\).*, and decay takes \(t, y, yp\)"):
             iv.solve_dae(decay, (0, 1), [1], **given)
     with pytest.raises(ValueError, match=r"rkn86 is for y'' = f\(t, y\), and solve_dae reduces F to y' = f"):
         iv.solve_dae(decay, (0, 1), [1], method="rkn86")

@@ -473,3 +473,4 @@ def test_occurrences_are_found_by_the_name_of_their_event(tmp_path):
     with pytest.raises(ValueError, match=r"no event 'gat': there are gate, start, event; did you mean 'gate'\?"):
         sol.t_events["gat"]
     assert run("ode45", [at(1.0), at(2.0)]).t_events["event_1"] == pytest.approx([2.0])
+    assert run("ode45", {"first": at(1.0), "then": iv.Event(at(2.0))}).t_events["then"] == pytest.approx([2.0])

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
+from types import FunctionType
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -81,6 +82,17 @@ def quietly() -> Iterator[None]:
         yield
     finally:
         _quiet.reset(token)
+
+
+#: Names of time as the second parameter of a function of (y, t), which is called as one of (t, y).
+_TIME_SECOND = frozenset({("t",), ("time",)})
+
+
+def warn_of_state_first(name: str, fun: FunctionType, instead: str = "") -> None:
+    """Warn of a Python function whose parameters are (y, t), by whatever name of y, and which is called with (t, y)."""
+    names = fun.__code__.co_varnames
+    if names[1:2] in _TIME_SECOND and names[:1] not in _TIME_SECOND and fun.__code__.co_argcount > 1:
+        warn(f"{name} has the parameters ({names[0]}, {names[1]}) and is called as {name}(t, y): swap them{instead}")
 
 
 def call_name(fun: object, default: str) -> str:

@@ -23,8 +23,9 @@ _OF_MATLAB = {
 
 def nearest(given: object, known: Iterable[str]) -> str | None:
     """The known name most like the given one; None if none is like it."""
-    near = difflib.get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
-    return near[0] if near else None
+    by_case = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(given.lower(), list(by_case), n=1) if isinstance(given, str) else []
+    return by_case[near[0]] if near else None
 
 
 def absent(module: str, name: str, public: Iterable[str], modules: Iterable[str]) -> str:

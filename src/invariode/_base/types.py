@@ -40,7 +40,9 @@ class RootFunctions(Protocol):
 
 Function: TypeAlias = Callable[..., Any] | LowLevelCallable
 EventFunction: TypeAlias = Callable[..., float] | LowLevelCallable
-EventsLike: TypeAlias = EventFunction | RootFunctions | Sequence[EventFunction | RootFunctions] | None
+EventsLike: TypeAlias = (
+    EventFunction | RootFunctions | Sequence[EventFunction | RootFunctions] | Mapping[str, EventFunction] | None
+)
 
 #: One number or several. `ArrayLike` has strings too.
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array

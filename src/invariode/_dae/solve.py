@@ -27,7 +27,9 @@ _INSTEAD = {
     "delays": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
     "history": "delayed values are possible in solve_ivp, for y' = f(t, y, z)",
     "inputs": "call the Input, or an interpolator of SciPy's, in F",
-    "invariants": "write them as equations; the constraints of F are imposed anyway",
+    "invariants": "the constraints of F are imposed anyway. For more, such as an energy, solve problem.replace("
+    "invariants=[*problem.invariants, Invariants(g, level=2)]) with problem = dae.problem(t_span)",
+    "labels": "the unknowns are named by names=",
     "mass": "write M y' in F",
 }
 

@@ -452,8 +452,8 @@ class Structure:
         return (
             f"the equations do not determine the unknowns. Too many equations: {_list(self.names, found.equations)} "
             f"({len(found.equations)}) contain only {_list(self.unknowns, found.of)} ({len(found.of)}). Too few "
-            f"equations: {_list(self.unknowns, found.unknowns)} ({len(found.unknowns)}) are only in "
-            f"{_list(self.names, found.within) or 'no equation'} ({len(found.within)})"
+            f"equations: {_list(self.unknowns, found.unknowns)} ({len(found.unknowns)}) "
+            + (f"only in {_list(self.names, found.within)} ({len(found.within)})" if found.within else "in none")
         )
 
     def _dependent(self, empty: Sequence[int]) -> str:

@@ -298,7 +298,7 @@ def bind(
         m = len(at_start)
         if one.value is not None and len(one.value) not in (1, m):
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
-        if one.names is not None and len(one.names) != m:
+        if one.names is not None and len(one.names) not in (1, m):
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
         kind, size, rows, spent = _by_expressions(one, m, t, y, args, p)
         evaluations += spent
@@ -313,7 +313,8 @@ def bind(
             InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along, *rows, callable(one.jac))
         )
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
-        names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
+        indexed = [name] if m == 1 else [f"{name}[{i}]" for i in range(m)]
+        names += one.names if one.names is not None and len(one.names) == m else indexed
     levelled = _in_levels(specs)
     _require_one_direction(specs, levelled)
     iterations = [one.iterations for one in invariants if one.iterations is not None]
@@ -490,7 +491,7 @@ def _native_start(
     Python function that it was made from can."""
     counts = [len(known) for known in (one.names, one.value) if known is not None]
     compiled = one.fun if isinstance(one.fun, CompiledFunction) else None
-    if not counts and compiled is not None and not compiled.inplace:
+    if max(counts, default=1) == 1 and compiled is not None and not compiled.inplace:
         if error := compiled.index_error(f"invariant {name}", t, y, p):
             raise error
         counts = [np.size(compiled.value_at(t, y, p))]

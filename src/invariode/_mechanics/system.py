@@ -335,6 +335,8 @@ class MechanicalSystem(HasPoints):
         return lambda t, y: place(t, y[:n], *args)
 
     def _along(self, sol: Points, args: Iterable[Any] | None) -> list[tuple[Motion, MotionPoint]]:
+        if not hasattr(sol, "y"):
+            raise TypeError(f"sol must be a solution of a problem of this system, got {shown(sol)}")
         n = self._positions_of(np.asarray(sol.y))
         source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
         known = self.args if source is None else source.problem.args

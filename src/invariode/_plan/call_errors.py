@@ -73,9 +73,10 @@ def require_taken(problem: Problem, args: Any) -> None:
 def require_called(name: str, fun: Any, signature: str, args: tuple[Any, ...]) -> None:
     """Require that a function can be called as its signature, such as "Q(t, q, v)", says, with `args` after that."""
     if not takes(fun, [*(None,) * (signature.count(",") - 1), *args]):
-        further = f" and then with args = {shown(args)}" if args else "; args=(a, b) passes further arguments"
+        further = f" and then with args = {shown(args)}" if args else ""
+        hint = "" if args else "; args=(a, b) passes further arguments"
         raise TypeError(
-            f"{name} is called as {signature}{further}: {call_name(fun, name)} does not take these arguments"
+            f"{name} is called as {signature}{further}, and {call_name(fun, name)} takes {inspect.signature(fun)}{hint}"
         )
 
 

@@ -28,6 +28,7 @@ from .._base.arguments import (
     warn,
     weights_of,
 )
+from .._base.matrices import as_dense
 from .._base.types import LargestStep, MethodName
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
@@ -463,8 +464,19 @@ def _linear_algebra(
         if jac is not None:
             return _linear_algebra(problem, method, options, fun, traced, parameters, weights, jac)
     if verdict in ("index_too_high", "undetermined", "not_found"):
-        raise ValueError(inconsistent_start(verdict, t0))
+        raise ValueError(inconsistent_start(verdict, t0) + _largest_residual(problem, verdict))
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
+
+
+def _largest_residual(problem: Problem, verdict: str) -> str:
+    """Return the end of a message about a start without consistent values near it: the equation that is farthest off
+    there, if it is known that rows of a constant mass matrix without entries are the algebraic equations."""
+    mass = problem.matrices.mass
+    if verdict != "not_found" or callable(mass) or not len(rows := np.flatnonzero(~as_dense(mass).any(axis=1))):
+        return ""
+    values = problem.slope(np.array(problem.t_span[:1]), problem.y0[:, None])[rows, 0]
+    worst = int(np.argmax(np.abs(values)))
+    return f"; the largest, component {rows[worst]}, is {values[worst]:.3g} at y0"
 
 
 def _of_state(problem: Problem, traced: Any, parameters: ArgumentLayout) -> tuple[Any, Any]:

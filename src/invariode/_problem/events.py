@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
-from typing import Any, Literal, cast
+from typing import Any, Literal, Never, cast
 
 import numpy as np
 
-from .._base.arguments import Array, call_name, encodable, flag, function, number, positive_integer, shown
+from .._base.arguments import (
+    Array,
+    call_name,
+    encodable,
+    flag,
+    function,
+    number,
+    positive_integer,
+    shown,
+    warn,
+    warn_of_state_first,
+)
+from .._base.suggestions import meant, nearest
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
@@ -97,9 +109,12 @@ class Event:
         touching: bool = False,
         name: str | None = None,
         at_jumps: bool = True,
+        **unknown: Never,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
+        if unknown:
+            raise TypeError(f"an Event has no option {shown(name := next(iter(unknown)))}{meant(name, _OPTIONS)}")
         self.fun: Any = fun
         self.terminal = terminal
         self.direction = direction
@@ -114,6 +129,10 @@ class Event:
         self.touching = flag("touching", touching)
         self.at_jumps = flag("at_jumps", at_jumps)
         self.__name__ = call_name(fun, "event") if name is None else _name(name)
+        terminal_count(self), direction_sign(self)
+        for called, one in ((self.__name__, fun), (f"the action of {self.__name__}", action)):
+            if type(one) is FunctionType:
+                warn_of_state_first(called, one)
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
@@ -314,14 +333,23 @@ def _samples(samples: object) -> int | Literal["adaptive"] | None:
     return positive_integer("samples of an event", samples)
 
 
+def _called(name: object, event: Event) -> Event:
+    """Return an event of a dict under its key."""
+    named = copy.copy(event)
+    named.__name__ = _name(name)
+    return named
+
+
 def to_events(events: EventsLike) -> list[Event]:
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
+    if isinstance(events, Mapping):
+        return [_called(name, event) for name, one in events.items() for event in to_events(one)]
     if callable(events) or is_native(events) or isinstance(events, Roots):
         events = [cast("EventFunction", events)]
     elif not isinstance(events, Sequence) or isinstance(events, str):
-        raise TypeError(f"events must be a function event(t, y) or a list of these, got {shown(events)}")
+        raise TypeError(f"events must be a function event(t, y) or a list or dict of these, got {shown(events)}")
     found: list[Event] = []
     for event in events:
         if isinstance(event, Roots):
@@ -335,12 +363,16 @@ def to_events(events: EventsLike) -> list[Event]:
 _MOST_OCCURRENCES = 2**53
 
 _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples", "touching", "at_jumps")
+_OPTIONS = (*_ATTRIBUTES, "name")
 
 
 def _from_function(fun: EventFunction) -> Event:
     if type(fun) is FunctionType and not fun.__dict__:  # the common case
         return Event(fun)
     attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
+    for name in getattr(fun, "__dict__", {}):
+        if name not in _ATTRIBUTES and (near := nearest(name, _ATTRIBUTES)):
+            warn(f"the attribute {name} of {call_name(fun, 'an event')} has no meaning; did you mean {near}?")
     return Event(fun, **attributes)
 
 

@@ -108,6 +108,12 @@ METHODS: Mapping[OwnName, Method] = MappingProxyType(
 
 
 #: Methods of fixed step that a beginner may ask for.
+#: The method here for a solver or method of other packages.
+_COUNTERPARTS = {
+    **dict.fromkeys(("vode", "zvode", "cvode", "ida"), "ode15s"),
+    **dict.fromkeys(("dopri5", "tsit5"), "ode45"),
+    **dict.fromkeys(("rodas", "rosenbrock23"), "ode23s"),
+}
 _FIXED_STEP = frozenset({"euler", "midpoint", "heun", "rk2", "rk4", "leapfrog", "verlet", "symplectic"})
 
 
@@ -125,6 +131,8 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
             return candidate, candidate.scipy_options
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
     near = "; there are no methods of fixed step." if name.lower() in _FIXED_STEP else meant(name, known)
+    if name.lower() in _COUNTERPARTS:
+        near = f"; its counterpart is {_COUNTERPARTS[name.lower()]!r}."
     raise ValueError(f"unknown method {name!r}{near or '.'} `method` must be one of {_names()}")
 
 

@@ -569,9 +569,9 @@ class CallingOptions(TypedDict, total=False):
         EventsLike,
         Option(
             None,
-            "callable, Event, or list of these",
-            "Functions ``event(t, y, *args)`` whose zeros are located, to a few units in the last place of t. See "
-            "`Event`.",
+            "callable, Event, or list or dict of these",
+            "Functions ``event(t, y, *args)`` whose zeros are located, to a few units in the last place of t. The keys "
+            "of a dict are their names. See `Event`.",
         ),
     ]
     args: Annotated[

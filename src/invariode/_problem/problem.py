@@ -27,7 +27,7 @@ from .._base.arguments import (
     require_no_unit,
     shown,
     state,
-    warn,
+    warn_of_state_first,
 )
 from .._base.notebook import html_of_problem
 from .._base.record import Record, record_of
@@ -623,21 +623,12 @@ def _record_in(args: tuple[Any, ...]) -> Record | None:
     return args[0] if len(args) == 1 and isinstance(args[0], Record) else None
 
 
-#: The first parameters of a function of (y, t), which is called as one of (t, y).
-STATE_FIRST = {("y", "t"), ("Y", "t")}
-
-
-def state_first(names: Sequence[str]) -> str:
-    """Return what is said of a function with the state before t."""
-    return f"fun has the parameters ({names[0]}, {names[1]}) and is called as fun(t, y): swap them, or use odeint"
-
-
 def _as_called(fun: Any, y0: Array) -> Any:
     """Return f as the solvers call it."""
     kind = type(fun)
     if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
-        if kind is FunctionType and fun.__code__.co_varnames[:2] in STATE_FIRST:
-            warn(state_first(fun.__code__.co_varnames))
+        if kind is FunctionType:
+            warn_of_state_first("fun", fun, ", or use odeint")
         return fun
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):

@@ -34,6 +34,9 @@ _SHORTEST, _LONGEST, _SHORTENED = 4.0, 20.0, 8.0
 #: Frames of the longest film: an hour at 30 in a second.
 _MOST_FRAMES = 3600 * 30
 
+#: Endings of the films that ffmpeg writes.
+_VIDEOS = frozenset({"", ".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".ogv", ".mpg", ".mpeg", ".wmv", ".flv"})
+
 #: Points of the path drawn behind a point: enough that the eye sees no corners. A run of many steps has several in
 #: each, up to the last number.
 _PATH, _PATH_PER_STEP, _LONGEST_PATH = 2000, 4, 20_000
@@ -306,6 +309,8 @@ class Film(FuncAnimation):
         if writer is None and ending in (".gif", ".apng", ".webp"):
             writer = "pillow"
         elif writer is None and not writers.is_available("ffmpeg"):
+            if ending not in _VIDEOS:
+                raise ValueError(f"{ending} is not the format of a film: save as .gif, .html or .mp4")
             raise RuntimeError(
                 f"{ending or 'this file'} needs the program ffmpeg, not found here: save as .gif or .html"
             )

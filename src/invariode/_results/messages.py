@@ -365,8 +365,8 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     if verdict == "index_too_high":
         return (
             f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
-            "the algebraic equations do not determine the components that mass leaves free. Differentiate the "
-            "constraints until they do"
+            "the algebraic equations do not determine the components that mass leaves free. solve_dae, which takes the "
+            "equations as F(t, y, y') = 0, differentiates constraints until they do"
         )
     if verdict == "undetermined":
         return (

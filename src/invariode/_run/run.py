@@ -495,7 +495,8 @@ _UNRESOLVED = 10.0
 
 
 def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
-    if dropped := run.dropped:
+    at_rest = (np.abs(sol.y.T - plan.y0) <= plan.atol + plan.rtol * np.abs(plan.y0)).all()  # g is stationary there
+    if (dropped := run.dropped) and not at_rest:
         _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
     for name, tolerances in zip(plan.names, run.unresolved, strict=False):
         if tolerances > _UNRESOLVED:

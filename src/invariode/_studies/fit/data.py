@@ -185,6 +185,10 @@ def _oriented(values: Array, count: int, m: int) -> Array:
         return values
     if values.shape == (count, m):
         return values.T
+    if len(values) == 1 and values.shape[1] == count:
+        raise ValueError(
+            f"data of one quantity, and {m} components are observed: name it, as in {{'label': data}}, or pass observe="
+        )
     expected = f"({m}, {count}), a row for each observed quantity and a column for each time"
     raise ValueError(f"data must have shape {expected}, got {values.shape}")
 

@@ -248,9 +248,8 @@ class Space:
             if not any(taker.takes(name) for taker in experiments):
                 known = [*dict.fromkeys(other for taker in experiments for other in taker.known())]
                 others = [*known, *(other for other in parameters if other != name)]
-                raise ValueError(
-                    f"no experiment takes a parameter {name!r}: there are {', '.join(known)}{meant(name, others)}"
-                )
+                who = "no experiment takes a parameter" if len(experiments) > 1 else "the problem has no parameter"
+                raise ValueError(f"{who} {name!r}: there are {', '.join(known)}{meant(name, others)}")
         self.names = [[name for name in parameters if taker.takes(name)] for taker in experiments]
         self.free: list[Free] = []
         places: dict[tuple[str, int | None], int] = {}
