@@ -120,7 +120,7 @@ class TestWhatGoesWrong:
     @pytest.mark.parametrize(
         ("arguments", "options", "message"),
         [
-            ((T, LINE_DATA, {"slop": (0, 1)}), {}, "takes a parameter 'slop': .*did you mean 'slope'"),
+            ((T, LINE_DATA, {"slop": (0, 1)}), {}, "(takes a|has no) parameter 'slop': .*did you mean 'slope'"),
             ((T, LINE_DATA, {"slope": 0.5}), {}, r"'slope' is 0.5: give Parameter\(start=0.5\).*equals"),
             ((T, LINE_DATA, {"slope": (1, 0)}), {}, "'slope': bounds .* with lower < upper"),
             ((T, LINE_DATA, {"slope": iv.Parameter(equals="k")}), {}, "names 'k', which is not among"),
@@ -393,3 +393,24 @@ class TestPictures:
             assert np.interp(end, *curve.get_data()) == pytest.approx(profile.quantile**2, rel=2e-2)
         assert profile.quantile == pytest.approx(1.6449, abs=1e-4)  # of the normal distribution: sigma is known
         assert ax.get_xlabel() == "k"
+
+
+def test_tables_say_what_is_missing_or_is_no_number():
+    pd = pytest.importorskip("pandas")
+    problem, columns = hunting(), {"Time": T, "prey": np.ones(len(T))}
+
+    def fitted(data, t=None):
+        return iv.objective(problem, t, data, {"a": (0, 5)}, sigma=0.05)
+
+    with pytest.raises(ValueError, match="no column t or time, but prey, and its index only counts the rows"):
+        fitted(pd.DataFrame({"prey": columns["prey"]}))
+    with pytest.raises(ValueError, match=r"the column 'ID' is no component, .* if it is no measurement, leave it out"):
+        fitted(pd.DataFrame({**columns, "ID": 1}))
+    with pytest.raises(ValueError, match=r"t holds the times of the data, and t\[1\] is NaN"):
+        fitted(columns | {"Time": [0, np.nan, *T[2:]]})
+    with pytest.raises(TypeError, match="data of prey must hold real numbers, got 'BLQ' at 1"):
+        fitted(columns | {"prey": [1.0, "BLQ", *columns["prey"][2:]]})
+    with pytest.raises(TypeError, match=r"t must hold real numbers, got dates or durations: .*total_seconds"):
+        fitted(pd.DataFrame({**columns, "Time": pd.to_timedelta(T, "h")}))
+    series = pd.DataFrame(columns)
+    assert fitted(series["prey"], series["Time"])([1.4]) == fitted(series)([1.4])

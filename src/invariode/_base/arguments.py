@@ -342,7 +342,7 @@ def numbers(name: str, value: object) -> Array:
             raise TypeError
         return np.array(array, dtype=complex if array.dtype.kind == "c" else float)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must hold numbers, got {shown(value)}") from None
+        raise TypeError(f"{name} must hold numbers, got {_first_other(array, value)}") from None
     except OverflowError:
         raise _too_large(name, value) from None
 
@@ -357,12 +357,25 @@ def real_numbers(name: str, value: object) -> Array:
     except TypeError:
         array = None
     if array is None or array.dtype.kind == "c":
-        raise TypeError(f"{name} must hold real numbers, got {shown(value)}")
+        raise TypeError(f"{name} must hold real numbers, got {_first_other(np.asarray(value), value)}")
     return array
+
+
+def _first_other(array: np.ndarray[Any, Any], value: object) -> str:
+    """Return what an array holds that is no number: the first such entry of a list or column, else the value."""
+    if array.dtype.kind in "mM":
+        return "dates or durations: as numbers these are (value - start).dt.total_seconds() / 3600, in hours"
+    listed = value if isinstance(value, (list, tuple)) else array.tolist()
+    for i, one in enumerate(listed if array.ndim == 1 and array.dtype.kind in "OUS" else ()):
+        if not isinstance(one, (int, float, complex)):
+            return f"{shown(one)} at {i}"
+    return shown(value)
 
 
 def state(y0: ArrayLike, name: str = "y0") -> Array:
     """The initial state as a new array of shape (n,)."""
+    if isinstance(y0, dict):
+        raise TypeError(f"{name} is a list, {list(y0.values())}; the names {list(y0)} are labels= of a Problem")
     y = as_array(name, y0)
     if y.ndim != 1:
         form = "a list or an array of numbers, for one component [1.0]" if y.ndim == 0 else "numpy.ravel makes it so"

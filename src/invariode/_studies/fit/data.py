@@ -58,6 +58,8 @@ def read(t: Any, data: Any, m: int) -> Data:
     if hasattr(data, "dims") and hasattr(data, "coords"):
         return _labelled(t, data)
     times = _times(t)
+    if m > 1 and np.ndim(data) == 1 and isinstance(name := getattr(data, "name", None), str):  # a column of a table
+        return _of_columns(t, {name: data})
     values = real_numbers("data", in_order(t, data, "data"))
     if values.ndim == 1:
         values = values[None]
@@ -129,6 +131,8 @@ def _times(t: Any) -> Array:
     if t is None:
         raise TypeError("t is missing: the times of the data, or the name of their column unless it is t or time")
     times = real_numbers("t", t)
+    if times.ndim == 1 and np.isnan(times).any():
+        raise ValueError(f"t holds the times of the data, and t[{int(np.argmax(np.isnan(times)))}] is NaN")
     if times.ndim != 1 or not len(times) or not (np.isfinite(times) | (times == np.inf)).all():
         raise ValueError(f"t must be the times of the data, of shape (n_t,), got {shown(t)}")
     return times

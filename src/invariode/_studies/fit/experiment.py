@@ -171,7 +171,11 @@ class Experiment:
         self._within_span()
         for kind, row in zip(self.noise, self.data.values, strict=True):
             if kind.startswith("log") and not (row[~np.isnan(row)] > 0).all():
-                raise ValueError(f'noise="{kind}" needs positive data')
+                first = int(np.argmax(row <= 0))
+                raise ValueError(
+                    f'noise="{kind}" needs positive data, and one is {row[first]:g} at t = {self.data.t[first]:g}; NaN '
+                    "leaves it out"
+                )
         self.series = [*self._series()]
         if not self.series:
             raise TypeError("an experiment needs data, or event_times")
@@ -399,7 +403,8 @@ class Observation:
         if unknown and len(unknown) < len(names):
             raise ValueError(
                 f"the column {unknown[0]!r} is no component, which are {', '.join(self._problem.labels)}"
-                f"{meant(unknown[0], self._problem.labels)}; if it has the times, pass t={unknown[0]!r}"
+                f"{meant(unknown[0], self._problem.labels)}; if it has the times, pass t={unknown[0]!r}; if it is "
+                "no measurement, leave it out"
             )
         return Observation(self._problem, list(names))
 

@@ -67,7 +67,7 @@ class Parameter:
             choice("scale of a Parameter", self.scale, ("linear", "log"))
         own("shared", flag("shared of a Parameter", self.shared))
         own("bounds", _bounds(self.bounds))
-        if self.scale == "log" and not self.limits[1] > 0:
+        if self.scale == "log" and (not self.limits[1] > 0 or -np.inf < self.limits[0] < 0):
             raise ValueError(f'bounds of a Parameter with scale="log" must be positive, got {shown(self.bounds)}')
         if self.start is not None:
             own("start", number("start of a Parameter", self.start))

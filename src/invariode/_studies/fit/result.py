@@ -184,7 +184,7 @@ class Fit:
             return math.inf
         return float(stats.norm.ppf(upper) if math.isinf(degrees) else stats.t.ppf(upper, degrees))
 
-    def profile(self, name: str, level: float = 0.95) -> Profile:
+    def profile(self, name: str = "", level: float = 0.95) -> Profile:
         """Compute the profile likelihood of a parameter, and its confidence interval.
 
         All other parameters are refitted at each value, so that the interval is also valid if the model is far from
@@ -203,9 +203,8 @@ class Fit:
             The interval, `lower` and `upper`, and the points of the profile.
         """
         if name not in self.names:
-            raise ValueError(
-                f"there is no free parameter {shown(name)}: {', '.join(self.names)}{meant(name, self.names)}"
-            )
+            what = f"there is no free parameter {shown(name)}" if name else "profile needs the name of a parameter"
+            raise ValueError(f"{what}: {', '.join(self.names)}{meant(name, self.names)}")
         if self._loss != "linear":
             raise ValueError(
                 f'profile needs a likelihood, which loss="{self._loss}" does not have: fit with loss="linear"'
