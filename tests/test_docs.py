@@ -6,6 +6,7 @@ import ast
 import contextlib
 import doctest
 import importlib
+import inspect
 import io
 import re
 from importlib import metadata
@@ -38,6 +39,49 @@ def test_code_blocks_print_what_the_page_says(page, tmp_path, monkeypatch):
         with contextlib.redirect_stdout(printed):
             exec(compile(code, page.name, "exec"), namespace)
         assert printed.getvalue() == shown
+
+
+SHOWN = r"```(?:py|\{code-block\} python)\n(.*?)```"
+#: Code that is shown without being executed where it stands, and why.
+NOT_EXECUTED = {
+    "docs/index.md": "a line of the README's example",
+    "docs/howto/jax_torch.md": "tests/test_jax.py and test_torch.py execute it, where JAX and PyTorch are",
+    "docs/howto/many.md": "millions of runs, and clusters",
+    "docs/howto/mechanics.md": "PyDy; tests/test_symbolic.py solves its systems",
+    "docs/howto/petab.md": "a problem of the collection of benchmarks, which has no place here",
+    "docs/howto/production.md": "a store of a long run",
+    "docs/howto/units.md": "Pint; executed here, where it is installed",
+}
+
+
+def test_code_that_is_not_executed_has_a_reason_and_names_that_exist(tmp_path, monkeypatch):
+    """Names of the package and of options; what can be executed is."""
+    shown = {str(page.relative_to(ROOT)): re.findall(SHOWN, page.read_text("utf-8"), re.DOTALL) for page in PAGES}
+    assert {page for page, blocks in shown.items() if blocks} == NOT_EXECUTED.keys()
+    options = importlib.import_module("invariode._problem.options")
+    known = {*options.TABLE, *options.ManyOptions.__annotations__}
+    for page, blocks in shown.items():
+        for call in (node for code in blocks for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)):
+            if isinstance(call.func, ast.Attribute) and ast.unparse(call.func.value) == "iv":
+                own = inspect.signature(getattr(invariode, call.func.attr)).parameters
+                assert {one.arg for one in call.keywords} <= known | own.keys(), (page, ast.unparse(call))
+    monkeypatch.chdir(tmp_path)
+    readme = re.findall(BLOCK, (ROOT / "README.md").read_text("utf-8"), re.DOTALL)[0][0]
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(readme + shown["docs/index.md"][0], {})
+    if importlib.util.find_spec("pint"):
+        exec(shown["docs/howto/units.md"][0], {})
+
+
+def test_commands_of_the_readme_exist():
+    """Targets of make; pip's lines are those of 'pages install alike', the command's are tests/test_cli.py's."""
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\$ (.*)", "".join(re.findall(r"```console\n(.*?)```", text, re.DOTALL)), re.MULTILINE)
+    assert len(lines) > 3
+    for line in lines:
+        command, first, *_ = line.split()
+        assert command in ("pip", "cd") or (command == "make" and first in targets), line
 
 
 PACKAGE = Path(invariode.__file__).parent

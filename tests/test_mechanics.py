@@ -463,7 +463,7 @@ def test_bad_input_is_refused_in_words(name):
         ({"energy": "E"}, TypeError, "energy"),
         ({"mass": [1, np.nan]}, ValueError, "mass must hold finite"),
         ({"mass": lambda q: np.eye(2)}, TypeError, r"mass is called as M\(t, q\)"),
-        ({"force": lambda t, q: q}, TypeError, r"force is called as Q\(t, q, v\); args=\(a, b\) passes further"),
+        ({"force": lambda t, q: q}, TypeError, r"force is called as Q\(t, q, v\), and force takes \(t, q\); args=\(a, b\) passes further"),
         ({"constraints": lambda t, q: q, "args": (3.0,)}, TypeError, r"and then with args = \(3.0,\): constraints"),
         ({"energy": lambda t, y: 0.0}, TypeError, r"energy is called as E\(t, q, v\)"),
     ],
@@ -669,3 +669,14 @@ def test_the_function_that_is_not_finite_is_named(name):
         message = system.problem((0, 3), [1, 0], [0, 0]).solve(method).message
         assert re.search(rf"y' \(by ({name}|MechanicalSystem)\)|Invariant constraint", message), message
         assert "fun" not in message
+
+
+def test_forces_at_times_are_those_of_the_continuous_solution():
+    system = MechanicalSystem([1, 1], gravity, lambda t, q: np.sqrt(q @ q) - 1)
+    sol = system.problem((0, 3), [1, 0], [0, 0]).solve(dense_output=True)
+    np.testing.assert_array_equal(system.multipliers(sol, t=sol.t), system.multipliers(sol))
+    assert system.reactions(sol, t=0.5).shape == (2, 1)
+    with pytest.raises(ValueError, match="t needs a continuous solution"):
+        system.multipliers(system.problem((0, 3), [1, 0], [0, 0]).solve(), t=0.5)
+    with pytest.raises(TypeError, match="sol must be a solution"):
+        system.multipliers(sol.sol(0.5))

@@ -880,3 +880,22 @@ class TestSensitivities:
         assert legend(wave.plot_sensitivities(ax=axes())) == ["Re ∂y0/∂k", "Im ∂y0/∂k"]
         with pytest.raises(ValueError, match="a map shows real sensitivities"):
             wave.plot_sensitivities(kind="map", relative=False)
+
+
+def test_components_that_jump_are_lines_however_often_and_noise_has_no_panel():
+    """A switch whose values have roundoff between its jumps is no oscillation; what stays below atol counts as zero."""
+
+    def room(t, y):
+        return [0.2 * (10 - y[0]) + 5 * y[1], 0.0, 1e-9 * np.cos(t)]
+
+    def switch(level, direction, value):
+        return iv.Event(
+            lambda t, y: y[0] - level, direction=direction, action=lambda t, y: [y[0], value, y[2]], name=f"to {value}"
+        )
+
+    events = [switch(19.0, -1, 1.0), switch(21.0, 1, 0.0)]
+    sol = iv.solve_ivp(room, (0, 60), [15.0, 1.0, 0.0], events=events, rtol=1e-6, refine=4)
+    assert len(sol.t_events["to 0.0"]) > 15
+    figure = sol.plot().figure
+    assert len(figure.axes) == 1
+    assert not figure.axes[0].collections

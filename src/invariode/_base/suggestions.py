@@ -17,6 +17,9 @@ _OF_MATLAB = {
     **dict.fromkeys(
         ("bvp4c", "bvp5c"), "boundary values: scipy.integrate.solve_bvp, or shooting with fit or a root finder"
     ),
+    "ddeset": "options are keyword arguments, as in dde23(f, lags, history, (t0, tf), rtol=1e-6)",
+    **dict.fromkeys(("ddesd", "ddensd"), "only constant delays are supported, with dde23"),
+    "ode23i": "pass method='ode23t' to solve_dae; ode15i has the formulas of ode15s",
     "odeprint": "pass progress=True, or a callback=",
 }
 

@@ -264,7 +264,7 @@ class MechanicalSystem(HasPoints):
         motion = self._motion(start)
         return consistent_state(motion, start, self._names(motion)).x
 
-    def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
+    def multipliers(self, sol: Points, args: Iterable[Any] | None = None, *, t: ArrayLike | None = None) -> Array:
         """Return the Lagrange multipliers λ of M v' = Q + Aᵀ λ at the points of a solution.
 
         A multiplier is a force per unit of its constraint. If a constraint φ is a length, such as the distance of two
@@ -279,6 +279,8 @@ class MechanicalSystem(HasPoints):
         args : tuple, optional
             The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
             of the system. Give them for trajectories of ensembles and for loaded solutions.
+        t : array_like of shape (n_t,), optional
+            Times, for a solution with dense output. Default: those of the output.
 
         Returns
         -------
@@ -286,11 +288,16 @@ class MechanicalSystem(HasPoints):
             The multipliers of the constraints, then those of the velocity constraints, in units of force times length
             over the unit of each; of least norm if constraints are redundant.
         """
-        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
+        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args, t)]
         return np.array(columns).T
 
     def reactions(
-        self, sol: Points, args: Iterable[Any] | None = None, *, constraints: Sequence[int] | None = None
+        self,
+        sol: Points,
+        args: Iterable[Any] | None = None,
+        *,
+        constraints: Sequence[int] | None = None,
+        t: ArrayLike | None = None,
     ) -> Array:
         """Return the generalized forces Aᵀ λ of constraints at the points of a solution.
 
@@ -305,6 +312,8 @@ class MechanicalSystem(HasPoints):
         constraints : sequence of int, optional
             Rows of the constraints whose forces are added up, as the rows of one joint. Default: all of them, which is
             the force of the whole mechanism on each coordinate.
+        t : array_like of shape (n_t,), optional
+            As for ``multipliers``.
 
         Returns
         -------
@@ -317,7 +326,7 @@ class MechanicalSystem(HasPoints):
             A row is not one of the constraints.
         """
         columns = []
-        for motion, at in self._along(sol, args):
+        for motion, at in self._along(sol, args, t):
             multipliers, rows = motion.accelerations(at, every=True).multipliers, motion.rows(at)
             if constraints is not None:
                 chosen = np.asarray(constraints, dtype=int)
@@ -334,14 +343,18 @@ class MechanicalSystem(HasPoints):
         n, place, args = self._positions_of(sol.y), self.points, self.args
         return lambda t, y: place(t, y[:n], *args)
 
-    def _along(self, sol: Points, args: Iterable[Any] | None) -> list[tuple[Motion, MotionPoint]]:
+    def _along(self, sol: Points, args: Iterable[Any] | None, t: ArrayLike | None) -> list[tuple[Motion, MotionPoint]]:
         if not hasattr(sol, "y"):
             raise TypeError(f"sol must be a solution of a problem of this system, got {shown(sol)}")
         n = self._positions_of(np.asarray(sol.y))
         source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
         known = self.args if source is None else source.problem.args
         used = known if args is None else extra_arguments(args)
-        points = [MotionPoint(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        if t is not None and getattr(sol, "sol", None) is None:
+            raise ValueError("t needs a continuous solution: solve with dense_output=True, or these times as t_eval")
+        times = sol.t if t is None else np.atleast_1d(np.asarray(t, dtype=float))
+        states = sol.y if t is None else sol.sol(times)  # type: ignore[attr-defined]  # just tested
+        points = [MotionPoint(float(at), y[:n], y[n:], used) for at, y in zip(times, np.asarray(states).T, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]
 

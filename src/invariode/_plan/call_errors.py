@@ -52,6 +52,11 @@ def explain(error: TypeError | ValueError, problem: Problem, options: Mapping[st
             "an event is one function of (t, y) that returns a number; MATLAB's [value, isterminal, direction] is "
             "events=[invariode.Event(fun, terminal=True, direction=1), ...]"
         )
+    elif str(error) == "math domain error":
+        error.add_note(
+            "functions of Python's math raise this where NumPy's return NaN, and with NaN the step is repeated with a "
+            "smaller size: write numpy.sqrt, or pass nonnegative= or bounds= if y should not go there"
+        )
     elif "returned shape" in str(error) and ", 1)" in str(error):
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .._base.arguments import function, items, number, shown, warn
 from .._functions.compiled import is_native
 from .inputs import Input
@@ -38,6 +40,8 @@ def _one(name: str, entry: Any) -> Breakpoint:
         t, action = entry
     if action is not None and not is_native(action):
         function(f"the action in {name}", action, "action(t, y)")
+    if np.ndim(t):
+        raise TypeError(f"{name} are times one by one; one action for many times is dict.fromkeys(times, action)")
     time = number(f"a time in {name}", t)
     if not math.isfinite(time):
         raise ValueError(f"a time in {name} must be finite, got {shown(t)}")

@@ -507,6 +507,10 @@ class Solution(Exports):
 
 def _of_the_run(name: str) -> TypeError:
     own = ExtensionOptions.__annotations__
+    if name == "y0":
+        return TypeError(
+            "an extension continues from the end: to change y there, give the event an action, or solve anew"
+        )
     if name not in TABLE:
         return unknown_option(name, own)
     return TypeError(

@@ -26,6 +26,9 @@ _LONG, _COLUMNS = 16_000, 2000
 #: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
 #: its extremes, in columns of this many changes.
 _BUSY, _TURNS = 300, 4
+#: Changes between two points below this fraction of the extent are none: the roundoff of a component that is constant
+#: between jumps.
+_TREMOR = 1e-5
 
 
 class Curve(NamedTuple):
@@ -130,7 +133,9 @@ def line_and_marks(
 def draw_over_t(ax: Axes, sol: Result, t: Array, y: Array, smooth: bool, properties: dict[str, Any]) -> None:
     """Draw one component, with its marks separately; a long one is drawn as columns from minimum to maximum."""
     line = line_and_marks(sol, smooth, properties)[0]
-    turns = int(np.count_nonzero(np.diff(np.sign(np.diff(y[np.isfinite(y)])))))
+    changes = np.diff(y)  # NaN at jumps
+    changes = changes[np.abs(changes) > _TREMOR * (np.nanmax(y, initial=-np.inf) - np.nanmin(y, initial=np.inf))]
+    turns = int(np.count_nonzero(np.diff(np.sign(changes))))
     busy = turns > _BUSY
     if len(t) <= _LONG and not busy:
         ax.plot(t, y, **line)

@@ -50,7 +50,8 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[
     require_points(sol)
     those = components(sol, chosen)
     whole = curve(sol)
-    groups = groups_of(kinds_of(sol), whole.y, those) if ax is None else [those]
+    floor = np.broadcast_to(sol._atol, len(whole.y))
+    groups = groups_of(kinds_of(sol), whole.y, those, floor) if ax is None else [those]
     panels: list[Axes] = list(new_panels(sol._names.title, [1] * len(groups))) if ax is None else [ax]
     draw_groups(panels, sol, whole, groups, line)
     if log == "x" or (log is None and ax is None and _piles_up(sol.t)):
@@ -109,8 +110,11 @@ def kinds_of(sol: Result) -> list[str]:
     ]
 
 
-def groups_of(kinds: Sequence[str], y: Array, chosen: list[int]) -> list[list[int]]:
-    """Return components of one kind and of similar sizes, in the order of their first ones."""
+def groups_of(kinds: Sequence[str], y: Array, chosen: list[int], floor: Array | None = None) -> list[list[int]]:
+    """Return components of one kind and of similar sizes, in the order of their first ones; those that stay below
+    `floor`, (n,), count as zero."""
+    if floor is not None:
+        y = np.where(np.abs(y) > floor[:, None], y, 0.0)
     those = [[k for k in chosen if kinds[k] == kind] for kind in dict.fromkeys(kinds[k] for k in chosen)]
     return [group for one in those for group in _groups_of_scale(y, one)] or [[]]
 
