@@ -463,8 +463,8 @@ def test_bad_input_is_refused_in_words(name):
         ({"energy": "E"}, TypeError, "energy"),
         ({"mass": [1, np.nan]}, ValueError, "mass must hold finite"),
         ({"mass": lambda q: np.eye(2)}, TypeError, r"mass is called as M\(t, q\)"),
-        ({"force": lambda t, q: q}, TypeError, r"force is called as Q\(t, q, v\), and force takes \(t, q\); args=\(a, b\) passes further"),
-        ({"constraints": lambda t, q: q, "args": (3.0,)}, TypeError, r"and then with args = \(3.0,\): constraints"),
+        ({"force": lambda t, q: q}, TypeError, r"Q\(t, q, v\), and force takes \(t, q\); args=\(a, b\) passes further"),
+        ({"constraints": lambda t, q: q, "args": (3.0,)}, TypeError, r"and then with args = \(3.0,\), and constraints"),
         ({"energy": lambda t, y: 0.0}, TypeError, r"energy is called as E\(t, q, v\)"),
     ],
 )
