@@ -1,7 +1,8 @@
-"""Models of SBML and problems of PEtab: ``python benchmarks/models.py [solve] [load] [gradients] [steady] [fits] ...``.
+"""Models of SBML, and problems of PEtab: ``python benchmarks/models.py [solve] [load] [gradients] [accuracy] [fits]``.
 
 The models are those of PEtab's benchmark collection, which lie in ``../shared/petab``. `solve` compares with
 libRoadRunner, if it is there (``pip install libroadrunner``), by the process clock, interleaved: rtol 1e-8, atol 1e-12.
+`accuracy` compares gradients with differences of likelihoods of runs with rtol 1e-12.
 `fits` searches from points of a Latin hypercube; names of problems restrict it, as in ``fits Boehm --seeds 5``.
 """
 
@@ -112,6 +113,38 @@ def gradients(problems: Collection, repetitions: int) -> None:
         show(f"gradient {name}: ms", f"{1e3 * median(taken):.1f} (first {1e3 * first:.0f})", off)
 
 
+def accuracy(problems: Collection, repetitions: int) -> None:
+    """The errors of gradients, by differences of the fourth order along the two largest components and three others.
+
+    They are relative to the largest component, and in standard deviations of the gradient, √F. The point is 0.02 beside
+    the nominal one, where gradients vanish; the nominal one, if the runs fail beside it. The smaller one of two steps
+    counts: 0.01 and 0.002 standard deviations of a parameter, at most 1 on its scale.
+    """
+    for name in problems.names:
+        if name in SLOW:
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem = petab.load(problems.yaml(name))
+            value = petab.load(problems.yaml(name), rtol=1e-12, atol=1e-16).objective().value
+            rng = np.random.default_rng(0)
+            x = problem.nominal + 0.02 * rng.normal(size=len(problem.nominal))
+            if not np.isfinite(value(x)):
+                x = problem.nominal
+            found = problem.objective()(x)
+            deviation = np.maximum(np.sqrt(np.diag(found.fisher)), 1.0)
+            off = np.zeros(len(x))
+            for j in {*np.argsort(-np.abs(found.gradient))[:2].tolist(), *rng.permutation(len(x))[:3].tolist()}:
+                differences = []
+                for h in (0.01 / deviation[j], 0.002 / deviation[j]):
+                    e = h * np.eye(len(x))[j]
+                    near, far = (value(x + s * e) - value(x - s * e) for s in (1, 2))
+                    differences.append(abs((8 * near - far) / (12 * h) - found.gradient[j]))
+                off[j] = min(differences)
+        relative, in_deviations = off.max() / np.abs(found.gradient).max(), (off / deviation).max()
+        show(f"accuracy {name}: relative {relative:.1e}, in standard deviations {in_deviations:.1e}")
+
+
 def steady(problems: Collection, repetitions: int) -> None:
     for name in STEADY:
         problem = sbml.load(problems.model(name)).problem((0, 1.0))
@@ -142,7 +175,7 @@ def fits(problems: Collection, names: list[str], seeds: int, starts: int | None)
                  f"{taken:.1f} s, wall {perf_counter() - begin:.1f} s")  # fmt: skip
 
 
-PARTS = {"solve": solve, "load": load, "gradients": gradients, "steady": steady}
+PARTS = {"solve": solve, "load": load, "gradients": gradients, "accuracy": accuracy, "steady": steady}
 
 
 def chosen(given: list[str]) -> Iterator[str]:
@@ -151,7 +184,7 @@ def chosen(given: list[str]) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", help="solve, load, gradients, steady, fits; names of problems for fits")
+    parser.add_argument("parts", nargs="*", help=f"{', '.join(PARTS)}, fits; names of problems for fits")
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--starts", type=int, default=None)

@@ -299,7 +299,8 @@ FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, 
   return drive(self, {.memory = {bytes, memory.size()}, .anew = anew}, progress, request, kept, every, remarks);
 }
 
-/// Writes floats, in a tuple or an array, to the parameters. False: some are not floats, or their number is wrong.
+/// Writes floats, in a tuple, in a record that is alone in one, or in an array, to the parameters. False: some are not
+/// floats, or their number is wrong.
 bool read_parameters(nb::handle args, std::span<double> out) {
   if (!PyTuple_Check(args.ptr())) {
     const auto array = nb::cast<ConstVector>(args);
@@ -307,9 +308,11 @@ bool read_parameters(nb::handle args, std::span<double> out) {
     std::copy_n(array.data(), array.size(), out.begin());
     return true;
   }
-  if (static_cast<std::size_t>(PyTuple_GET_SIZE(args.ptr())) != out.size()) return false;
+  PyObject* listed = args.ptr();
+  if (PyTuple_GET_SIZE(listed) == 1 && PyTuple_Check(PyTuple_GET_ITEM(listed, 0))) listed = PyTuple_GET_ITEM(listed, 0);
+  if (static_cast<std::size_t>(PyTuple_GET_SIZE(listed)) != out.size()) return false;
   for (std::size_t i = 0; i < out.size(); ++i) {
-    PyObject* one = PyTuple_GET_ITEM(args.ptr(), static_cast<Py_ssize_t>(i));
+    PyObject* one = PyTuple_GET_ITEM(listed, static_cast<Py_ssize_t>(i));
     if (!PyFloat_Check(one)) return false;
     out[i] = PyFloat_AS_DOUBLE(one);
   }

@@ -555,3 +555,20 @@ class TestObjective:
         assert np.isnan(log_likelihood.gradient([2.0])).all()
         with pytest.raises(ValueError, match="x must hold the 1 parameters slope"):
             log_likelihood([1.0, 2.0])
+
+
+def test_a_run_has_failed_after_the_largest_number_of_steps():
+    """A search refuses steps to parameters whose runs take more than 10,000 steps, as those towards a singularity do,
+    and an error names the limit if the first run does; options of a fit or of an experiment replace it."""
+    t, y = np.linspace(0.1, 0.4, 4), np.exp(0.1 * np.linspace(0.1, 0.4, 4))
+    problem = iv.Problem(lambda t, y, k: [-k * (y[0] - t)], (0, 0.4), [1.0], args=(1e6,))
+    given = t, y[None, :], {"k": iv.Parameter(start=1e6)}
+    with pytest.raises(ValueError, match="10000"):
+        iv.fit(problem, *given, sigma=0.1)
+    few = {"max_steps": 20}
+    for experiment, options in (({}, few), (few, {}), (few, {"max_steps": 9})):
+        one = iv.Experiment(problem.replace(args=(1e3,)), t=t, data=y[None, :], sigma=0.1, **experiment)
+        with pytest.raises(ValueError, match="20"):
+            iv.fit(one, {"k": iv.Parameter(start=1e3)}, **options)
+    one = iv.Experiment(problem.replace(args=(1e3,)), t=t, data=y[None, :], sigma=0.1, limits=iv.Limits(time=60))
+    assert iv.fit(one, {"k": iv.Parameter(start=1e3)}, max_steps=20).failures == {}

@@ -208,6 +208,17 @@ def test_a_problem_with_its_solution(tmp_path):
     assert problem.log_likelihood() == pytest.approx(laplace.sum() + normal.sum(), rel=1e-6)
 
 
+def test_values_by_name_and_folders(tmp_path):
+    """A dict names natural values, those of a fit; a folder is no problem, and the error names the file."""
+    problem = petab.load(written(tmp_path))
+    by_name = dict(zip(problem.names, problem._values(problem.nominal), strict=True))
+    assert problem.log_likelihood(by_name) == problem.log_likelihood()
+    with pytest.raises(ValueError, match=r"k1, .* missing"):
+        problem.log_likelihood({})
+    with pytest.raises(IsADirectoryError, match=r"problem\.yaml"):
+        petab.load(tmp_path)
+
+
 def test_gradient_and_information(tmp_path):
     problem = petab.load(written(tmp_path), rtol=1e-10, atol=1e-13)
     objective, x = problem.objective(), problem.nominal + 0.05

@@ -343,6 +343,24 @@ def test_delays_are_numbers_parameters_and_sums_and_columns_show_delayed_values(
     assert abs(slower.y[0, -1] - (1 - 4 + (4 - 2) ** 2 / 2)) < 1e-7
 
 
+def test_initial_states_and_histories_follow_the_parameters():
+    """With delays too, other parameters are those of a problem that is made with them, and its exact solution
+    x = c (1 - k t + k² (t - 1)² / 2 - k³ (t - 2)³ / 6), c = x0 + k, of x' = -k x(t - 1), in (2, 3); sensitivities to
+    a history are refused."""
+    rule = f'<rateRule variable="x">{formula("-k * delay(x, 1)")}</rateRule>'
+    start = f'<initialAssignment symbol="x">{formula("x0 + k")}</initialAssignment>'
+    numbers = parameter("x", 1, "false") + parameter("k", 0.5) + parameter("x0", 2)
+    one = sbml.load(model("", numbers, rule, initial=start))
+    problem = one.problem((0, 3))
+    for values in ({}, {"x0": 3.0}, {"k": 0.8, "x0": 1.0}):
+        k, c = values.get("k", 0.5), values.get("x0", 2.0) + values.get("k", 0.5)
+        found = problem.replace(parameters=values).solve("ode15s", rtol=1e-8, atol=1e-11)
+        np.testing.assert_array_equal(found.y, one.problem((0, 3), **values).solve("ode15s", rtol=1e-8, atol=1e-11).y)
+        assert found.y_end[0] == pytest.approx(c * (1 - 3 * k + 2 * k**2 - k**3 / 6), rel=1e-6)
+    with pytest.raises(ValueError, match="history that depends on args"):
+        problem.replace(sensitivities=["k"]).solve("ode15s")
+
+
 def test_values_before_the_start_and_delays_in_events():
     """x = sin(t) until 0 and then e^-t - 1, u = x², v = u'(t - 1); an event takes effect at d after x(t - d) has fallen
     below -1/2, with the x of (t - 2 d)."""
@@ -397,6 +415,22 @@ def test_what_has_no_equations_is_refused_by_name(text, feature):
     with pytest.raises(sbml.UnsupportedError) as found:
         sbml.load(text).simulate(0, 1, 2)
     assert found.value.feature == feature
+
+
+def test_values_that_a_model_cannot_take_there_are_errors_that_show_where():
+    """A model does not change, and `simulate` takes values in a dict: both errors show how."""
+    one = sbml.load(ENZYME)
+    with pytest.raises(AttributeError, match=r"values=\{'k2': 2.0\} to simulate, or model.problem\(t_span, k2=2.0\)"):
+        one.k2 = 2.0
+    with pytest.raises(TypeError, match=r'give values=\{"k2": 2.0\}'):
+        one.simulate(0, 1, 2, k2=2.0)
+
+
+def test_events_have_the_names_of_the_model():
+    """The root of the only comparison of a trigger has the name of its event; others are numbered behind it."""
+    two = event("on", "x > 1", {"n": "n + 1"}) + event("off", "x > 1 && x < 2 && x + n < 9", {"n": "0"})
+    problem = sbml.load(clocked(two)).problem((0, 3))
+    assert [one.__name__ for one in problem.events] == ["on", "off, comparison 1", "off, comparison 2"]
 
 
 def test_what_is_no_model_says_so(tmp_path):

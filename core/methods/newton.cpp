@@ -571,11 +571,10 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
   const auto norm = [this](const std::vector<double>& v) {
     return max_norm(extent().n, [&](std::size_t i) { return v[i] / place_.w[i]; });
   };
-  const bool stiff = this->stiff(place_.c, place_.w);
   forget_roundoff(place_.c, place_.y, {&before_, &earlier_});
   before = norm(before_);
   const bool slow = several && !solved(size, norm(earlier_), before);
-  if (!slow && (before <= tolerated_residual() || !stiff)) return Result::converged;
+  if (!slow && (before <= tolerated_residual() || !stiff(place_.c, place_.w))) return Result::converged;
   switch (audit()->evaluate(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return slow ? Result::failed : Result::converged;

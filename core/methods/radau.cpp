@@ -221,7 +221,7 @@ void Radau::weigh_first_update() {
 
 /// h (f(t_i, Y_i) − M Y'_i), where h Y' = A⁻¹ Z.
 Outcome Radau::stage_residuals() {
-  formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
+  formula_->transform(formula_->A_inverse, n(), part_.first, part_.end, increments_.data(), residuals_.data());
   for (std::size_t stage = 0; stage < stages(); ++stage) {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
@@ -316,7 +316,7 @@ double Radau::parts_seen() const { return parts_seen_by_radau; }
 /// Between the stages, and between the start and the first of them.
 Step::Attempt Radau::inspect_inside(const Attempt&, double gap) {
   inside_.resize(stages() * n());
-  formula_->transform(formula_->coefficients, n(), increments_.data(), inside_.data());
+  formula_->transform(formula_->coefficients, n(), 0, n(), increments_.data(), inside_.data());
   double* defect = residuals_.data() + n();
   double before = 0;
   for (std::size_t stage = 0; stage < stages(); ++stage) {
@@ -431,9 +431,9 @@ Outcome Radau::accept(const double* y1) {
   if (!end_known_ || !std::equal(y1, y1 + n(), candidate_.begin()))
     if (const Outcome outcome = solver_.evaluate(t1_, y1, end_f_.data()); outcome != Outcome::ok) return outcome;
   std::swap(f_, end_f_);
-  formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
+  formula_->transform(formula_->coefficients, n(), 0, n(), increments_.data(), polynomial_.data());
   if (!slope_.empty()) {
-    formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
+    formula_->transform(formula_->A_inverse, n(), 0, n(), increments_.data(), residuals_.data());
     const double* rate = residuals_.data() + (stages() - 1) * n();
     for (std::size_t i = 0; i < n(); ++i) slope_[i] = rate[i] / signed_h_;
   }
@@ -500,7 +500,7 @@ Status Radau::extension(double* data) {
 Status Radau::extension_of_attempt(double* data, std::size_t& size) {
   size = (stages() + 1) * n();
   data = std::copy(y_.begin(), y_.end(), data);
-  formula_->transform(formula_->coefficients, n(), increments_.data(), data);
+  formula_->transform(formula_->coefficients, n(), 0, n(), increments_.data(), data);
   return Status::ok;
 }
 

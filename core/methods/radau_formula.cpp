@@ -261,17 +261,26 @@ constexpr bool interpolates(const Numbers<s>& of, const Matrices<s>& matrices) {
 template <const auto& of, std::size_t s = of.c.size()>
 constexpr Matrices<s> matrices{of};
 
-template <std::size_t s>
-void transform(const double* matrix, std::size_t n, const double* in, double* out) {
-  for (std::size_t i = 0; i < n; ++i) {
-    double v[s];
-    for (std::size_t j = 0; j < s; ++j) v[j] = in[j * n + i];
-    for (std::size_t k = 0; k < s; ++k) {
-      double sum = 0;
-      for (std::size_t j = 0; j < s; ++j) sum += matrix[k * s + j] * v[j];
-      out[k * n + i] = sum;
-    }
+/// So many components at once, each with its terms in the order of j.
+template <std::size_t s, std::size_t width>
+void transform_some(const double* matrix, std::size_t n, const double* in, double* out) {
+  double v[s][width];
+  for (std::size_t j = 0; j < s; ++j)
+    for (std::size_t l = 0; l < width; ++l) v[j][l] = in[j * n + l];
+  for (std::size_t k = 0; k < s; ++k) {
+    double sum[width] = {};
+    for (std::size_t j = 0; j < s; ++j)
+      for (std::size_t l = 0; l < width; ++l) sum[l] += matrix[k * s + j] * v[j][l];
+    for (std::size_t l = 0; l < width; ++l) out[k * n + l] = sum[l];
   }
+}
+
+template <std::size_t s>
+void transform(const double* matrix, std::size_t n, std::size_t first, std::size_t end, const double* in, double* out) {
+  constexpr std::size_t width = 8;
+  std::size_t i = first;
+  for (; i + width <= end; i += width) transform_some<s, width>(matrix, n, in + i, out + i);
+  for (; i < end; ++i) transform_some<s, 1>(matrix, n, in + i, out + i);
 }
 
 template <const auto& of>

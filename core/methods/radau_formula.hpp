@@ -27,12 +27,14 @@ struct RadauFormula {
   const double* value_there;   ///< row: the collocation polynomial P at that θ, less its start
   const double* slope_there;   ///< row: h P' there
   const double* coefficients;  ///< of that polynomial in the form of `runge_kutta::nested_polynomial`
-  void (*transform)(const double* matrix, std::size_t n, const double* in, double* out);  ///< see below
+  void (*transform)(const double* matrix, std::size_t n, std::size_t first, std::size_t end, const double* in,
+                    double* out);  ///< see below
 
   [[nodiscard]] int order() const { return 2 * static_cast<int>(stages) - 1; }
 };
 
-/// All of them, by rising order. `transform`: out_k = Σ_j matrix_kj in_j, vectors (n,); `out` may be `in`.
+/// All of them, by rising order. `transform`: out_k = Σ_j matrix_kj in_j, vectors (n,), in the components from `first`
+/// to `end`; `out` may be `in`.
 inline constexpr std::size_t radau_formula_count = 3;
 extern const std::array<RadauFormula, radau_formula_count> radau_formulas;
 

@@ -19,20 +19,25 @@ double magnification(const RadauFormula& formula) {
 }
 
 /// v = [real parts | imaginary parts], 2 n numbers, becomes the complex numbers (real − i imaginary) / μ, and they
-/// become [real parts | −imaginary parts]. An array of complex numbers is one of twice as many reals.
-Complex* to_complex(double* v, std::size_t n, Complex mu, double* scratch) {
+/// become [real parts | −imaginary parts], in these components alone. An array of complex numbers is one of twice as
+/// many reals.
+Complex* to_complex(double* v, std::size_t n, RadauSystems::Blocks of, Complex mu, double* scratch) {
   auto* z = reinterpret_cast<Complex*>(v);
-  std::copy(v, v + n, scratch);
-  for (std::size_t i = 0; i < n; ++i) z[i] = Complex(scratch[i], -v[n + i]) / mu;  // i < n: v[n + i] is still there
+  const double size = std::norm(mu), p = mu.real() / size, q = -mu.imag() / size;
+  std::copy(v + of.first, v + of.end, scratch + of.first);
+  for (std::size_t i = of.first; i < of.end; ++i) {
+    const double x = scratch[i], y = -v[n + i];  // i < n: v[n + i] is still there
+    z[i] = Complex(x * p - y * q, x * q + y * p);
+  }
   return z;
 }
-void from_complex(double* v, std::size_t n, double* scratch) {
-  for (std::size_t i = 0; i < n; ++i) {
+void from_complex(double* v, std::size_t n, RadauSystems::Blocks of, double* scratch) {
+  for (std::size_t i = of.first; i < of.end; ++i) {
     const double real = v[2 * i], imaginary = v[2 * i + 1];
     v[i] = real;
     scratch[i] = -imaginary;
   }
-  std::copy(scratch, scratch + n, v + n);
+  std::copy(scratch + of.first, scratch + of.end, v + n + of.first);
 }
 
 }  // namespace
@@ -96,16 +101,17 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
     negligible = false;
     return Newton::Result::converged;
   };
-  formula_->transform(formula_->T_inverse, n_, residuals, residuals);
-  for (std::size_t i = 0; i < n_; ++i) residuals[i] /= formula_->mu;
+  const auto [first, end] = blocks;
+  formula_->transform(formula_->T_inverse, n_, first, end, residuals, residuals);
+  for (std::size_t i = first; i < end; ++i) residuals[i] /= formula_->mu;
   Newton::Result result = one(formula_->mu, residuals, real_lu_.get());
   for (std::size_t k = 0; k < formula_->pairs.size() && result == Newton::Result::converged; ++k) {
     double* pair = residuals + (2 * k + 1) * n_;
-    Complex* b = to_complex(pair, n_, formula_->pairs[k], scratch);
+    Complex* b = to_complex(pair, n_, blocks, formula_->pairs[k], scratch);
     result = one(formula_->pairs[k], b, has_matrices() ? complex_lu_[k].get() : nullptr);
-    from_complex(pair, n_, scratch);
+    from_complex(pair, n_, blocks, scratch);
   }
-  formula_->transform(formula_->T, n_, residuals, residuals);
+  formula_->transform(formula_->T, n_, first, end, residuals, residuals);
   return result;
 }
 

@@ -7,12 +7,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, real_numbers
+from .._base.arguments import Array, number, real_numbers
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
 from .._studies.fit.likelihood import FittedModel
@@ -21,6 +21,9 @@ from ..sbml.model import Model
 from ..sbml.reading import contents
 from .experiments import LN10, Experiments, Period, numbers
 from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
+
+#: The estimated parameters: an array on their scales, (k,), or their values by name.
+Point: TypeAlias = ArrayLike | Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class Objective:
     """The log-likelihood of a problem of PEtab, as returned by `Problem.objective`.
 
     ``o(x)`` evaluates it with its gradient at x, (k,): the estimated parameters on their scales, in the order of
-    `names`. The result has ``log_likelihood``, ``gradient``, ``fisher``, ``log_prior`` and ``log_prior_gradient``.
+    `names`; or a dict of their values by name, as ``fit.parameters`` is. The result has ``log_likelihood``,
+    ``gradient``, ``fisher``, ``log_prior`` and ``log_prior_gradient``.
 
     Attributes
     ----------
@@ -67,11 +71,11 @@ class Objective:
         self.names = list(problem.names)
         self.lower, self.upper = problem.lower, problem.upper
 
-    def __call__(self, x: ArrayLike, gradient: bool = True) -> Evaluation:
+    def __call__(self, x: Point, gradient: bool = True) -> Evaluation:
         """Evaluate the log-likelihood at x, with derivatives unless `gradient` is False."""
         return self._problem._evaluated(self._problem._values(x), gradient)
 
-    def value(self, x: ArrayLike) -> float:
+    def value(self, x: Point) -> float:
         """Return the log-likelihood alone, without derivatives."""
         return self(x, gradient=False).log_likelihood
 
@@ -137,13 +141,13 @@ class Problem:
         """Return the log-likelihood as a function of the estimated parameters on their scales."""
         return Objective(self)
 
-    def simulate(self, x: ArrayLike | None = None) -> tuple[Array, Array]:
+    def simulate(self, x: Point | None = None) -> tuple[Array, Array]:
         """Simulate all data.
 
         Parameters
         ----------
         x : array_like of shape (k,), optional
-            The estimated parameters on their scales. Default: the nominal ones.
+            The estimated parameters on their scales, or a dict of their values. Default: the nominal ones.
 
         Returns
         -------
@@ -169,11 +173,11 @@ class Problem:
         decadic = [self._tables.observables[one.observable].scale == "log10" for one in self._tables.measurements]
         return simulated, np.where(decadic, sigma / LN10, sigma)
 
-    def log_likelihood(self, x: ArrayLike | None = None) -> float:
+    def log_likelihood(self, x: Point | None = None) -> float:
         """Return the log-likelihood at x, by default at the nominal parameters."""
         return self.objective().value(self.nominal if x is None else x)
 
-    def chi2(self, x: ArrayLike | None = None) -> float:
+    def chi2(self, x: Point | None = None) -> float:
         """Return the sum of squares of the normalised residuals."""
         simulated, sigma = self.simulate(x)
         total = 0.0
@@ -208,8 +212,12 @@ class Problem:
 
     # Evaluation
 
-    def _values(self, x: ArrayLike) -> Array:
-        """Return the estimated parameters on the linear scale."""
+    def _values(self, x: Point) -> Array:
+        """Return the estimated parameters on the linear scale. A dict has them by name, on that scale already."""
+        if isinstance(x, Mapping):
+            if missing := [name for name in self.names if name not in x]:
+                raise ValueError(f"x must name all estimated parameters: {', '.join(missing)} missing")
+            return np.array([number(name, x[name]) for name in self.names])
         given = real_numbers("x", x)
         if given.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} estimated parameters, got shape {given.shape}")

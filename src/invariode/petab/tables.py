@@ -79,6 +79,9 @@ def tables(path: str) -> Tables:
     """
     yaml = extra("yaml", "invariode.petab needs PyYAML, which provides", "petab")
     folder = os.path.dirname(path)
+    if os.path.isdir(path):
+        files = ", ".join(sorted(one for one in os.listdir(path) if one.endswith((".yaml", ".yml")))) or "none"
+        raise IsADirectoryError(f"{path} is a folder: give the YAML file of the problem in it ({files})")
     with open(path, encoding="utf-8") as file:
         read = yaml.safe_load(file)
     if not isinstance(read, dict):

@@ -18,7 +18,7 @@ def load(source: str | os.PathLike[str], *, fast: Literal["refuse", "limit"] = "
     Parameters
     ----------
     source : str or path-like
-        The path of a file (.xml; .ant needs antimony), or the text of the model.
+        The path of a file, or the text of the model: SBML, or Antimony (.ant), which needs the package antimony.
     fast : {"refuse", "limit"}, default "refuse"
         Fast reactions, which SBML had until Level 3 Version 1: "limit" multiplies their rates by 1e7.
 

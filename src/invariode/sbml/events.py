@@ -81,6 +81,7 @@ class EventCode:
     """The events of a model.
 
     - `comparisons`: all comparisons in triggers
+    - `names`: the names of the events in which they stand first
     - `differences`: their differences
     - `roots`, `slopes`: these, and their derivatives along the solution
     - `nodes`: all values that events use
@@ -93,7 +94,13 @@ class EventCode:
         self.comparisons: list[Inequality] = []
         self.nodes: list[Node] = []
         self._triggers: list[str] = []
-        self.events = [self._event(one) for one in equations.contents.events]
+        self.events: list[_ConditionCode] = []
+        self.names: list[str] = []
+        for rule in equations.contents.events:
+            before = len(self.comparisons)
+            self.events.append(self._event(rule))
+            own = len(self.comparisons) - before
+            self.names += [rule.name if own == 1 else f"{rule.name}, comparison {i + 1}" for i in range(own)]
         differences = [one.difference for one in self.comparisons]
         self.differences = differences
         self.nodes += differences
@@ -497,8 +504,7 @@ class _Comparisons(_OfMachine):
     """The comparisons of all triggers."""
 
     def __init__(self, machine: Machine, compiled: Any, count: int) -> None:
-        names = [f"comparison {i + 1}" for i in range(count)]
-        super().__init__(compiled, count, machine.on_roots, names=names)
+        super().__init__(compiled, count, machine.on_roots, names=machine.code.names)
         self._machine = machine
 
     def on(self, machine: Machine) -> Roots:

@@ -25,6 +25,7 @@ from .._functions.graph.structure import replaced
 from .._problem.delays import GraphOfPast
 from .._problem.invariants import Invariants
 from .._problem.methods import METHODS
+from .._problem.options import TABLE
 from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._solve.prepared import PreparedSolver
@@ -144,6 +145,23 @@ class _InitialState:
         return self.formula is None or min(used(nodes, "p"), default=len(e.names)) < len(self._model._names)
 
 
+class _Past:
+    """The history of a problem with delays, as a function of its parameters: the initial state before events."""
+
+    def __init__(self, start: _InitialState) -> None:
+        self._start = start
+        self._latest: tuple[Any, Array] | None = None  # parameters, and the state
+
+    def __call__(self, t: float, parameters: Any) -> Array:
+        known = self._latest
+        if known is None or known[0] is not parameters:
+            self._latest = known = parameters, self._start(parameters)
+        return known[1]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Past, (self._start,)
+
+
 class Model:
     """A model in SBML, as returned by `load`.
 
@@ -178,6 +196,12 @@ class Model:
             ModelEvent(one.name, (*one.assignments,), one.delay is not None, one.priority is not None, one.persistent)
             for one in contents.events
         ]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "events" in self.__dict__:  # the last attribute
+            instead = f"give values={{{name!r}: {value!r}}} to simulate, or model.problem(t_span, {name}={value!r})"
+            raise AttributeError(f"a model does not change, and {name} cannot be set: {instead}")
+        super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Model, (self._contents, self._fast, self._equations._given)
@@ -296,6 +320,11 @@ class Model:
         p = e.parameters({**changes, **amounts})
         return self, p, e.initial_state(p)
 
+    @cached_property
+    def _as_in_file(self) -> tuple[Model, Array, Array]:
+        """Model, p and initial state with the numbers of the file, as `_start` returns them."""
+        return self._start({})
+
     def problem(self, t_span: tuple[float, float], *, moieties: bool = True, **values: float) -> Problem:
         """Return the model as an `invariode.Problem`: labels, parameters by name, moieties as invariants, events.
 
@@ -327,7 +356,9 @@ class Model:
             y0 = machine.start(t0, y0, p)
             more["events"] = machine.functions(model._differences)
         start = _InitialState(model, t0, p, machine)
-        follows = bool(model.states and model._names) and not model._equations.delays and start.varies
+        follows = bool(model.states and model._names) and start.varies
+        if model._equations.delays and follows:
+            more["history"] = _Past(_InitialState(model, t0, p, None))
         return model._problem(t_span, p, start if follows else y0, moieties, **more)
 
     def _consistent(self, t: float, y: Array, p: Array) -> Array:
@@ -372,7 +403,8 @@ class Model:
             options["parameters"] = named
         options["breakpoints"] = self._times(p, *map(float, t_span)) or None
         if e.delays:
-            options |= {"delays": self._delays(p), "history": self._consistent(float(t_span[0]), e.initial_state(p), p)}
+            past = self._consistent(float(t_span[0]), e.initial_state(p), p)
+            options = {"delays": self._delays(p), "history": past, **options}
         return Problem(self._differentiated if explicit else fun, t_span, y0, **options)
 
     @cached_property
@@ -476,11 +508,13 @@ class Model:
         RuntimeError
             The run does not reach the end; the message says why.
         """
+        if own := {*options} & {*self._equations.symbols} - TABLE.keys():
+            raise TypeError(f'{min(own)} is no option: give values={{"{min(own)}": {options[min(own)]!r}}}')
         if np.ndim(points):
             times = np.asarray(points, dtype=float)
         else:
             times = np.linspace(start, end, positive_integer("points", points))
-        model, p, y0 = self._start(values or {})
+        model, p, y0 = self._start(values) if values else self._as_in_file
         columns = list(selections) if selections is not None else self._default_columns()
         read = model._reader(columns)
         largest = np.abs(y0[np.isfinite(y0)]).max(initial=0.0)

@@ -149,10 +149,11 @@ def _document(L: Any, source: str) -> tuple[Any, str]:
     if source.lstrip().startswith("<"):
         document, folder = L.readSBMLFromString(source), ""
     else:
-        if not os.path.exists(source):
+        is_text = any(sign in source for sign in ("\n", ";", "->"))
+        if not (is_text or os.path.exists(source)):
             raise FileNotFoundError(f"there is no file {shown(source)}, and the text of a model begins with <")
-        if source.endswith(".ant"):
-            return L.readSBMLFromString(_from_antimony(source)), os.path.dirname(source)
+        if is_text or source.endswith(".ant"):
+            return L.readSBMLFromString(_from_antimony(source, is_text)), "" if is_text else os.path.dirname(source)
         document, folder = L.readSBMLFromFile(source), os.path.dirname(source)
     if document.getModel() is None:
         why = _in_words(document.getError(0)) if document.getNumErrors() else "it has no model"
@@ -202,13 +203,14 @@ def _in_words(error: Any) -> str:
     )
 
 
-def _from_antimony(path: str) -> str:
+def _from_antimony(source: str, is_text: bool) -> str:
+    """Return the SBML of a file in Antimony, or of its text."""
     from .._base.package import extra
 
     antimony = extra("antimony", "models in Antimony need", "")
     antimony.clearPreviousLoads()
-    if antimony.loadAntimonyFile(path) < 0:
-        raise ValueError(f"{path}: {antimony.getLastError().strip()}")
+    if (antimony.loadAntimonyString if is_text else antimony.loadAntimonyFile)(source) < 0:
+        raise ValueError(f"{shown(source)}: {antimony.getLastError().strip()}")
     text: str = antimony.getSBMLString(antimony.getMainModuleName())
     return text
 

@@ -74,7 +74,8 @@ def fit(
     method : str, default 'ode45'
         The method of the runs, a name in `METHODS`.
     **options
-        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9. Not accepted are
+        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9; that of max_steps
+        is 10,000, since runs at parameters for which the solution has a singularity would take 1e5. Not accepted are
         `t_eval`, `dense_output`, `refine`, `keep`, `sensitivities`, `on_failure`, `callback` and `checkpoint`, which
         the fit sets itself, and `events`, which belong to the problem.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
-from ..._problem.options import TABLE, Options, unknown_option
+from ..._problem.options import TABLE, Options, changed, unknown_option
 from ..._problem.problem import Problem
 from .data import is_table
 from .experiment import Experiment, Failed
@@ -26,6 +26,10 @@ _OWN = ("t_eval", "keep", "sensitivities", "dense_output", "refine", "on_failure
 
 #: Tolerances of the runs: residuals must be smoother than the data are noisy, for which the defaults of runs are large.
 RTOL, ATOL = 1e-6, 1e-9
+
+#: Steps after which a run has failed: where trial parameters make the solution grow without bound, its sensitivities
+#: would take 1e5 (Crauste's model). AMICI's default.
+MOST_STEPS = 10_000
 
 #: The name of an unknown sigma that is fitted.
 IMPLIED = "sigma"
@@ -114,7 +118,7 @@ class FittedModel:
             if name in options or any(name in one.options for one in experiments):
                 instead = "give events to the Problem" if name == "events" else "fit sets it itself"
                 raise TypeError(f"{name} is not an option of fit: {instead}")
-        tolerant: Options = {"rtol": RTOL, "atol": ATOL, **options}
+        tolerant = changed({"rtol": RTOL, "atol": ATOL, "max_steps": MOST_STEPS}, options)
         self.rtol = float(np.min(tolerant["rtol"]))
         self.experiments = experiments
         self.space = Space(parameters, experiments)
@@ -125,7 +129,7 @@ class FittedModel:
         start = np.array([1.0 if one.start is None else one.start for one in self.space.free])
         states: dict[Any, Any] = {}
         self.simulations = [
-            Simulation(one, names, self.space.local(e, start).values, method, {**tolerant, **one.options}, states)
+            Simulation(one, names, self.space.local(e, start).values, method, changed(tolerant, one.options), states)
             for e, (one, names) in enumerate(zip(experiments, self.space.names, strict=True))
         ]
         series = [one for each in experiments for one in each.series]
