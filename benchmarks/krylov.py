@@ -4,7 +4,8 @@ The Brusselator in three dimensions by finite differences, no flux through the b
 methods with `GMRES` and of CVODE with its GMRES (scikit-sundae), plain and with one preconditioner,
 the 2 × 2 blocks of the diagonal. f and the preconditioner are C++ of `krylov.cpp`, which CVODE calls by way of Python
 functions, since scikit-sundae takes no others. Each run has a process of its own, and its time is that of the process.
-``--write`` puts the table into docs/benchmarks.
+With ``--direct``: ode15s on the two-dimensional problem, plain GMRES against direct factors of the sparse matrix, with
+more and more diffusion. ``--write`` puts the table into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import json
 import sys
 from collections.abc import Callable
 from functools import partial
+from statistics import median
 from time import process_time
 from typing import Any
 
 import numpy as np
-from measure import growth, in_fresh_process, machine, table, write_section
+from measure import growth, in_fresh_process, interleaved, machine, ratio, table, write_section
 from numpy.typing import NDArray
 
 import invariode as iv
@@ -31,6 +33,8 @@ CASES = ((SMALL, 1e-4), (SMALL, 1e-5), (SMALL, 1e-8), (LARGE, 1e-4), (LARGE, 1e-
 SPAN = (0.0, 0.5)
 DIFFUSIVITY = 1 / 50
 REFERENCE = 1e-11
+#: Points in each direction of the two-dimensional problem, with 9800 components, and its diffusivities.
+PLANE, DIFFUSIVITIES, PLANE_RTOL = 70, (0.002, 0.02, 0.2, 2.0), 1e-4
 SOLVERS: dict[str, tuple[str, dict[str, Any]]] = {
     "ode15s": ("ode15s", {}),
     "radau": ("radau", {}),
@@ -144,6 +148,40 @@ def line(side: int, rtol: float, preconditioned: bool, solver: str) -> list[str]
     ]
 
 
+def plane(t: float, y: Array, diffusivity: float) -> Array:
+    """The Brusselator on a square, without flux through the boundary."""
+    w = np.pad(y.reshape(PLANE, PLANE, 2), ((1, 1), (1, 1), (0, 0)), mode="reflect")
+    neighbours = w[:-2, 1:-1] + w[2:, 1:-1] + w[1:-1, :-2] + w[1:-1, 2:]
+    slope = diffusivity * (PLANE - 1) ** 2 * (neighbours.ravel() - 4 * y)
+    u, v = y[::2], y[1::2]
+    slope[::2] += 1 + u * u * v - 4.4 * u
+    slope[1::2] += 3.4 * u - u * u * v
+    return np.asarray(slope)
+
+
+def against_direct(diffusivity: float) -> list[str]:
+    """Seconds of the process by direct factors and by GMRES, which take turns."""
+    x, z = np.meshgrid(*[np.linspace(0, 1, PLANE)] * 2, indexing="ij")
+    y0 = np.stack((22 * z * (1 - z) ** 1.5, 27 * x * (1 - x) ** 1.5), axis=-1).ravel()
+    problem, steps = iv.Problem(plane, (0.0, 2.0), y0, args=(diffusivity,)), {}
+    solve = partial(problem.solve, "ode15s", rtol=PLANE_RTOL, atol=PLANE_RTOL, keep="end")
+
+    def run(chosen: str) -> None:
+        sol = solve(linear_solver=chosen)
+        steps[chosen] = sol.stats.steps if sol.success else sol.message
+
+    times = interleaved({one: partial(run, one) for one in ("direct", "gmres")}, 3, process_time)
+    counts = [str(steps[one]) for one in times]
+    seconds = [f"{median(one):.2f}" for one in times.values()]
+    return [f"{diffusivity:g}", *counts, *seconds, f"{ratio(times['direct'], times['gmres']):.2f}"]
+
+
+def direct_report() -> str:
+    rows = [against_direct(one) for one in DIFFUSIVITIES]
+    header = ["diffusivity", "steps, direct", "GMRES", "s, direct", "GMRES", "direct ÷ GMRES"]
+    return f"{machine('invariode', 'numpy')}. rtol = {PLANE_RTOL:.0e}.\n\n{table(header, rows)}"
+
+
 def report() -> str:
     rows = [
         line(side, rtol, preconditioned, solver)
@@ -160,16 +198,17 @@ def report() -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="replace the table in docs/benchmarks")
+    parser.add_argument("--direct", action="store_true", help="GMRES against direct factors, in two dimensions")
     parser.add_argument("--run", nargs=4, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.run:
         solver, side, rtol, preconditioned = arguments.run
         print(json.dumps(measured(solver, int(side), float(rtol), preconditioned == "yes")))
         return
-    text = report()
+    name, text = ("krylov-direct", direct_report()) if arguments.direct else ("krylov", report())
     print(text)
     if arguments.write:
-        write_section("krylov", text)
+        write_section(name, text)
 
 
 if __name__ == "__main__":

@@ -263,10 +263,48 @@ def measured(case: Case, repetitions: int) -> list[str]:
     return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name in SETS)]
 
 
+#: Of ensembles with an event: a problem of `CASES`, and an event without and one with occurrences.
+WATCHED: dict[str, tuple[str, dict[str, Callable[..., Any]]]] = {
+    "Lotka–Volterra": ("ode45", {"never": lambda t, y, p: y[0] + 1.0, "y = 1": lambda t, y, p: y[0] - 1.0}),
+    "Hénon–Heiles": ("ode45", {"never": lambda t, y, p: y[0] + 5.0, "x = 0": lambda t, y, p: y[0]}),
+    "four parameters, dop853": (
+        "dop853",
+        {"never": lambda t, y, *p: y[0] + 1.0, "y = 1": lambda t, y, *p: y[0] - 1.0},
+    ),
+}
+
+
+def watched(name: str, repetitions: int) -> list[list[str]]:
+    """Rows of the table of events: how often one occurs, and how much longer an ensemble takes with it."""
+    case = next(one for one in CASES if one.name == name)
+    method, events = WATCHED[name]
+    y0, p = case.rows(case.size)
+    options = {"method": method, "args": p, "rtol": TOLERANCE, "atol": TOLERANCE, "workers": 1}
+    solve = partial(iv.solve_ensemble, iv.compile(case.fun), (0, case.span), y0, **options)
+    lanes.FORCED = None
+    with_event = {what: partial(solve, events=iv.compile(one)) for what, one in events.items()}
+    contestants: dict[str, Callable[[], object]] = {"lanes": solve, "alone": partial(solve, lanes=1)}
+    for what, run_it in with_event.items():
+        contestants |= {f"lanes {what}": run_it, f"alone {what}": partial(run_it, lanes=1)}
+    times = interleaved(contestants, repetitions, process_time)
+    return [
+        [
+            f"{name}: {what}",
+            f"{len(run_it().events[0].t) / case.size:.1f}",
+            *(f"{ratio(times[f'{where} {what}'], times[where]):.1f}" for where in ("lanes", "alone")),
+            f"{ratio(times[f'alone {what}'], times[f'lanes {what}']):.1f}",
+        ]
+        for what, run_it in with_event.items()
+    ]
+
+
 def report(repetitions: int) -> str:
     header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name in SETS)]
     rows = [measured(case, repetitions) for case in CASES]
-    return f"{machine('invariode', 'numpy', 'numba')}. Medians of {repetitions}.\n\n{table(header, rows)}"
+    counted = [row for name in WATCHED for row in watched(name, repetitions)]
+    columns = ["an event", "occurrences a trajectory", "÷ none, lanes", "÷ none, one at a time", "× with lanes"]
+    tables = f"{table(header, rows)}\n\n{table(columns, counted)}"
+    return f"{machine('invariode', 'numpy', 'numba')}. Medians of {repetitions}.\n\n{tables}"
 
 
 if __name__ == "__main__":

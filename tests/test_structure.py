@@ -229,6 +229,14 @@ def test_the_package_imports_numpy_alone():
     assert needed.intersection(loaded) == {"numpy"}
 
 
+def test_a_dense_solve_and_a_fit_import_nothing_slow():
+    code = """import sys, invariode as iv
+iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], "radau", atol=[1e-6], bounds=[0.0, [2.0]])
+iv.fit(iv.Problem(lambda t, y, k: [-k * y[0]], (0, 2), [1.0], args=(1.0,)), [1, 2], [[0.4, 0.1]], {"k": (0.1, 5)})
+print(*{"scipy", "numpy.ma", "multiprocessing", "concurrent.futures"}.intersection(sys.modules))"""
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split() == []
+
+
 #: Words that begin a fragment: a docstring that starts with one cannot be understood without the text above it.
 HEADLESS = "The same|What|Those|That|These|Whether|Of|How|Where|When|Why|Which|Who|As|Its?|They|Their|Likewise"
 

@@ -1,10 +1,14 @@
 #include "output/chebyshev.hpp"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cassert>
 #include <cmath>
 #include <numbers>
 #include <utility>
+
+#include "output/root.hpp"
 
 namespace invariode {
 namespace {
@@ -19,18 +23,25 @@ constexpr double between[] = {-0.62831, 0.35217};  // where: no Chebyshev points
 constexpr double narrowest = 1e-4;  // two roots that are closer, in an interval of 2, are below that resolution
 constexpr double located = 1e-9;    // roots of the interpolant, which separate those of the function
 
+/// cos(kπ / degree), k < 2 degree. Degrees are powers of two, so that those of the last one serve all, to the last bit.
 double point(std::size_t k, std::size_t degree) {
-  return std::cos(std::numbers::pi * static_cast<double>(k) / static_cast<double>(degree));
+  static const std::array<double, 2 * last_degree> cosines = [] {
+    std::array<double, 2 * last_degree> all{};
+    for (std::size_t i = 0; i < all.size(); ++i)
+      all[i] = std::cos(std::numbers::pi * static_cast<double>(i) / static_cast<double>(last_degree));
+    return all;
+  }();
+  return cosines[k * (last_degree / degree)];
 }
 
 /// c_j = 2 / N Σ″ v_k cos(jkπ / N), the terms of both ends halved, and c_0 and c_N too.
 void transform(const std::vector<double>& values, std::vector<double>& coefficients) {
-  assert(values.size() >= 2);
-  const std::size_t degree = values.size() - 1;
+  const std::size_t degree = values.size() - 1, period = 2 * degree;
+  assert(std::has_single_bit(degree) && degree <= last_degree);
   coefficients.assign(degree + 1, 0);
   for (std::size_t j = 0; j <= degree; ++j) {
     double sum = 0.5 * (values.front() + (j % 2 == 0 ? values.back() : -values.back()));
-    for (std::size_t k = 1; k < degree; ++k) sum += values[k] * point(j * k % (2 * degree), degree);
+    for (std::size_t k = 1; k < degree; ++k) sum += values[k] * point(j * k & (period - 1), degree);
     coefficients[j] = sum * (j == 0 || j == degree ? 1.0 : 2.0) / static_cast<double>(degree);
   }
 }
@@ -161,32 +172,36 @@ bool RootSeparator::locate_roots() {
     const auto [low, high] = parts_.back();
     parts_.pop_back();
     const double middle = 0.5 * (low + high);
-    part_values_.resize(degree + 1);
-    for (std::size_t k = 1; k < degree; ++k) part_values_[k] = evaluate(middle + 0.5 * (high - low) * point(k, degree));
-    part_values_.front() = evaluate(high);
-    part_values_.back() = evaluate(low);
-    transform(part_values_, part_coefficients_);
+    const double at_high = evaluate(high), at_low = evaluate(low);
+    if (high - low == 2) {
+      part_coefficients_ = coefficients_;
+    } else {
+      part_values_.resize(degree + 1);
+      for (std::size_t k = 1; k < degree; ++k)
+        part_values_[k] = evaluate(middle + 0.5 * (high - low) * point(k, degree));
+      part_values_.front() = at_high;
+      part_values_.back() = at_low;
+      transform(part_values_, part_coefficients_);
+    }
     if (has_no_root(part_coefficients_)) continue;
     const bool flat = largest(part_coefficients_) <= resolution;
     if (flat && high - low > narrowest) return false;
     if (flat || is_monotonic(part_coefficients_)) {
       // What is zero counts as positive, so that a root between two parts belongs to one of them.
-      if ((part_values_.front() < 0) != (part_values_.back() < 0)) roots_.push_back(bisected(low, high));
+      if ((at_high < 0) != (at_low < 0)) {
+        double root = high;
+        const auto e = [&](double x, double& value) {
+          value = evaluate(x);
+          return true;
+        };
+        if (find_root(e, low, at_low, high, at_high, located, root)) roots_.push_back(root);
+      }
       continue;
     }
     parts_.emplace_back(middle, high);
     parts_.emplace_back(low, middle);
   }
   return true;
-}
-
-double RootSeparator::bisected(double low, double high) const {
-  const bool below = evaluate(low) < 0;
-  while (high - low > located) {
-    const double middle = 0.5 * (low + high);
-    ((evaluate(middle) < 0) == below ? low : high) = middle;
-  }
-  return 0.5 * (low + high);
 }
 
 void RootSeparator::split_between_roots(const Interval& on, std::vector<double>& points) const {

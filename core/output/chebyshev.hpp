@@ -40,7 +40,6 @@ class RootSeparator {
   bool confirmed(const Sample& sample, const Interval& on, bool& agrees);
   [[nodiscard]] bool decayed() const;
   bool locate_roots();
-  [[nodiscard]] double bisected(double low, double high) const;
   [[nodiscard]] double evaluate(double x) const;
   void split_between_roots(const Interval& on, std::vector<double>& points) const;
 

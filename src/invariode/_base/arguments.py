@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
 from types import FunctionType
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeGuard, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -185,8 +185,9 @@ def number(name: str, value: object) -> float:
         return value
     require_no_unit(name, value)
     # NumPy makes real numbers of complex ones, and NaN of `masked`, with a warning.
-    unfit = (str, bytes, bytearray, np.complexfloating, np.ma.MaskedArray)
-    if isinstance(value, unfit) or (isinstance(value, np.ndarray) and (value.ndim or value.dtype.kind == "c")):
+    unfit = (str, bytes, bytearray, np.complexfloating)
+    array = isinstance(value, np.ndarray) and (value.ndim or value.dtype.kind == "c")
+    if isinstance(value, unfit) or array or is_masked(value):
         raise TypeError(f"{name} must be a real number, got {shown(value)}")
     try:
         result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
@@ -316,12 +317,18 @@ def _too_large(name: str, value: object) -> ValueError:
     return ValueError(f"{name} must be within the range of a double, up to 1.8e308, got {shown(value)}")
 
 
+def is_masked(value: object) -> TypeGuard[np.ma.MaskedArray[Any, Any]]:
+    """Return whether a value is one of NumPy's masked arrays, whose module takes longer to import than the rest."""
+    masked = sys.modules.get("numpy.ma")
+    return masked is not None and isinstance(value, masked.MaskedArray)
+
+
 def as_array(name: str, value: object) -> Array:
     """Return `value` as an array of any type and shape."""
     if type(value) is np.ndarray:  # the common case
         return value
     require_no_unit(name, value)
-    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+    if is_masked(value) and np.ma.getmaskarray(value).any():
         raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
     try:
         return np.asarray(value)

@@ -250,7 +250,7 @@ class _Known:
 def _parameters_of(fun: Any) -> list[str]:
     python = fun.fun if isinstance(fun, CompiledFunction) else fun
     try:
-        return list(inspect.signature(python).parameters)[2:]
+        return _positional(python)[0][2:]
     except (TypeError, ValueError):  # machine code, or a formula
         return []
 

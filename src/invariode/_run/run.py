@@ -572,7 +572,7 @@ def _parted(
     y, S = states_and_sensitivities(Y, n, k)
     y_end, S_end = states_and_sensitivities(end[:, None], n, k)
     recorded = plan.records_events
-    at_events = varied.at_events(happened, n)
+    at_events = varied.at_events(happened, n) if happened or recorded else None
     states = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened] if recorded else None
     found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
     return y, y_end[:, 0], states, found

@@ -64,7 +64,7 @@ class Sizes(NamedTuple):
         """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0:
         then that of y at the start."""
         rtol = self.weights.rtol
-        absolute: Array = rtol * np.broadcast_to(self.weights.threshold, y0.shape)
+        absolute = np.full(y0.shape, rtol * self.weights.threshold)
         if absolute.all():
             return absolute
         sizes = np.abs(y0)

@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple, Unpack
 from ..._base.arguments import Array, choice, flag, positive_integer, warn
 from ..._base.package import public
 from ..._base.types import MethodName
-from ..._ensemble.worker_processes import may_start, solve_rows
 from ..._problem.options import Options
 from .experiment import Noise
 from .likelihood import FittedModel, to_model
@@ -156,10 +155,12 @@ class _SearchEnd(NamedTuple):
 
 def _searched(model: FittedModel, points: list[Array], loss: str, workers: int) -> list[_SearchEnd]:
     """Run all searches, in this process or in others, and return their ends in order."""
-    if workers > 1 and not may_start():
-        warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
-        workers = 1
     if workers == 1 or len(points) == 1:
+        return [_search(model, points, loss, i) for i in range(len(points))]
+    from ..._ensemble.worker_processes import may_start, solve_rows  # most of the time of importing this module
+
+    if not may_start():
+        warn("a daemonic process cannot start workers, and searches alone: start it with daemon=False")
         return [_search(model, points, loss, i) for i in range(len(points))]
     ends: list[_SearchEnd] = []
     with closing(solve_rows(partial(_search, model, points, loss), len(points), workers, _died)) as chunks:
