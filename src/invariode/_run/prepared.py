@@ -25,7 +25,6 @@ from .._functions.compiled import (
     is_native,
     is_plain_function,
     native_parameters,
-    renew,
 )
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
@@ -264,7 +263,7 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
     if described is None:
         return None
     if isinstance(fun, CompiledFunction):
-        renew([fun])
+        fun.renew()
         types = tuple(map(type, problem.args))
         if not _NUMBERS.issuperset(types):
             return None
@@ -288,8 +287,8 @@ def _described(problem: Problem) -> tuple[Any, ...] | None:
     if reals(problem.y0) >= MANY_COLUMNS and any(callable(one.jac) for one in problem.invariants):
         return None  # it may return a sparse matrix, which its first call tells
     compiled = isinstance(problem.fun, CompiledFunction)
-    laws = tuple(_law(one, compiled) for one in problem.invariants)
-    events = tuple(_event(one, compiled) for one in problem.events)
+    laws = tuple([_law(one, compiled) for one in problem.invariants])
+    events = tuple([_event(one, compiled) for one in problem.events])
     varied = () if problem.sensitivities is None else _varied(problem, problem.sensitivities)
     if None in laws or None in events or varied is None:
         return None
