@@ -436,10 +436,13 @@ Callback Functions::tangent(nb::handle f, const std::string& name, std::size_t k
              Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
 }
 
-Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k) {
+Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k, std::size_t delays) {
   const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
-  return add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
-             Takes{.n = n, .rows = 1 + rows, .second = n, .complex = space_.complex});
+  return add(
+      f, nb::tuple(), name,
+      {.rows = delays > 0 ? 2 * rows : rows, .columns = n, .matrix = true, .complex = space_.complex},
+      Takes{
+          .n = n, .rows = 1 + rows, .second = n * static_cast<std::ptrdiff_t>(1 + delays), .complex = space_.complex});
 }
 
 Series Functions::series(const SeriesSpec& spec) { return own<NativeSeries>(spec, parameters_).series(); }

@@ -218,7 +218,7 @@ class Functions {
   /// f(t, Y) -> (k, m)
   Callback tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m);
   /// f(t, Y, state) -> (k, state)
-  Callback jump(nb::handle f, const std::string& name, std::size_t k);
+  Callback jump(nb::handle f, const std::string& name, std::size_t k, std::size_t delays);
   /// f(t, y, v) -> state
   Callback product(nb::handle f, const std::string& name);
   /// Taylor coefficients, by machine code

@@ -217,6 +217,7 @@ void define_summary_of_run(RunClass& run) {
       "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },
       "Event whose actions come closer and closer until it is passed: its number, the last t, the interval before it, "
       "and the number of actions.");
+  property(run, "marks", [](const RunResult& r) { return r.marks; });
   property(run, "discontinuities", [](const RunResult& r) { return r.discontinuities; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });

@@ -210,8 +210,8 @@ void add_variations(const Record& spec, Functions& functions, Problem& problem) 
              doses = each("breakpoints", problem.breakpoints.size());
   Variations& variations = problem.variations.emplace();
   variations.k = spec.get<std::size_t>("k");
-  variations.slope = functions.of_sensitivities(spec["slope"], "the slope of the sensitivities", variations.k,
-                                                problem.delays ? problem.delays->lags.size() : 0);
+  const std::size_t delays = problem.delays ? problem.delays->lags.size() : 0;
+  variations.slope = functions.of_sensitivities(spec["slope"], "the slope of the sensitivities", variations.k, delays);
   const auto thresholds = spec.get<ConstMatrix>("thresholds");
   variations.tolerance.assign(thresholds.data(), thresholds.data() + thresholds.size());
   variations.error_test = spec.get<bool>("error_test");
@@ -221,7 +221,7 @@ void add_variations(const Record& spec, Functions& functions, Problem& problem) 
     block.tangent = functions.tangent(tangents[i], "the tangent of an invariant", variations.k, block.m);
   }
   const auto jump = [&](const nb::object& one) {
-    return one.is_none() ? Callback() : functions.jump(one, "the jump of the sensitivities", variations.k);
+    return one.is_none() ? Callback() : functions.jump(one, "the jump of the sensitivities", variations.k, delays);
   };
   for (std::size_t i = 0; i < jumps.size(); ++i) problem.events[i].jump = jump(jumps[i]);
   for (std::size_t i = 0; i < doses.size(); ++i) problem.breakpoints[i].jump = jump(doses[i]);
@@ -246,6 +246,7 @@ DelayTerms make_delays(const Record& spec, Functions& functions) {
   DelayTerms terms{.lags = {},
                    .constant = values_of(spec["constant"]),
                    .history = {},
+                   .history_varies = spec.get<std::size_t>("varied") > 0,
                    .jumps = spec.get<std::vector<double>>("jumps"),
                    .rates = spec.get<std::vector<double>>("rates")};
   for (std::size_t j = 0; j < lags.size(); ++j) {
@@ -253,7 +254,8 @@ DelayTerms make_delays(const Record& spec, Functions& functions) {
     terms.lags.push_back({lags[j], number < 0 ? std::nullopt : std::optional(static_cast<std::size_t>(number))});
   }
   if (const nb::object history = spec["history"]; !history.is_none())
-    terms.history = functions.state_valued(history, "history(t)");
+    terms.history = terms.history_varies ? functions.rows(history, "history(t)", 1 + spec.get<std::size_t>("varied"))
+                                         : functions.state_valued(history, "history(t)");
   return terms;
 }
 

@@ -89,9 +89,9 @@ const Mark* Breaks::only_mark(double t) const {
   return same(landings_.beyond(t - forward_ * near, forward_), t) ? nullptr : marks_.at(t, near);
 }
 
-std::vector<double> Breaks::rates(double t, std::size_t k) const {
-  const Mark* mark = only_mark(t);
-  return mark == nullptr || mark->rates.size() != k ? std::vector<double>(k) : mark->rates;
+std::vector<double> Breaks::rates(double t) const {
+  const Mark* mark = marks_.empty() ? nullptr : marks_.at(t, hmin_ulps * ulp(t));
+  return mark == nullptr || mark->level > 1 ? std::vector<double>() : mark->rates;
 }
 
 int Breaks::level(double t) const {

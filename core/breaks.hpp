@@ -39,8 +39,8 @@ class Breaks {
   [[nodiscard]] const Mark* only_mark(double t) const;
   /// The order of the derivative that jumps at t, if the solution goes on: that of the mark, or 1.
   [[nodiscard]] int level(double t) const;
-  /// ∂t/∂p of the mark at t, (k,); of anything else there, whose time is fixed, zeros.
-  [[nodiscard]] std::vector<double> rates(double t, std::size_t k) const;
+  /// ∂t/∂p of what each delay brings to t, (delays, k); empty: f does not jump there by a delay.
+  [[nodiscard]] std::vector<double> rates(double t) const;
   /// Returns whether the next breakpoint or landing is at t, or so close to it that no step fits between.
   [[nodiscard]] bool at(double t) const { return at_breakpoint(t) || at_landing(t); }
   [[nodiscard]] bool at_breakpoint(double t) const { return next_ < points_.size() && same(points_[next_].t, t); }
@@ -63,6 +63,8 @@ class Breaks {
   /// The time to which the steps of the piece lead: the first breakpoint or landing after its start, or the end of the
   /// interval.
   [[nodiscard]] double target() const { return target_; }
+  /// The time that functions see at t: inside of the piece.
+  [[nodiscard]] double inside(double t) const { return piece_ == nullptr ? t : piece_->inside(t); }
   /// The callback that changes sensitivities at a landing.
   [[nodiscard]] Callback& landing_jump() { return landings_.jump; }
 

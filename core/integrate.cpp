@@ -49,8 +49,9 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
                    manifold_.projector(), manifold_.bounds()),
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
-      jumps_({events_, breaks_, manifold_, initial_checks_, emitter_.output.occurrences},
-             std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f, extent_),
+      jumps_({events_, breaks_, manifold_, initial_checks_, emitter_.output.occurrences, delays_},
+             std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f,
+             std::move(functions.jump_rate), extent_),
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
@@ -515,6 +516,10 @@ Integration::Course Integration::find_events() {
       else if (ended(unless_stopped(interpolant_.value(occurrence.t, event_y_.data()))))
         return Course::ended;
       output().occurrences[occurrence.event].add(occurrence.t, event_y_.data(), n_);
+      EventFunction& function = events_.function(occurrence.event);
+      if (delays_ != nullptr && function.jump && !function.acts() &&
+          ended(unless_stopped(jumps_.note_occurrence(function.jump, occurrence.t, event_y_.data()))))
+        return Course::ended;
       limits_.look_soon();
     }
   }
@@ -642,21 +647,22 @@ Integration::Course Integration::land(const Landing& at) {
   left_ = y0_;
   double* Y = y0_.data();
   limits_.look_soon();
+  const int level = breaks_.level(t);
+  const std::vector<double> brought = at.breaks ? breaks_.rates(t) : std::vector<double>();
+  if (delays_ != nullptr && extent_.k > 0 && ended(unless_stopped(jumps_.note_past(t)))) return take_back();
   State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
   bool jumps = at.acts, varies = false;
-  const int level = breaks_.level(t);
-  const std::vector<double> rates = delays_ == nullptr ? std::vector<double>() : breaks_.rates(t, extent_.k);
   if (at.breaks && state == State::running) {
     if (!at.noted && ended(note_values())) return take_back();
     varies = breaks_.landing_jump() && breaks_.at_landing(t);
-    const bool moves = level <= 1 && std::ranges::any_of(rates, [](double one) { return one != 0; });
-    if (moves && jumps_.note_slope(t, Y) == Status::stop) return end(State::interrupted);
     begin_piece();
     if (varies) state = jumps_.at_landing(t, Y);
-    if (moves && jumps_.at_moving_mark(t, rates, Y) == Status::stop) return end(State::interrupted);
-    varies = varies || moves;
     if (state == State::running) state = jumps_.at_breakpoints(t, Y, at.inside && !at.acts);
     jumps = jumps || jumps_.acted() || jumps_.moved();
+    const bool moves = std::ranges::any_of(brought, [](double one) { return one != 0; });
+    if (state == State::running && moves && ended(unless_stopped(jumps_.at_moving_mark(t, brought, Y))))
+      return take_back();
+    varies = varies || moves;
   }
   if (state == State::terminal_event) {
     begin_output();
@@ -668,7 +674,7 @@ Integration::Course Integration::land(const Landing& at) {
     return take_back();
   }
   if (delays_ != nullptr) {
-    if (ended(mark_images(t, jumps ? 0 : level, rates))) return take_back();
+    if (ended(mark_images(t, jumps ? 0 : level, jumps_.rates()))) return take_back();
     begin_piece();  // again, since it may end at one of them
   }
   if (jumps || (varies && !jumps_.others())) return go_on_from_jump();
@@ -696,16 +702,19 @@ Integration::Course Integration::begin_past(const double* y) {
   return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
 }
 
-/// A derivative of the solution jumps at t: where that comes back by a delay, the next one does.
+/// A derivative of the solution jumps at t: where that comes back by a delay, the next one does. `rates`: ∂t/∂p of a
+/// jump of y, after which f jumps.
 Integration::Course Integration::mark_images(double t, int level, const std::vector<double>& rates) {
+  passed_marks_.emplace_back(t, level);
   if (level >= most_level_ + (extent_.k > 0 ? 1 : 0))
     return Course::goes_on;  // a derivative of S jumps one order earlier
   for (std::size_t j = 0; j < delays_->lags().size(); ++j) {
     const double tau = delays_->lags()[j];
-    Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = rates};
+    Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = {}};
     mark.spacing = std::max({ulp(t), ulp(tau), ulp(mark.t)});
-    for (std::size_t i = 0; i < mark.rates.size() && !delays_->rates(j).empty(); ++i)
-      mark.rates[i] += delays_->rates(j)[i];
+    mark.rates.resize(delays_->lags().size() * extent_.k);
+    for (std::size_t i = 0; i < extent_.k && level == 0; ++i)
+      mark.rates[j * extent_.k + i] = rates[i] + (delays_->rates(j).empty() ? 0 : delays_->rates(j)[i]);
     if (mark.t >= settings_.t0 - mark.spacing) breaks_.add(mark);
   }
   if (breaks_.marks() <= most_marks) return Course::goes_on;
@@ -723,8 +732,7 @@ bool Integration::goes_smoothly_on(double t) const {
 
 /// Goes on through a mark: only the branch of the past changes.
 Integration::Course Integration::pass_mark() {
-  if (ended(mark_images(reached_.t, breaks_.level(reached_.t), breaks_.rates(reached_.t, extent_.k))))
-    return Course::ended;
+  if (ended(mark_images(reached_.t, breaks_.level(reached_.t), jumps_.rates()))) return Course::ended;
   begin_piece();
   return unless_stopped(emitter_.emit_times(reached_, false));
 }

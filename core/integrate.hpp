@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "aim.hpp"
@@ -38,10 +39,11 @@ namespace invariode {
 
 /// The functions of a problem that the loop calls, or at whose changes it starts the method again.
 struct LoopFunctions {
-  Callback f;                             ///< jumps of f are looked for in it
-  BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds; null: f itself
-  std::optional<DifferentialRate> rate;   ///< y' of f, with a mass matrix
-  bool signed_states = false;             ///< components may be negative: see `BelowZero`
+  Callback f;                                 ///< jumps of f are looked for in it
+  BoundedSlope* bounded_slope = nullptr;      ///< what the method integrates within bounds; null: f itself
+  std::optional<DifferentialRate> rate;       ///< y' of f, with a mass matrix
+  std::optional<DifferentialRate> jump_rate;  ///< the same, for jumps of sensitivities that delays bring
+  bool signed_states = false;                 ///< components may be negative: see `BelowZero`
   std::vector<EventFunction> events;
   std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;
@@ -112,6 +114,8 @@ class Integration {
   [[nodiscard]] std::int64_t evaluations_of_checks() const {
     return discontinuities_.evaluations() + below_zero_.evaluations();
   }
+  /// The marks that this run has passed: times and levels, one after the other.
+  [[nodiscard]] const std::vector<std::pair<double, int>>& passed_marks() const { return passed_marks_; }
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
 
  private:
@@ -203,6 +207,7 @@ class Integration {
   DelayInterface* delayed_;        // the method as one that takes such an f
   std::vector<double> history_jumps_;
   int most_level_;
+  std::vector<std::pair<double, int>> passed_marks_;
   const Weights& weights_;
   const Settings settings_;
   BoundedSlope* bounded_slope_;

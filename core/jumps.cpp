@@ -15,13 +15,24 @@ constexpr int listed_from = 50;  // of these: the events that occur by them go r
 }  // namespace
 
 Jumps::Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
-             std::function<Status(double t, double* Y)> consistent_tangent, Callback f, Extent extent)
+             std::function<Status(double t, double* Y)> consistent_tangent, Callback f,
+             std::optional<DifferentialRate> rate, Extent extent)
     : parts_(parts),
       consistent_(std::move(consistent)),
       consistent_tangent_(std::move(consistent_tangent)),
       f_(f),
+      rate_(std::move(rate)),
       extent_(extent),
-      raw_(extent.n) {}
+      raw_(extent.n) {
+  jumped_.resize(extent_.k * extent_.n);
+  if (parts_.delays == nullptr || extent_.k == 0) return;
+  past_.resize(parts_.delays->lags().size() * extent_.n);
+  past_behind_.resize(past_.size());
+  slope_.resize(extent_.n);
+  slope_behind_.resize(extent_.n);
+  jumped_.resize(2 * jumped_.size());
+  rates_.resize(extent_.k);
+}
 
 State Jumps::at_events(double t, double* Y, bool inside) {
   if (const State state = begin(t, Y, inside); state != State::running) return state;
@@ -37,17 +48,53 @@ State Jumps::at_landing(double t, double* Y) {
   return follow(parts_.breaks.landing_jump(), t, Y);
 }
 
-Status Jumps::note_slope(double t, const double* y) {
-  slope_.resize(extent_.n);
-  slope_behind_.resize(extent_.n);
-  return f_(t, y, slope_.data());
+Status Jumps::note_past(double t) {
+  std::ranges::fill(rates_, 0);
+  return parts_.delays->values(parts_.breaks.inside(t), past_.data());
 }
 
 Status Jumps::at_moving_mark(double t, std::span<const double> rates, double* Y) {
-  if (f_(t, Y, slope_behind_.data()) == Status::stop) return Status::stop;
-  for (std::size_t j = 0; j < extent_.k; ++j)
-    for (std::size_t i = 0; i < extent_.n; ++i) Y[(1 + j) * extent_.n + i] += (slope_[i] - slope_behind_[i]) * rates[j];
+  const std::size_t n = extent_.n, k = extent_.k;
+  if (parts_.delays->values(parts_.breaks.inside(t), past_behind_.data()) == Status::stop) return Status::stop;
+  for (std::size_t d = 0; d < past_.size() / n; ++d) {
+    const std::span<const double> moved = rates.subspan(d * k, k);
+    const bool moves = std::ranges::any_of(moved, [](double one) { return one != 0; });
+    if (moves && slope_with(past_, t, Y, slope_.data()) == Status::stop) return Status::stop;
+    std::copy_n(past_behind_.data() + d * n, n, past_.data() + d * n);
+    if (!moves) continue;
+    if (slope_with(past_, t, Y, slope_behind_.data()) == Status::stop) return Status::stop;
+    for (std::size_t j = 0; j < k; ++j)
+      for (std::size_t i = 0; i < n; ++i) Y[(1 + j) * n + i] += (slope_[i] - slope_behind_[i]) * moved[j];
+  }
   return Status::ok;
+}
+
+/// y' at (t, y) with these delayed values; 0 of components that rest at a bound.
+Status Jumps::slope_with(std::span<const double> past, double t, const double* y, double* out) {
+  parts_.delays->hold(past);
+  const Status status = f_(t, y, out);
+  parts_.delays->hold({});
+  bool told = true;
+  if (status == Status::stop || (rate_ && rate_->enter(t, told) == Status::stop)) return Status::stop;
+  if (rate_ && told) rate_->solve(out);
+  if (parts_.manifold.bounds() == nullptr) return Status::ok;
+  const std::vector<double> lower = parts_.manifold.bounds()->lower(), upper = parts_.manifold.bounds()->upper();
+  for (std::size_t i = 0; i < extent_.n; ++i)
+    if ((y[i] <= lower[i] && out[i] < 0) || (y[i] >= upper[i] && out[i] > 0)) out[i] = 0;
+  return Status::ok;
+}
+
+Status Jumps::note_occurrence(Callback& jump, double t, const double* Y) {
+  if (note_past(t) == Status::stop) return Status::stop;
+  before_.assign(Y, Y + extent_.size());
+  return call(jump, t, Y);
+}
+
+/// Calls the jump of the sensitivities from `before_` to y, into `jumped_`.
+Status Jumps::call(Callback& jump, double t, const double* y) {
+  before_.insert(before_.end(), y, y + extent_.n);
+  before_.insert(before_.end(), past_.begin(), past_.end());
+  return jump(t, before_.data(), jumped_.data());
 }
 
 State Jumps::at_breakpoints(double t, double* Y, bool inside) {
@@ -174,8 +221,9 @@ State Jumps::take(Callback& action, const double* given, Callback& jump, double 
 
 /// S behind a jump of y from `before_`.
 State Jumps::follow(Callback& jump, double t, double* Y) {
-  before_.insert(before_.end(), Y, Y + extent_.n);
-  if (jump(t, before_.data(), Y + extent_.n) == Status::stop) return State::interrupted;
+  if (call(jump, t, Y) == Status::stop) return State::interrupted;
+  std::copy_n(jumped_.data(), extent_.k * extent_.n, Y + extent_.n);
+  for (std::size_t j = 0; j < rates_.size(); ++j) rates_[j] = jumped_[(extent_.k + j) * extent_.n];
   return all_finite(Y, extent_.size()) ? State::running : State::action_undefined;
 }
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "breaks.hpp"
+#include "delays/delays.hpp"
 #include "initial_checks.hpp"
 #include "linear/mass.hpp"
 #include "manifold/manifold.hpp"
@@ -37,9 +38,11 @@ class Jumps {
     Manifold& manifold;
     InitialChecks& checks;
     std::vector<Trajectory>& occurrences;  ///< of each event, those of the run
+    Delays* delays;                        ///< null: f takes no earlier values
   };
   Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
-        std::function<Status(double t, double* Y)> consistent_tangent, Callback f, Extent extent);
+        std::function<Status(double t, double* Y)> consistent_tangent, Callback f, std::optional<DifferentialRate> rate,
+        Extent extent);
 
   /// The actions of the events of the last search that occurred at t. `inside`: t is not the end of that step.
   [[nodiscard]] State at_events(double t, double* Y, bool inside);
@@ -47,9 +50,15 @@ class Jumps {
   [[nodiscard]] State at_breakpoints(double t, double* Y, bool inside);
   /// The sensitivities behind a landing, whose time depends on parameters; y goes on.
   [[nodiscard]] State at_landing(double t, double* Y);
-  /// f before a mark whose time depends on parameters, and then the sensitivities behind it: S⁺ = S⁻ + (f⁻ − f⁺) ∂t/∂p.
-  [[nodiscard]] Status note_slope(double t, const double* y);
+  /// Takes the delayed values at t, for the jumps there: those before what delays bring to t, which comes last.
+  [[nodiscard]] Status note_past(double t);
+  /// The sensitivities behind what each delay brings to t, at times that depend on parameters: S⁺ = S⁻ + (y'⁻ − y'⁺)
+  /// ∂t/∂p for one delay after the other. `rates`: (delays, k).
   [[nodiscard]] Status at_moving_mark(double t, std::span<const double> rates, double* Y);
+  /// ∂t/∂p of the latest jump of y, (k,), of a run with delays and sensitivities.
+  [[nodiscard]] const std::vector<double>& rates() const { return rates_; }
+  /// Tells the sensitivities of an event that occurs without an action, at (t, Y).
+  [[nodiscard]] Status note_occurrence(Callback& jump, double t, const double* Y);
   /// Moves Y onto the algebraic equations, without any action; and only S onto their tangent.
   [[nodiscard]] State onto_equations(double t, double* Y);
   [[nodiscard]] State follow_equations(double t, double* Y);
@@ -79,6 +88,8 @@ class Jumps {
     bool listed;  ///< its occurrence is known, but not yet with the state before its action
   };
 
+  Status slope_with(std::span<const double> past, double t, const double* y, double* out);
+  Status call(Callback& jump, double t, const double* y);
   State begin(double t, const double* Y, bool inside);
   State undefined_event(double t);
   State work(double t, double* Y);
@@ -97,7 +108,12 @@ class Jumps {
   std::function<Consistency(double t, double* y)> consistent_;
   std::function<Status(double t, double* Y)> consistent_tangent_;
   Callback f_;
-  std::vector<double> slope_, slope_behind_;  // f before a mark, and behind it
+  std::optional<DifferentialRate> rate_;
+  std::vector<double> slope_, slope_behind_;  // y' before a mark, and behind it
+  std::vector<double> past_;                  // the delayed values before what delays bring, (delays, n)
+  std::vector<double> past_behind_;           // and behind it
+  std::vector<double> jumped_;                // (2 k, n): S behind a jump, then rows that begin with ∂t/∂p_j
+  std::vector<double> rates_;
   Extent extent_;
   std::vector<Due> due_;
   std::vector<Occurrence> crossed_;

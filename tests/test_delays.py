@@ -277,9 +277,7 @@ WRONG = [
     ({"method": "radau", "jac": lambda t, y, z: [[0.0]]}, "formed by differences"),
     ({"method": "ode15s", "linear_solver": "gmres"}, "must be 'direct'"),
     ({"adjoint": True}, "adjoint equations look ahead"),
-    ({"sensitivities": "y0", "events": lambda t, y: y[0]}, "delays and events are not supported"),
-    ({"sensitivities": "y0", "y0": [1.0 + 0j]}, "delays and a complex y0 are not supported"),
-    ({"sensitivities": True, "args": (1.0,), "history": lambda t, a: a}, "a history that depends on args"),
+    ({"method": "radau", "mass": [[0.0]]}, "singular mass matrix are not supported"),
     *(({"method": name}, f"'{name}' takes no delays") for name, about in iv.METHODS.items() if not about.delays),
 ]
 
@@ -346,6 +344,97 @@ def test_sensitivities_are_derivatives_of_the_solution(method, delays):
     p = np.concatenate([args, y0])
     D = np.column_stack([(end(p + one) - end(p - one)) / (2 * step) for one in step * np.eye(5)])
     np.testing.assert_allclose(S, D, atol=1e-5 * np.abs(D).max())
+
+
+def lifted(t, y, a, tau, b):
+    return [y[0] + 0.3 * b, y[1] * 0.5]
+
+
+def switched(t, y, z, a, tau, b):
+    return [a * z[0, 1] - y[0] ** 3 * b + np.where(t > 2 * a, 0.5, 0.0), -z[0, 0] + np.sin(y[1])]
+
+
+def complex_feedback(t, y, z, a, tau, b):
+    return [1j * a * z[0, 0] - b * y[0]]
+
+
+#: What a problem with y0 off its history has besides: S jumps at actions and at landings, and comes back by delays.
+COMBINED = {
+    "an action at a time of a parameter": {"events": iv.Event(lambda t, y, a, tau, b: t - 2 * a, action=lifted)},
+    "an action of the state": {"events": iv.Event(lambda t, y, a, tau, b: y[1] + 1.5 * b, action=lifted)},
+    "an action at a fixed time": {"breakpoints": [(2.0, lifted)]},
+    "a regular mass matrix": {"mass": lambda t, a, tau, b: [[2.0 + a, 0.5], [0.1 * b, 1.5]]},
+    "a history of the parameters": {"history": lambda t, a, tau, b: [np.cos(a * t) * 0.5, b * np.sin(tau * t) + 0.2]},
+    "a start at that history": {"history": lambda t, a, tau, b: [a * np.cos(t), b * np.exp(tau * t)], "y0": None},
+    "a condition on t": {"fun": switched},
+    "delays of the same size": {"delays": ["tau", "b"], "args": (1.1, 0.7, 0.7)},
+    "complex states": {
+        "fun": complex_feedback, "y0": [1.2 + 0j], "history": lambda t, a, tau, b: np.exp(1j * a * t), "delays": "tau",
+        "events": iv.Event(
+            lambda t, y, a, tau, b: y[0].real - 0.2, action=lambda t, y, a, tau, b: [y[0] * 1j], direction=-1
+        ),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", COMBINED)
+def test_sensitivities_jump_wherever_delays_bring_jumps_that_move(what):
+    """Against differences of solutions, whose errors are 1e-7 of the largest derivative."""
+
+    def two(t, y, z, a, tau, b):
+        return [a * z[0, 1] - y[0] ** 3 * 0.3, -z[-1, 0] + np.sin(y[1])]
+
+    given = {
+        "fun": two, "t_span": (0, 5), "y0": [0.9, 0.1], "delays": ["tau"], "history": [0.5, 0.2],
+        "args": (1.1, 0.7, 0.3), "sensitivities": True, **COMBINED[what],
+    }  # fmt: skip
+    problem, step = iv.Problem(**given), 1e-4
+    method, exact = ("radau", "radau") if "mass" in given else ("dop853", "dop853")
+    sol = problem.solve(method, rtol=1e-8, atol=1e-10)
+    plain = problem.replace(sensitivities=None)
+
+    def at(args):
+        other = plain.replace(args=args).solve(exact, rtol=1e-11, atol=1e-13)
+        return np.concatenate([other.y_end, *(other.t_events or [])])
+
+    p = np.array(given["args"])
+    D = np.column_stack([(at(tuple(p + d)) - at(tuple(p - d))) / (2 * step) for d in step * np.eye(3)])
+    S = np.concatenate([sol.sensitivities[:, :, -1], *(sol.sensitivities_t_events or [])])
+    np.testing.assert_allclose(S, D, atol=1e-6 * np.abs(D).max())
+
+
+@explicit_and_implicit
+def test_marks_are_the_images_of_jumps(method, tmp_path):
+    """With their levels, also of a run in two parts, and from a file."""
+    problem = iv.Problem(decay, (0, 3), [2.0], delays=1, history=1, breakpoints=[(0.5, lambda t, y: y + 1)])
+    sol = problem.solve(method)
+    part = problem.replace(t_span=(0, 1.2)).solve(method)
+    part.save(tmp_path / "part.npz")
+    for one in (sol, part.extend(3), iv.load(tmp_path / "part.npz", problem.replace(t_span=(0, 1.2))).extend(3)):
+        np.testing.assert_allclose(one.marks.t, [0, 0.5, 1, 1.5, 2, 2.5, 3], rtol=1e-15)
+        assert one.marks.level.tolist() == [0, 0, 1, 1, 2, 2, 3]
+    assert iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).marks.t.size == 0
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    ax = sol.plot(marks=True)
+    assert sorted(line.get_xdata()[0] for line in ax.lines if len(set(line.get_xdata())) == 1) == sol.marks.t.tolist()
+
+
+def test_an_initial_value_that_contradicts_the_history_is_named():
+    """A component with E' = h(y) - h(y(t - tau)) must begin with what the history has brought in."""
+
+    def latent(t, y, z):
+        return [-0.6 * y[0] * y[2], 0.6 * y[0] * y[2] - 0.6 * z[0, 0] * z[0, 2], 0.6 * z[0, 0] * z[0, 2] - 0.2 * y[2]]
+
+    def past(t):
+        return [0.9, 0.0, 0.1 * np.exp(t)]
+
+    inside = 0.6 * 0.9 * 0.1 * (1 - np.exp(-3))
+    for method in ("ode45", "radau"):
+        iv.solve_ivp(latent, (0, 1), [0.9, inside, 0.1], method, delays=3, history=past)
+        with pytest.warns(iv.AccuracyWarning, match="y0\\[1\\] = 0 contradicts the history.*0.0513"):
+            iv.solve_ivp(latent, (0, 1), [0.9, 0, 0.1], method, delays=3, history=past)
+        iv.solve_ivp(infection, (0, 1), [5, 0.1, 1], method, delays=[1, 10], history=[5, 0.1, 1])
 
 
 def test_a_fit_finds_a_delay():

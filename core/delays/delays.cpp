@@ -132,6 +132,10 @@ Status Delays::slope_at(double s, std::size_t& near) {
 Status Delays::arguments(double t, const double* y) {
   const std::size_t n = extent_.n;
   std::copy(y, y + n, in_.begin());
+  if (!held_.empty()) {
+    std::ranges::copy(held_, in_.data() + n);
+    return Status::ok;
+  }
   bool here_known = false;
   for (std::size_t j = 0; j < lags_.size(); ++j) {
     double* z = in_.data() + (1 + j) * n;
@@ -142,6 +146,14 @@ Status Delays::arguments(double t, const double* y) {
     if (!here_known && at(t, near_.back(), here_.data()) == Status::stop) return Status::stop;
     here_known = true;
     for (std::size_t i = 0; i < n; ++i) z[i] = y[i] + (z[i] - here_[i]);
+  }
+  return Status::ok;
+}
+
+Status Delays::values(double t, double* z) {
+  for (std::size_t j = 0; j < lags_.size(); ++j) {
+    if (at(t - lags_[j], near_[j], value_.data()) == Status::stop) return Status::stop;
+    std::copy_n(value_.data(), extent_.n, z + j * extent_.n);
   }
   return Status::ok;
 }
@@ -163,7 +175,7 @@ Status Delays::at(double s, std::size_t& near, double* Y) {
 }
 
 Status Delays::history(double s, double* Y) {
-  std::fill(Y + extent_.n, Y + extent_.size(), 0);
+  if (!terms_.history_varies) std::fill(Y + extent_.n, Y + extent_.size(), 0);
   if (!terms_.constant.empty()) {
     std::ranges::copy(terms_.constant, Y);
     return Status::ok;

@@ -26,7 +26,8 @@ struct Lag {
 struct DelayTerms {
   std::vector<Lag> lags;
   std::vector<double> constant;  ///< the history, (n,), where it is constant;
-  Callback history;              ///< or else (t, anything) -> y, (n,), for t < t0
+  Callback history;              ///< or else (t, anything) -> y, (n,), for t < t0;
+  bool history_varies = false;   ///< or -> Y, with ∂y/∂p behind it
   std::vector<double> jumps;     ///< of the history, before t0
   std::vector<double> rates;     ///< ∂τ_j/∂p, (lags, k), of a problem with sensitivities to k parameters
 };
@@ -63,6 +64,11 @@ class Delays {
   [[nodiscard]] std::span<const double> rates(std::size_t j) const {
     return terms_.rates.empty() ? std::span<const double>() : std::span(terms_.rates).subspan(j * extent_.k, extent_.k);
   }
+
+  /// (z_1, …, z_k) at t, which is at most the time reached.
+  Status values(double t, double* z);
+  /// Functions take these values instead of those of the past, until an empty one ends that.
+  void hold(std::span<const double> z) { held_ = z; }
 
   // What the loop does with it.
   /// The run begins at (t0, y), with steps of this kind. `jumps`: y is not what the history is there.
@@ -128,6 +134,7 @@ class Delays {
   bool looked_ahead_ = false;
   std::vector<double> data_, next_;  // the extension of the attempt
   std::size_t data_size_ = 0;
+  std::span<const double> held_;
   std::vector<double> in_, rows_, value_, here_, before_, after_, beside_, rate_;
 };
 

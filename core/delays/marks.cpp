@@ -24,7 +24,10 @@ void Marks::add(const Mark& mark) {
   };
   for (auto near : {place, place == all_.begin() ? all_.end() : place - 1})
     if (near != all_.end() && same(*near)) {
-      if (mark.level < near->level) near->rates = mark.rates;
+      if (mark.level < near->level && mark.level <= 1) near->rates.assign(mark.rates.size(), 0);
+      if (mark.level <= 1)
+        for (std::size_t i = 0; i < mark.rates.size(); ++i)
+          if (near->rates[i] == 0) near->rates[i] = mark.rates[i];
       near->level = std::min(near->level, mark.level);
       near->spacing = std::max(near->spacing, mark.spacing);
       return;

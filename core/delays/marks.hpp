@@ -12,15 +12,16 @@ namespace invariode {
 struct Mark {
   double t;
   int level;
-  double spacing;             ///< of the doubles from which t was computed
-  std::vector<double> rates;  ///< ∂t/∂p, (k,), of a run with sensitivities
+  double spacing;  ///< of the doubles from which t was computed
+  /// ∂t/∂p of what each delay brings there, (delays, k), where f jumps in a run with sensitivities; 0: nothing.
+  std::vector<double> rates;
 };
 
 /// The marks that a run has yet to pass, in increasing order of t, and those that it is passing. They grow while it
 /// goes on.
 class Marks {
  public:
-  /// Marks that rounding alone tells apart are one, with the smaller level.
+  /// Marks that rounding alone tells apart are one, with the smaller level and what all delays bring.
   void add(const Mark& mark);
   /// Forgets those that were passed long before t.
   void pass(double t);

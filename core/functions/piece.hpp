@@ -58,6 +58,7 @@ class Piece {
   /// The first and the last time at which its functions see the time that they get.
   [[nodiscard]] double low() const { return low_; }
   [[nodiscard]] double high() const { return high_; }
+  [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
 
  private:
   template <class Function>
@@ -71,7 +72,6 @@ class Piece {
   static double inside(double end, double margin, double towards) {
     return margin <= ulp(end) ? std::nextafter(end, towards) : end + std::copysign(margin, towards);
   }
-  [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
 
   static Status callback_entry(void* self, double t, const double* y, double* out) {
     auto& [piece, function] = *static_cast<PieceFunction<Callback>*>(self);

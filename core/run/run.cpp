@@ -238,6 +238,7 @@ void Run::start_loop() {
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
                           .rate = rate(),
+                          .jump_rate = delays_ ? rate() : std::nullopt,
                           .signed_states = all.signed_states || all.complex || (mass_ && mass_->singular()),
                           .events = all.events,
                           .vectors = all.vectors,
@@ -339,6 +340,7 @@ void Run::describe(RunResult& result) const {
   result.below_zero = loop.below_zero();
   result.stiffness = loop.stiffness();
   result.discontinuities = loop.discontinuities().found();
+  result.marks = loop.passed_marks();
   result.sticks_since = loop.discontinuities().sticks_since();
   result.accumulation = loop.accumulation();
   result.switches = loop.switches();

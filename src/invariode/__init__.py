@@ -26,7 +26,7 @@ from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
 from ._problem.problem import Problem
 from ._problem.sensitivities import Sensitivities
-from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
+from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Marks, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
 from ._solve.ivp import solve_ivp
@@ -84,6 +84,7 @@ __all__ = [
     "InvariantError",
     "Invariants",
     "Limits",
+    "Marks",
     "MechanicalSystem",
     "Method",
     "Objective",

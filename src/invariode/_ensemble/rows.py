@@ -109,6 +109,8 @@ def _own_to_each(plan: Plan, args: Any) -> str | None:
     linear = plan.functions.linear
     if linear is not None and linear.algebraic:
         return "the start is moved onto algebraic equations, and tolerances of sensitivities with it"
+    if plan.functions.delays is not None and plan.functions.delays.varied:
+        return "the derivatives of the history depend on args"
     if callable(plan.varied.sizes.wanted.dy0dp):
         return "dy0dp is a function, which is called for each trajectory"
     return plan.varied.own_to_each

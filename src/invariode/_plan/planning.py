@@ -38,10 +38,11 @@ from .._functions.layout import ArgumentLayout, layout_of
 from .._laws.bound import BoundInvariants, bind
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.core_problem import CoreProblem, DelayTerms, LinearTerms
-from .._problem.delays import Undelayed, depends_on_args
+from .._problem.delays import Undelayed
 from .._problem.events import RootOf, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
+from .._problem.invariants import AccuracyWarning
 from .._problem.matrices import Matrices
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import Options, checked
@@ -178,16 +179,10 @@ def _require_delays(problem: Problem, method: Method, options: Options) -> None:
             "jac with delays: Newton's matrix has derivatives with respect to delayed values too, where these are "
             "within the step. It is formed by differences: leave out jac, or give jac_sparsity or bands"
         )
-    if problem.sensitivities is not None:
-        obstacles = {
-            "events": problem.events,
-            "a mass matrix": problem.matrices.mass is not None,
-            "a complex y0": problem.y0.dtype.kind == "c",
-            "a history that depends on args": depends_on_args(problem.delays.history, problem.args),
-        }
-        for what, there in obstacles.items():
-            if there:
-                raise ValueError(f"sensitivities of a problem with delays and {what} are not supported")
+    from .transit import contradiction  # the trace of a function that is known takes no time
+
+    if (message := contradiction(problem)) is not None:
+        warn(message, AccuracyWarning)
 
 
 def _with_sensitivities(plan: Plan, problem: Problem, breakpoints: list[Breakpoint]) -> Plan:
@@ -325,7 +320,7 @@ def _delays(problem: Problem, parameters: ArgumentLayout, given: Any) -> DelayTe
         return None
     before = {point.t for point in (*problem.breakpoints, *(given or ())) if point.t < problem.t_span[0]}
     varied = problem.parameter_names()
-    return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before), varied)
+    return problem.delays.for_core(problem.args, problem.y0, parameters, sorted(before), varied, problem.t_span[0])
 
 
 def _with_graph(problem: Problem, method: Method) -> Any:

@@ -105,6 +105,7 @@ class DelayTerms(NamedTuple):
     history: Any  # otherwise a function (t, y, *args) -> y
     jumps: Sequence[float]  # times before t0 at which it jumps
     rates: Sequence[float]  # derivatives for the parameters of sensitivities, one row for each delay
+    varied: int = 0  # the number k of these, if the history returns (1 + k, n), y and its derivatives
 
 
 class MechanicsTerms(NamedTuple):

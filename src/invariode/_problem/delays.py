@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, call_name, extra_arguments, interval, items, number, reals, shown
 from .._base.types import Span
 from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
+from .._functions.derivatives import Point, derivative_of
 from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, place_of
 from .core_problem import DelayTerms
@@ -21,6 +22,11 @@ from .parameters import ParameterName, parameter_names, values_of
 
 DelaysLike: TypeAlias = float | str | Sequence[float | str]
 HistoryLike: TypeAlias = Callable[..., Any] | ArrayLike
+
+
+#: The part of the longest delay before t0 at which the ways to differentiate a history are compared: it is likely to be
+#: special at t0.
+_WITHIN = 0.618
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,12 @@ class Delays:
             return self.constant
         return [self.history.t, self.history.y] if is_solution(self.history) else self.history
 
+    def in_pairs(self) -> Any:
+        """The history of complex states as one of pairs of real numbers: a constant, or a function (t, \\*args)."""
+        if self.constant is not None:
+            return self.constant.view(float)
+        return lambda t, *args: np.ascontiguousarray(self.before(t, args), dtype=complex).view(float)
+
     def before(self, t: float, args: tuple[Any, ...]) -> Array:
         """The history at a time before the start, of shape (n,)."""
         if self.constant is not None:
@@ -70,16 +82,21 @@ class Delays:
         parameters: ArgumentLayout,
         jumps: list[float],
         varied: Sequence[ParameterName],
+        t0: float,
     ) -> DelayTerms:
-        """The delays as the core takes them. `jumps`: times before the start at which the history jumps. `varied`: the
-        parameters of the sensitivities."""
+        """The delays as the core takes them. `jumps`: times before the start, t0, at which the history jumps. `varied`:
+        the parameters of the sensitivities."""
         places = [
             -1 if name is None or not parameters.size else place_of(args, name.index, name.item) for name in self.names
         ]
         constant = None if self.constant is None else self.constant.astype(y0.dtype).view(float)
-        history = None if self.constant is not None else _History(self.history)
+        history: Any = None if self.constant is not None else _History(self.history)
         rates = [float(_same(name, one)) for name in self.names for one in varied]
-        return DelayTerms(self.values(args, y0), places, constant, history, jumps, rates)
+        count = 0
+        if varied and depends_on_args(self.history, args):
+            before = t0 - _WITHIN * max(self.values(args, y0))
+            history, count = _VariedHistory(history, args, varied, Point(before, y0)), len(varied)
+        return DelayTerms(self.values(args, y0), places, constant, history, jumps, rates, count)
 
     def in_one_vector(self, fun: Any, n: int) -> Any:
         """Return f as a function of (t, x) with x = (y, z), for its derivatives."""
@@ -91,16 +108,19 @@ class Delays:
 
     def stacked_at_start(self, t: float, y: Array, args: tuple[Any, ...]) -> Array:
         """(y, z) at the start, of shape (n (1 + k),)."""
-        return np.concatenate([y, *(self.before(t - tau, args) for tau in self.values(args, y))])
+        return np.concatenate([y, self.past(t, y, args).ravel()])
 
     def called_by_core(self, fun: Any, y0: Array, parameters: ArgumentLayout) -> Any:
         """Return f as the core calls it: machine code as a function of (t, x) with x = (y, z), Python as it is."""
         n = reals(y0)
         return to_native("fun", stacked(fun, n, self.count, bool(parameters.size)), n * (1 + self.count), n, parameters)
 
-    def at_start(self, fun: Any, t: float, y: Array, args: tuple[Any, ...]) -> Any:
-        """Values of f at a point, with the delayed values that the history has there."""
-        z = np.array([self.before(t - tau, args) for tau in self.values(args, y)], dtype=y.dtype)
+    def past(self, t: float, y: Array, args: tuple[Any, ...]) -> Array:
+        """The delayed values that the history has, of shape (k, n)."""
+        return np.array([self.before(t - tau, args) for tau in self.values(args, y)], dtype=y.dtype)
+
+    def value(self, fun: Any, t: float, y: Array, z: Array, args: tuple[Any, ...]) -> Any:
+        """Values of f at a point, with delayed values z (k, n)."""
         if not is_native(fun) or isinstance(fun, CompiledFunction):
             return fun(t, y, z, *args)
         n = reals(y)
@@ -184,11 +204,24 @@ def _constant(history: Any, y0: Array) -> Array:
 
 
 def start_of(y0: Any, history: Any, t_span: Span, args: Any) -> Any:
-    """y0, or the history at the start if y0 is None and there is a history."""
+    """y0, or the history at the start if y0 is None and there is a history: a function of the arguments if it is."""
     if y0 is not None or history is None:
         return y0
-    at_start = of_time(history, extra_arguments(args))(interval(t_span)[0]) if is_function(history) else history
-    return np.atleast_1d(np.asarray(at_start))
+    if not is_function(history):
+        return np.atleast_1d(np.asarray(history))
+    at_start = StartOfHistory(history, interval(t_span)[0])
+    extra = extra_arguments(args)
+    return at_start if depends_on_args(history, extra) else at_start(*extra)
+
+
+class StartOfHistory:
+    """The history at the start, as a function of the arguments."""
+
+    def __init__(self, history: Any, t0: float) -> None:
+        self.history, self.t0 = history, t0
+
+    def __call__(self, *args: Any) -> Any:
+        return np.atleast_1d(np.asarray(of_time(self.history, args)(self.t0)))
 
 
 def depends_on_args(history: Any, args: tuple[Any, ...]) -> bool:
@@ -227,6 +260,29 @@ class _History:
 
     def __call__(self, t: float, y: Array, *args: Any) -> Any:
         return of_time(self.history, args)(t)
+
+
+class _VariedHistory:
+    """A history and its derivatives with respect to parameters, of (t, y, \\*args): the rows y, ∂y/∂p_j, of shape
+    (1 + k, n)."""
+
+    def __init__(self, history: _History, args: tuple[Any, ...], names: Sequence[ParameterName], at: Point) -> None:
+        self._is_complex = at.y.dtype.kind == "c"
+        y = np.ascontiguousarray(at.y).view(float)
+        self._of_args = derivative_of(
+            self._in_reals, (len(y), len(y)), at=Point(at.t, y), args=args, names=names, called="history"
+        )
+        self._history = history
+
+    def _in_reals(self, t: Any, y: Any, *args: Any) -> Any:
+        values = self._history(t, y, *args)
+        values = values if np.ndim(values) else [values]
+        return [part for one in values for part in (np.real(one), np.imag(one))] if self._is_complex else values
+
+    def __call__(self, t: float, y: Array, *args: Any) -> Array:
+        real = np.zeros(self._of_args.n)
+        rows = np.vstack([self._of_args.value(t, real), self._of_args.of_parameters(t, real).T])
+        return rows.view(complex) if self._is_complex else rows
 
 
 def is_function(history: Any) -> bool:

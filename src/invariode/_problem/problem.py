@@ -40,7 +40,7 @@ from .._functions.graph.function import TracedFunction
 from .._functions.second_order import SecondOrder, states_second_order
 from .bounds import Bounds, to_bounds
 from .breakpoints import Breakpoint, to_breakpoints, warn_of_idle_actions
-from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, start_of, to_delays
+from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, StartOfHistory, start_of, to_delays
 from .docstrings import documented
 from .events import Event, direction_sign, of_one_run, roots_among, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
@@ -200,8 +200,9 @@ class Problem:
         if unknown or by_position:
             raise _no_such_argument(unknown, by_position)
         args = _args_or(parameters, args)
+        y0 = start_of(y0, history, t_span, args)
         state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
-        self._pose(_filled(fun, inplace, delays is not None), t_span, start_of(state, history, t_span, args), args)
+        self._pose(_filled(fun, inplace, delays is not None), t_span, state, args)
         called, start, described = self.fun, self.y0, self.__dict__
         if of_args is not None:
             described["y0_of_args"] = of_args
@@ -376,10 +377,11 @@ class Problem:
         for name in changes.keys() - ProblemArguments.__annotations__.keys():
             if name in names_of_arguments(self.fun, len(self.args), 2 + len(self.before_args)):
                 raise TypeError(f'{name} is an argument of fun: replace(args={{"{name}": value}}) changes it')
+        start = self.y0_of_args
         now = {
             "fun": self.fun,
             "t_span": self.t_span,
-            "y0": self.y0 if self.y0_of_args is None else self.y0_of_args,
+            "y0": self.y0 if start is None else None if isinstance(start, StartOfHistory) else start,
             "args": self.args,
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,

@@ -35,6 +35,11 @@ class Slope(NamedTuple):
         n = reals(y0)
         return to_native("fun", self.fun, n, n, parameters)
 
+    def of_past(self, t: float, y: Array, z: Array) -> Array:
+        """Return f (n,) of a problem with delays, of their values z (k, n)."""
+        assert self.delays is not None
+        return checked_slope(self.delays.value(self.fun, t, y.copy(), z, self.args), y)
+
     def __call__(self, t: Array, y: Array) -> Array:
         """The values at points y (n, n_t), one for each t. Delayed values are those of the history."""
         rows = np.ascontiguousarray(y.T)
@@ -42,7 +47,7 @@ class Slope(NamedTuple):
         fun = self.fun
         if self.delays is not None:
             for value, at, state in zip(values, t.tolist(), rows, strict=True):
-                value[:] = checked_slope(self.delays.at_start(fun, at, state.copy(), self.args), state)
+                value[:] = self.of_past(at, state, self.delays.past(at, state, self.args))
             return values.T
         if isinstance(fun, CoreFunction) or not is_native(fun):
             for value, at, state in zip(values, t.tolist(), rows, strict=True):

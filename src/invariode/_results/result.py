@@ -215,6 +215,8 @@ class Stats(Deferred, DataRecord):
     discontinuities : tuple of float
         Times at which f appears discontinuous and steps were rejected, in order. Each t is the first with the new value
         of f. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
+    marks : tuple of (float, float)
+        Of a run with delays: the times and levels that `Solution.marks` has as arrays.
     sensitivities : str or None
         Of a run with `sensitivities`: how the derivatives of its functions were formed: 'traced' (exact, from
         their expressions), 'given', 'complex step' or 'differences'; of each function, if they differ.
@@ -244,6 +246,7 @@ class Stats(Deferred, DataRecord):
     stiff_since: float | None = dataclasses.field(default_factory=_none)
     jacobian: str | None = dataclasses.field(default_factory=_none)
     discontinuities: tuple[float, ...] = dataclasses.field(default_factory=tuple)
+    marks: tuple[tuple[float, ...], ...] = dataclasses.field(default_factory=tuple)
     sensitivities: str | None = dataclasses.field(default_factory=_none)
 
     @classmethod
@@ -258,6 +261,23 @@ class Stats(Deferred, DataRecord):
 
     def __getstate__(self) -> dict[str, Any]:
         return dict(self)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Marks(DataRecord):
+    """Times at which delays bring discontinuities of a solution, in increasing order.
+
+    Attributes
+    ----------
+    t : ndarray of shape (count,)
+        The times: of jumps of the history, t0, breakpoints and actions, and of their images by the delays.
+    level : ndarray of int of shape (count,)
+        The order of the lowest derivative that jumps there: 0 is y itself, 1 its slope. With sensitivities t0 has
+        level 0, since they jump there.
+    """
+
+    t: Array
+    level: Array
 
 
 class StiffnessWarning(UserWarning):
@@ -636,6 +656,14 @@ class Result(Deferred, dict[str, Any]):
     def _at_events(self, which: str) -> list[Array] | None:
         found = None if self._sensitivities is None else self._sensitivities.events
         return None if found is None else ByEvent(self._names.events, getattr(found, which))
+
+    @property
+    def marks(self) -> Marks:
+        """Times at which derivatives jump because of delays, as far as the method can see it, and which derivatives:
+        `Marks` with arrays `t` and `level`, empty without delays. A trajectory of an ensemble has none.
+        """
+        found = np.array(self.stats.marks, dtype=float).reshape(-1, 2)
+        return Marks(found[:, 0], found[:, 1].astype(np.int64))
 
     @property
     def residual(self) -> Array:

@@ -248,7 +248,13 @@ class Solution(Exports):
         return found
 
     def plot(
-        self, components: Any = None, *, ax: Axes | None = None, log: Literal["x", ""] | None = None, **line: Any
+        self,
+        components: Any = None,
+        *,
+        ax: Axes | None = None,
+        log: Literal["x", ""] | None = None,
+        marks: bool = False,
+        **line: Any,
     ) -> Axes:
         """Draw components of the solution over t.
 
@@ -273,6 +279,8 @@ class Solution(Exports):
             'x': a logarithmic axis of time, on which t = 0 has no place; '': a linear one. Default: linear, but in a
             new figure logarithmic if half of the output lies in the first thousandth of the time and the steps span
             six decades, as those of stiff runs do.
+        marks : bool, default False
+            Of a run with delays: draw a vertical line at each of its `marks`, thinner with each level.
         **line
             Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes;
             a `marker` marks the points of the output.
@@ -289,7 +297,7 @@ class Solution(Exports):
         """
         if log is not None:
             choice("log", log, ("x", ""))
-        return over_time.draw(self, ax, components, log, line)
+        return over_time.draw(self, ax, components, log, flag("marks", marks), line)
 
     def plot_phase(
         self,

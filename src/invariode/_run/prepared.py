@@ -217,6 +217,8 @@ def _of_any_args(problem: Problem, plan: Plan) -> bool:
     on them."""
     if plan.schedule is not None and plan.schedule.depends_on_args:
         return False
+    if plan.varied is not None and plan.functions.delays is not None and plan.functions.delays.varied:
+        return False
     if not fits_any_args(problem, plan.method.name):
         return False
     p = plan.functions.parameters

@@ -603,6 +603,8 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
     stats.jacobian = formed(plan.functions.linear, run)
     stats.sensitivities = None if plan.varied is None else plan.varied.derivatives
+    if plan.functions.delays is not None:
+        stats.marks = tuple((t, float(level)) for t, level in run.marks)
     if run.remarkable:
         stats.stiff_since = run.stiff_since if run.stiff else None
         stats.discontinuities = tuple(run.discontinuities)
@@ -726,7 +728,11 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         sol=sol,
         t_events=t_events,
         y_events=y_events,
-        stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
+        stats=dataclasses.replace(
+            new.stats,
+            mechanics=_summed(old.stats.mechanics, new.stats.mechanics),
+            marks=old.stats.marks + new.stats.marks,
+        ),
         steps=steps,
         _invariants=bound,
         _sensitivities=sensitivities,

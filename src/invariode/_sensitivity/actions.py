@@ -58,14 +58,27 @@ class Rate:
         self._derivatives = slope() if self.is_singular else None
         self._near = np.asarray(atol)
         self._bounds, self._direction = problem.bounds, np.sign(problem.t_span[1] - problem.t_span[0])
+        self.past: Array | None = None  # with delays: the delayed values, (delays, n)
+        self.restart(problem)
 
     @property
     def is_singular(self) -> bool:
         """True if M is singular."""
         return self._algebraic.is_singular
 
+    def restart(self, problem: Problem) -> None:
+        """Take the delayed values of the start."""
+        if problem.delays is not None:
+            self.past = problem.delays.past(problem.t_span[0], problem.y0, problem.args)
+
     def __call__(self, t: float, y: Array) -> Array:
-        f = self._slope(np.array([t]), y[:, None])[:, 0]
+        """y' at (t, y), with the delayed values in `past`, or with those that stand after y."""
+        if self.past is None:
+            f = self._slope(np.array([t]), y[:, None])[:, 0]
+        else:
+            n = self.past.shape[1]
+            y, z = (y, self.past) if len(y) == n else (y[:n], y[n:].reshape(-1, n))
+            f = self._slope.of_past(t, y, z)
         if self._derivatives is not None:
             ft = self._derivatives.of_time(t, y)
             J, algebraic = self._derivatives.jacobian(t, y), self._algebraic.at(t)
@@ -256,6 +269,7 @@ class EventTime:
         self._name, self._rate, self._weights = event.__name__, rate, weights
         self.function, self._is_known = function, is_known
         self._grazing: list[float] = []
+        self.noted: dict[float, Array] = {}  # with delays: ∂τ/∂p at the occurrences of the run
 
     @classmethod
     def of_each(
@@ -387,6 +401,11 @@ class Together:
         """Record an action that has been taken."""
         self._last = moment
 
+    def times(self) -> Array:
+        """∂τ/∂p of the latest action, (k,)."""
+        assert self._last is not None
+        return self._last.times
+
 
 @dataclass
 class ActionOfEvent:
@@ -421,6 +440,10 @@ class ActionOfEvent:
         times = self._time.with_slope(t, Y, f)
         return _Moment(t, Y.copy(), f, times, Y[1:] + np.outer(times, f), Y)
 
+    def times(self) -> Array:
+        """∂τ/∂p of the latest action, (k,)."""
+        return self._together.times()
+
     def taken(self) -> dict[float, Array]:
         """S (n, k) by the time of the occurrence, since the last `forget`."""
         return dict(self._log)
@@ -428,6 +451,26 @@ class ActionOfEvent:
     def forget(self) -> None:
         """Begin with another run."""
         self._log.clear()
+
+
+@dataclass
+class WithPast:
+    """A jump of sensitivities of a problem with delays, as the core calls it: with the delayed values after y, it
+    returns (2 k, n), S and rows that begin with ∂τ/∂p_j. An event without an action has its time noted."""
+
+    _jump: Callable[[float, Array, Array], Array] | None
+    _rate: Rate
+    _time: EventTime | None = None  # of an event
+
+    def __call__(self, t: float, Y: Array, behind: Array) -> Array:
+        k, n = len(Y) - 1, Y.shape[1]
+        self._rate.past = behind[n:].reshape(-1, n)
+        found = np.zeros((2 * k, n))
+        found[:k] = Y[1:] if self._jump is None else self._jump(t, Y, behind[:n])
+        if self._time is not None:
+            times = self._jump.times() if isinstance(self._jump, ActionOfEvent) else self._time.at(t, Y)
+            self._time.noted[t] = found[k:, 0] = times
+        return found
 
 
 @dataclass

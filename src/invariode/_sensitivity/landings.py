@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -55,8 +55,8 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     - `parameters`: parameters of the problem's native functions
     - `graph`: graph of f, if f has been traced for its derivatives
     """
-    if problem.delays is not None and (problem.sensitivities is not None or problem.y0.dtype.kind == "c"):
-        return None  # sensitivities do not follow them
+    if problem.delays is not None and problem.y0.dtype.kind == "c":
+        return None
     from .._functions.graph.landings import landings, timed
 
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
@@ -98,15 +98,17 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
         if found is None:
             return []
         return found.timed if not problem.inputs else timed(*_fed(found.outputs, problem))
-    made = _of_python(problem) if n else None
+    from .._functions.graph.plain import may_switch
+
+    made = graph_of_python(problem) if n and may_switch(_python(problem)) else None
     if made is None:
         return []
     if problem.delays is not None:
-        return timed(_with_past(made.outputs, problem.delays.count * n, n))
+        return timed(of_past(made.outputs, problem.delays.count * n, n))
     return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
 
 
-def _with_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
+def of_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
     """The values with components of y beyond the n-th in the place of the first parameters, the delayed values."""
     from .._functions.graph.structure import replaced
 
@@ -123,21 +125,22 @@ def _of_invariants(problem: Problem) -> list[Crossing]:
     return [one for fun in formulas if isinstance(fun, Formula) for one in timed(fun.outputs)]
 
 
-def _of_python(problem: Problem) -> PlainGraph | None:
-    """Return the graph of a Python f, if it has one that may switch, else None."""
-    fun, n = problem.fun, reals(problem.y0)
+def _python(problem: Problem) -> Any:
+    """Return f as a Python function; None: it is machine code, or fills an array."""
+    fun = problem.fun
     if isinstance(fun, SecondOrder):
-        if fun.native:
-            return None
-        fun = fun.first_order
+        return None if fun.native else fun.first_order
     if isinstance(fun, CompiledFunction):
-        if fun.inplace:
-            return None
-        fun = fun.fun
-    from .._functions.graph.plain import may_switch, plain_graph
+        return None if fun.inplace else fun.fun
+    return fun
 
-    if not may_switch(fun):
-        return None
+
+def graph_of_python(problem: Problem) -> PlainGraph | None:
+    """Return the graph of a Python f, of which inputs and delayed values are the first parameters; None: it has
+    none."""
+    fun, n = _python(problem), reals(problem.y0)
+    from .._functions.graph.plain import plain_graph
+
     inputs = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
     if problem.delays is not None:
         inputs.append(Numbers(np.ones((problem.delays.count, n)), varying=True))

@@ -55,7 +55,7 @@ class MassDerivatives:
 
     def __call__(self, t: float, y: Array) -> Array:
         """(∂M/∂p_j) y' in row j, (k, n)."""
-        of_p = self.derivatives.of_parameters(t, y).T
+        of_p = self.derivatives.of_parameters(t, y[: self._n]).T
         return np.asarray(of_p.reshape(-1, self._n, self._n) @ self._rate(t, y))
 
 

@@ -36,23 +36,27 @@ class OfPairs:
 
     - `fun`: the function
     - `complex_values`: the values are complex, and pairs of real numbers take their place
+    - `with_past`: it takes delayed values too, as rows of pairs
     """
 
-    def __init__(self, fun: Callable[..., Any], complex_values: bool) -> None:
-        self.fun, self._complex_values = fun, complex_values
+    def __init__(self, fun: Callable[..., Any], complex_values: bool, with_past: bool = False) -> None:
+        self.fun, self._complex_values, self._with_past = fun, complex_values, with_past
         self.__name__ = getattr(fun, "__name__", "fun")
         self.__wrapped__ = fun  # whose signature it has
 
     def __call__(self, t: Any, pairs: Any, *args: Any) -> Any:
+        if self._with_past:
+            z, *rest = args
+            args = (z[:, 0::2] + 1j * z[:, 1::2], *rest)
         values = np.asarray(self.fun(t, pairs[0::2] + 1j * pairs[1::2], *args))
         if not self._complex_values:
             return np.real(values)
         return np.ravel(np.column_stack([np.ravel(np.real(values)), np.ravel(np.imag(values))]))
 
 
-def of_pairs(fun: Any, complex_values: bool = True) -> Any:
+def of_pairs(fun: Any, complex_values: bool = True, with_past: bool = False) -> Any:
     """A function for pairs; machine code, and what is compiled, takes them as it is."""
-    return fun if fun is None or is_native(fun) else OfPairs(fun, complex_values)
+    return fun if fun is None or is_native(fun) else OfPairs(fun, complex_values, with_past)
 
 
 class _DerivativesOfPairs:
@@ -117,14 +121,17 @@ def real_form(problem: Problem, points: Sequence[Breakpoint], *, both_parts: boo
         scale=wanted.scale,
         error_test=wanted.error_test,
     )
+    delays = problem.delays
     form = Problem(
-        of_pairs(problem.fun),
+        of_pairs(problem.fun, with_past=delays is not None),
         problem.t_span,
         problem.y0.view(float),
         args=problem.args,
         invariants=[_law(one) for one in problem.invariants] or None,
         events=[_event(one) for one in problem.events] or None,
         inputs=problem.inputs or None,
+        delays=None if delays is None else delays.given,
+        history=None if delays is None else delays.in_pairs(),
         sensitivities=of_args,
     )
     doubled = [

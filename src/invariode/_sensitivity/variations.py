@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .._results.sensitivities import AtEvents
-from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, of_roots, restoration
+from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, WithPast, of_roots, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives
 from .pairs import for_complex, in_complex, real_form, require_analytic, start_of_pairs
@@ -60,6 +60,8 @@ class Variations:
     derivatives_of: list[Derivative]  # derivatives of all functions
     schedule: Schedule | None = None  # times at which f changes its branch as a function of t alone
     is_complex: bool = False  # the state is complex; `start` has pairs then
+    restart: Callable[[], None] | None = None  # with delays: takes the delayed values of the start
+    t0: float = 0.0  # the start
 
     @property
     def own_to_each(self) -> str | None:
@@ -173,6 +175,8 @@ class Variations:
         before, after, times = [], [], []
         k, n = len(self.names), n * (1 + self.is_complex)
         found = [(t.tolist(), np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)) for t, rows in happened]
+        if self.restart is not None:
+            self.restart()
         for i, ((t, states), time, action) in enumerate(zip(found, self.times, self.actions, strict=True)):
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([self._time(i, *one, found) for one in zip(t, states, strict=True)]).reshape(-1, k))
@@ -181,9 +185,10 @@ class Variations:
             behind = before[-1] if action is None else np.array([log.get(one, unknown) for one in t])
             after.append(behind.reshape(len(t), n, k))
             time.tell()
-        for one in self.actions:
-            if one is not None:
-                one.forget()
+        for action, time in zip(self.actions, self.times, strict=True):
+            time.noted.clear()
+            if action is not None:
+                action.forget()
         if self.is_complex:
             before, after = ([in_complex(one, 1) for one in each] for each in (before, after))
         return AtEvents(before, after, times)
@@ -192,6 +197,9 @@ class Variations:
         """Return ∂τ (k,) of an occurrence of event i among those found. An event that a jump has carried over zero has
         the time of that jump: of a breakpoint, or of the event that acts."""
         acting = [j for j, (t_j, _) in enumerate(found) if j != i and self.actions[j] is not None and t in t_j]
+        if self.restart is not None and t != self.t0:
+            noted = (self.times[j].noted.get(t) for j in (i, *acting))
+            return next((one for one in noted if one is not None), np.zeros(len(self.names)))
         if (t not in self.breaks and not acting) or self.times[i].is_at_root(t, state):
             return self.times[i].at(t, state)
         for j in acting:
@@ -224,7 +232,7 @@ def make_variations(
     about = _Derivatives(args := problem.args, names, n := len(y0), Point(t0 := problem.t_span[0], y0))
     slope, rate = about.of_fun(problem, weights.rtol * np.asarray(weights.threshold))
     if of_start := [one.name for one in names if is_complex and one.kind != "args"]:
-        require_analytic(slope, about.at, of_start[0])
+        require_analytic(slope, Point(t0, _with_past(problem, t0, y0[None])[0]), of_start[0])
     mass = about.of_mass(problem, rate)
     start = np.ascontiguousarray(wanted.start(names, args, n).T)
     times, jumps, doses = about.of_events(problem, points, start, rate, weights)
@@ -240,9 +248,9 @@ def make_variations(
         slope=form(slope_for_core if mass is None else WithMass(slope, mass)),
         thresholds=measure.tolerances(y0, values_of(args, sizes, names)),
         invariants=tangents,
-        events=[form(one) for one in (*jumps, *(one.jump for one in switches))],
-        breakpoints=[form(one) for one in doses],
-        landings=form(landing_jump(schedule, problem, names, rate)),
+        events=[form(one) for one in (*_with_values(jumps, problem, rate, times), *(one.jump for one in switches))],
+        breakpoints=[form(one) for one in _with_values(doses, problem, rate)],
+        landings=form(*_with_values([landing_jump(schedule, problem, names, rate)], problem, rate)),
         error_test=wanted.error_test,
     )
     about.tell()
@@ -264,6 +272,8 @@ def make_variations(
         derivatives_of=about.made,
         schedule=schedule,
         is_complex=is_complex,
+        restart=None if problem.delays is None else partial(rate.restart, problem),
+        t0=t0,
     )
 
 
@@ -273,6 +283,18 @@ def _with_past(problem: Problem, t: float, Y: Array) -> Array:
         return Y
     past = np.zeros((len(Y), Y.shape[1] * problem.delays.count))
     return np.vstack([problem.delays.stacked_at_start(t, Y[0], problem.args), np.hstack([Y, past])[1:]])
+
+
+def _with_values(
+    jumps: Sequence[Any], problem: Problem, rate: Rate, times: Sequence[EventTime] | None = None
+) -> Sequence[Any]:
+    """Return jumps as the core calls them; with delays those of events without an action too, of which it tells the
+    time."""
+    if problem.delays is None:
+        return jumps
+    if times is None:
+        return [None if one is None else WithPast(one, rate) for one in jumps]
+    return [WithPast(one, rate, time) for one, time in zip(jumps, times, strict=True)]
 
 
 def _as_it_is(function: Any, complex_values: bool = True) -> Any:

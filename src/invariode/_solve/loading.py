@@ -266,7 +266,13 @@ def _solution(fields: dict[str, Any]) -> Solution:
         t_events=None if each is None else ByEvent(called.events, [one["t"] for one in each]),
         y_events=None if each is None else ByEvent(called.events, [at_events(one["y"]) for one in each]),
         **{name: fields[name] for name in OUTCOME if name != "t_end"},
-        stats=Stats(**{**stats, "discontinuities": tuple(stats["discontinuities"])}),
+        stats=Stats(
+            **{
+                **stats,
+                "discontinuities": tuple(stats["discontinuities"]),
+                "marks": tuple(map(tuple, stats["marks"])),
+            }
+        ),
         steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
         t_end=fields["t_end"],
     )

@@ -35,6 +35,9 @@ _APART = 1e3
 #: More panels of one kind would be too small to read: the smallest components then share one.
 _PANELS = 4
 
+#: The colour of marks, which are thinner with each level.
+_OF_MARKS = "0.6"
+
 #: The unit at the end of a label, such as "drug [mg/l]" or "T (K)".
 _UNIT = re.compile(r"\s[\[(]([^\[\]()]+)[\])]$")
 
@@ -45,7 +48,7 @@ _BEGINNING, _DECADES = 1e-3, 1e6
 _NAMED = 10
 
 
-def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[str, Any]) -> Axes:
+def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, marks: bool, line: dict[str, Any]) -> Axes:
     """See `Solution.plot`."""
     require_points(sol)
     those = components(sol, chosen)
@@ -54,6 +57,10 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[
     groups = groups_of(kinds_of(sol), whole.y, those, floor) if ax is None else [those]
     panels: list[Axes] = list(new_panels(sol._names.title, [1] * len(groups))) if ax is None else [ax]
     draw_groups(panels, sol, whole, groups, line)
+    if marks:
+        for t, level in zip(sol.marks.t, sol.marks.level, strict=True):
+            for panel in panels if sol.t[0] <= t <= sol.t[-1] else ():
+                panel.axvline(t, color=_OF_MARKS, linewidth=1 / (1 + level), zorder=0)
     if log == "x" or (log is None and ax is None and _piles_up(sol.t)):
         for panel in panels:
             panel.set_xscale("log")
