@@ -705,7 +705,7 @@ Integration::Course Integration::begin_past(const double* y) {
 /// A derivative of the solution jumps at t: where that comes back by a delay, the next one does. `rates`: ∂t/∂p of a
 /// jump of y, after which f jumps.
 Integration::Course Integration::mark_images(double t, int level, const std::vector<double>& rates) {
-  passed_marks_.emplace_back(t, level);
+  passed_marks_.insert(passed_marks_.end(), {t, static_cast<double>(level)});
   if (level >= most_level_ + (extent_.k > 0 ? 1 : 0))
     return Course::goes_on;  // a derivative of S jumps one order earlier
   for (std::size_t j = 0; j < delays_->lags().size(); ++j) {

@@ -8,7 +8,6 @@
 #include <memory>
 #include <optional>
 #include <span>
-#include <utility>
 #include <vector>
 
 #include "aim.hpp"
@@ -114,8 +113,8 @@ class Integration {
   [[nodiscard]] std::int64_t evaluations_of_checks() const {
     return discontinuities_.evaluations() + below_zero_.evaluations();
   }
-  /// The marks that this run has passed: times and levels, one after the other.
-  [[nodiscard]] const std::vector<std::pair<double, int>>& passed_marks() const { return passed_marks_; }
+  /// The marks that the run has passed: t and level of one after the other.
+  [[nodiscard]] const std::vector<double>& passed_marks() const { return passed_marks_; }
   [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
 
  private:
@@ -207,7 +206,7 @@ class Integration {
   DelayInterface* delayed_;        // the method as one that takes such an f
   std::vector<double> history_jumps_;
   int most_level_;
-  std::vector<std::pair<double, int>> passed_marks_;
+  std::vector<double> passed_marks_;
   const Weights& weights_;
   const Settings settings_;
   BoundedSlope* bounded_slope_;

@@ -47,6 +47,7 @@ void Integration::state(Archive& archive) {
     const bool begins = archive.reading() || !delays_->begun();
     if (begins && delays_->begin(no_steps(), y0_.data(), jumps) == Status::stop) archive.stop();
     delays_->state(archive);
+    archive.resizable(passed_marks_);
   }
   step_->state(archive);
   archive.require(anew_ || n_ == 0 || step_->h() > 0);

@@ -1,7 +1,7 @@
 """Random runs that are interrupted, go on in another process, and are compared with the run that was never interrupted.
 
-``python tests/interrupted.py N K [SEED]`` is the campaign: N runs that stop at a random step and are saved, and K
-processes that are killed at a random moment while they write checkpoints.
+``python tests/interrupted.py N K [SEED [KIND]]`` is the campaign: N runs that stop at a random step and are saved, and
+K processes that are killed at a random moment while they write checkpoints, of problems of one kind, as ``delayed``.
 """
 
 from __future__ import annotations
@@ -167,19 +167,37 @@ def _complex(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Proble
     return lambda: iv.Problem(rotation, (0, 10), [1 + 0j, 0.5j], invariants=lambda t, y: abs(y[0]) ** 2), {}
 
 
+def mackey_glass(t, y, z):
+    return [0.25 * z[0, 0] / (1 + z[0, 0] ** 10) - 0.1 * y[0]]
+
+
+def dosed(t, y):
+    return [0.5 * y[0] + 0.2]
+
+
+def _delayed(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Problem], dict[str, Any]]:
+    doses = [(10.0 * k, dosed) for k in range(1, 20)] if rng.random() < 0.5 else None
+    delays = rng.choice([[15.0], [15.0, 4.0], [0.05]])
+    options: dict[str, Any] = {} if doses is None else {"breakpoints": doses}
+    return lambda: iv.Problem(mackey_glass, (0, 200), [1.2], delays=delays, history=1.0), options
+
+
 def _algebraic(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Problem], dict[str, Any]]:
     return lambda: iv.Problem(robertson, (0, 50), [1.0, 0, 0], mass=np.diag([1.0, 1, 0])), {}
 
 
-def random_case(seed: int, method: str | None = None) -> Case:
+def random_case(seed: int, method: str | None = None, only: str | None = None) -> Case:
+    """Return the case of a seed, of a problem of one kind if its name is given."""
     rng = random.Random(seed)
-    method = method or rng.choice(METHODS)
+    method = method or rng.choice([name for name in METHODS if only != "delayed" or iv.METHODS[name].delays])
     about = iv.METHODS[method]
     implicit = "jac" in about.options
     kinds = [_orbit, _orbit, _chemistry, _pulses, _bouncing, _complex, _dissipating, _along_steps]
     if about.mass == "any":
         kinds.append(_algebraic)
-    kind = rng.choice(kinds)
+    if about.delays:
+        kinds.append(_delayed)
+    kind = rng.choice([one for one in kinds if only in (None, one.__name__.lstrip("_"))])
     if about.mass != "any" and kind is _pulses:
         implicit = False  # no M(t)
     problem, options = kind(rng, implicit)
@@ -244,21 +262,23 @@ def _go_on_with(folder: Path, told: list[tuple[int, str | None]]) -> None:
         go_on(random_case(seed, method), folder / f"{seed}.npz").save(folder / f"{seed}-on.npz")
 
 
-def with_checkpoints(seed: int, path: Path) -> None:
+def with_checkpoints(seed: int, path: Path, only: str | None = None) -> None:
     """The run, with a checkpoint after each step."""
-    random_case(seed).solve(checkpoint=iv.Checkpoint(path, every=1e-9))
+    random_case(seed, only=only).solve(checkpoint=iv.Checkpoint(path, every=1e-9))
 
 
-def killed(seed: int, path: Path, rng: random.Random) -> str:
+def killed(seed: int, path: Path, rng: random.Random, only: str | None = None) -> str:
     """Kills a process at a random moment of its run, and goes on: 'whole', 'not begun' or what differs."""
-    case = random_case(seed)
+    case = random_case(seed, only=only)
     begin = time.perf_counter()
-    with_checkpoints(seed, path)
+    with_checkpoints(seed, path, only)
     length = time.perf_counter() - begin
     for one in path.parent.glob(path.name + "*"):
         one.unlink()
     child = subprocess.Popen(
-        [sys.executable, __file__, "--checkpoint", str(path), str(seed)], stdout=subprocess.PIPE, text=True
+        [sys.executable, __file__, "--checkpoint", str(path), str(seed), *([only] if only else [])],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert child.stdout is not None
     child.stdout.readline()
@@ -276,7 +296,7 @@ def killed(seed: int, path: Path, rng: random.Random) -> str:
     return ", ".join(differences(case.solve(), loaded)) or "whole"
 
 
-def _campaign(runs: int, kills: int, seed: int) -> int:
+def _campaign(runs: int, kills: int, seed: int = 0, only: str | None = None) -> int:
     wrong = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -291,7 +311,7 @@ def _campaign(runs: int, kills: int, seed: int) -> int:
             if off:
                 print(f"run {one} ({case.method}): {', '.join(off)}")
         rng = random.Random(seed)
-        outcomes = [(one, killed(one, folder / f"{one}.checkpoint", rng)) for one in range(seed, seed + kills)]
+        outcomes = [(one, killed(one, folder / f"{one}.checkpoint", rng, only)) for one in range(seed, seed + kills)]
         for one, outcome in outcomes:
             if outcome not in ("whole", "not begun"):
                 wrong += 1
@@ -309,7 +329,7 @@ if __name__ == "__main__":
         _go_on_with(Path(sys.argv[2]), ast.literal_eval(sys.argv[3]))
     elif sys.argv[1] == "--checkpoint":
         print("begins", flush=True)
-        with_checkpoints(int(sys.argv[3]), Path(sys.argv[2]))
+        with_checkpoints(int(sys.argv[3]), Path(sys.argv[2]), *sys.argv[4:])
     else:
-        numbers = [int(one) for one in sys.argv[1:]]
-        sys.exit(_campaign(*numbers[:2], *(numbers[2:] or [0])) > 0)
+        numbers = [int(one) for one in sys.argv[1:4]]
+        sys.exit(_campaign(*numbers, *([0] * (3 - len(numbers))), *sys.argv[4:]) > 0)

@@ -170,6 +170,30 @@ def test_stiff_problems_with_a_short_delay(method):
     np.testing.assert_allclose(early.y[:, -1], [0.61723512, 6.1535945e-06, 0.38275873], rtol=1e-2)
 
 
+def test_a_traced_jacobian_has_the_derivatives_along_short_delays():
+    """It keeps Robertson's total to roundoff, which differences do not, and takes no evaluations of f."""
+
+    def robertson(t, y, z):
+        slow, fast, last = 0.04 * y[0], 1e4 * z[0, 1] * y[2], 3e7 * y[1] ** 2
+        return [-slow + fast, slow - fast - last, last]
+
+    options = {"delays": 1e-4, "history": [1, 0, 0], "rtol": 1e-4, "atol": [1e-8, 1e-12, 1e-8]}
+    for f, jac in ((robertson, "trace"), (iv.compile(robertson, by="trace"), None)):
+        sol = iv.solve_ivp(f, (0, 1e11), [1, 0, 0], "radau", jac=jac, **options)
+        assert sol.stats.jacobian == "traced"
+        assert sol.stats.steps < 250
+        assert np.abs(sol.y.sum(axis=0) - 1).max() < 1e-14
+
+    def chain(t, y, z, k):
+        return -k * y * z[0] + np.roll(z[1], 1)
+
+    problem = iv.Problem(chain, (0, 3), [1.0, 2, 3, 4], args=(2.0,), delays=[0.01, 0.5], history=[1.0] * 4)
+    for more in ({}, {"jac_sparsity": np.ones((4, 4))}):
+        exact, rough = (problem.replace(jac=jac, **more).solve("radau", rtol=1e-8) for jac in ("trace", "differences"))
+        np.testing.assert_allclose(exact.y_end, rough.y_end, rtol=1e-8)
+        assert exact.nfev < rough.nfev
+
+
 @pytest.mark.parametrize("method", ["ode45", "dop853", "ode15s"])
 def test_events_and_actions(method):
     """Suherman's suitcase: it hits the ground twice, which turns it around, and falls. Published times (dde23)."""
@@ -274,7 +298,7 @@ WRONG = [
     ({"history": [1.0, 2.0]}, "history has shape \\(2,\\), y0 has \\(1,\\)"),
     ({"history": lambda t: [1.0, 2.0]}, "history\\(t\\) returned shape \\(2,\\)"),
     ({"t_span": (1, 0)}, "a run backwards does not know"),
-    ({"method": "radau", "jac": lambda t, y, z: [[0.0]]}, "formed by differences"),
+    ({"method": "radau", "jac": lambda t, y, z: [[0.0]]}, "jac with delays"),
     ({"method": "ode15s", "linear_solver": "gmres"}, "must be 'direct'"),
     ({"adjoint": True}, "adjoint equations look ahead"),
     ({"method": "radau", "mass": [[0.0]]}, "singular mass matrix are not supported"),

@@ -34,7 +34,7 @@ Delays::Delays(const DelayTerms& terms, std::span<const double> parameters, Exte
       bounds_(bounds),
       t0_(t0),
       near_(terms.lags.size() + 1),
-      in_(extent.n * (1 + terms.lags.size())),
+      in_(extent.n * (1 + terms.lags.size()) + terms.lags.size()),
       rows_(extent.k == 0 ? 0 : extent.size() * (1 + terms.lags.size())),
       value_(extent.size()),
       here_(extent.size()),
@@ -58,6 +58,20 @@ Callback Delays::within(const Callback& f) { return {&Delays::entry, &functions_
 Status Delays::entry(void* self, double t, const double* y, double* out) {
   auto& [delays, function] = *static_cast<Delayed*>(self);
   if (delays.arguments(t, y) == Status::stop) return Status::stop;
+  return function(t, delays.in_.data(), out);
+}
+
+MatrixFunction Delays::within(const MatrixFunction& derivative) {
+  if (!derivative) return {};
+  matrices_.push_back({*this, derivative});
+  return {&Delays::matrix_entry, &matrices_.back()};
+}
+
+Status Delays::matrix_entry(void* self, double t, const double* y, Matrix& out) {
+  auto& [delays, function] = *static_cast<DelayedMatrix*>(self);
+  if (delays.arguments(t, y) == Status::stop) return Status::stop;
+  double* along = delays.in_.data() + delays.extent_.n * (1 + delays.lags_.size());
+  for (std::size_t j = 0; j < delays.lags_.size(); ++j) along[j] = delays.shifts(j) ? 1 : 0;
   return function(t, delays.in_.data(), out);
 }
 

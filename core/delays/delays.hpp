@@ -9,6 +9,7 @@
 
 #include "archive.hpp"
 #include "callback.hpp"
+#include "linear/matrix.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
 #include "sensitivity/extent.hpp"
@@ -56,6 +57,8 @@ class Delays {
 
   /// f of (t, (y, z_1, …, z_k)) as a function of (t, y), which refers to this.
   Callback within(const Callback& f);
+  /// ∂f/∂y + Σ s_j ∂f/∂z_j of (t, (y, z_1, …, z_k, s_1, …, s_k)), with s_j = ∂z_j/∂y, as a function of (t, y).
+  MatrixFunction within(const MatrixFunction& derivative);
   /// The slope of sensitivities, of (t, X) with the rows (y, z_1, …) and (S_i, ∂z_1/∂p_i, …), as a function of (t, Y).
   Callback augmented_within(const Callback& slope);
 
@@ -103,6 +106,11 @@ class Delays {
     Delays& delays;
     Callback function;
   };
+  struct DelayedMatrix {
+    Delays& delays;
+    MatrixFunction function;
+  };
+  static Status matrix_entry(void* self, double t, const double* y, Matrix& out);
   static Status entry(void* self, double t, const double* y, double* out);
   static Status augmented_entry(void* self, double t, const double* Y, double* out);
   Status arguments(double t, const double* y);
@@ -121,6 +129,7 @@ class Delays {
   std::vector<double> lags_;
   double longest_ = 0;
   std::deque<Delayed> functions_;  // which stay where they are when there are more of them
+  std::deque<DelayedMatrix> matrices_;
 
   std::optional<DenseOutput> steps_;
   std::optional<Interpolant> interpolant_;
@@ -135,7 +144,8 @@ class Delays {
   std::vector<double> data_, next_;  // the extension of the attempt
   std::size_t data_size_ = 0;
   std::span<const double> held_;
-  std::vector<double> in_, rows_, value_, here_, before_, after_, beside_, rate_;
+  std::vector<double> in_;  // y, its delayed values, and their derivatives along y
+  std::vector<double> rows_, value_, here_, before_, after_, beside_, rate_;
 };
 
 }  // namespace invariode

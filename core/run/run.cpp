@@ -53,6 +53,7 @@ void Run::wrap_functions() {
                     solver_.settings().t0);
     Problem& delayed = wrapped_.emplace(all);
     delayed.f = delays_->within(all.f);
+    if (delayed.linear) delayed.linear->source.function = delays_->within(all.linear->source.function);
     if (delayed.variations) delayed.variations->slope = delays_->augmented_within(all.variations->slope);
   }
   if (delays_ || !all.breakpoints.empty() || !all.landings.empty()) {

@@ -8,7 +8,6 @@
 #include <memory>
 #include <optional>
 #include <span>
-#include <utility>
 #include <vector>
 
 #include "callback.hpp"
@@ -54,10 +53,10 @@ struct RunResult {
   Harm harm;
   Component below_zero;  ///< which has fallen there though f did not lead it
   Stiffness stiffness;
-  std::vector<std::pair<double, int>> marks;  ///< where delays have brought jumps of derivatives, and of which
-  std::vector<double> discontinuities;        ///< of f, where they were seen
-  std::optional<double> sticks_since;         ///< the solution stays where f jumps
-  std::optional<Accumulation> accumulation;   ///< of events with actions
+  std::vector<double> marks;                 ///< t and level of those that delays have brought
+  std::vector<double> discontinuities;       ///< of f, where they were seen
+  std::optional<double> sticks_since;        ///< the solution stays where f jumps
+  std::optional<Accumulation> accumulation;  ///< of events with actions
   double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points

@@ -99,7 +99,8 @@ class _Jacobian(NamedTuple):
 class FunctionAtStart:
     """f, as users write it, with what it is called with at the start.
 
-    `traced`: the same function with a graph, if Jacobians are made of that. `complex_by_default`: complex steps are the
+    `traced`: the same function with a graph, if Jacobians are made of that; with delays it takes y and z in one vector,
+    and `fun` takes y alone. `complex_by_default`: complex steps are the
     default of an f that numba compiles. Not if the core keeps f within bounds, or if a second compilation may be in
     vain.
     """
@@ -112,12 +113,16 @@ class FunctionAtStart:
     bounds: Bounds | None = None
     complex_by_default: bool = True
     traced: Any = None
+    delays: int = 0
 
     @property
     def exact(self) -> Derived | None:
-        """The exact derivatives of f."""
+        """The exact derivatives of f; with delays those along y of a function of y, z and ∂z_j/∂y."""
         n = len(self.y)
-        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, self.parameters)
+        if np.iscomplexobj(self.y):
+            return None
+        found = derived(self.traced, n * (1 + self.delays), n, self.parameters)
+        return found.shifted if found is not None and self.delays else found
 
     @property
     def product(self) -> Any:
@@ -127,7 +132,8 @@ class FunctionAtStart:
 
     def derivative(self, made: Any, size: int, vectors: int = 1) -> Any:
         """A derivative of `traced` for the core."""
-        return native(made, self.traced, vectors * len(self.y), size, self.parameters.size)
+        n = vectors * len(self.y) * (1 + self.delays) + self.delays
+        return native(made, self.traced, n, size, self.parameters.size)
 
 
 def prepare(given: Matrices, start: FunctionAtStart, matrix_free: Krylov | None = None) -> LinearTerms:
@@ -257,7 +263,7 @@ def _rate(given: Matrices, start: FunctionAtStart) -> Any:
     """∂f/∂t, if f has a graph and no inputs, whose rates are not known."""
     exact = start.exact
     differences = isinstance(given.jac, str) and given.jac == "differences"
-    if differences or exact is None or isinstance(start.traced, NativeWithInputs):
+    if differences or exact is None or isinstance(start.traced, NativeWithInputs) or start.delays:
         return None
     return start.derivative(exact.rate(), len(start.y))
 

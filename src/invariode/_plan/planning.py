@@ -38,7 +38,7 @@ from .._functions.layout import ArgumentLayout, layout_of
 from .._laws.bound import BoundInvariants, bind
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.core_problem import CoreProblem, DelayTerms, LinearTerms
-from .._problem.delays import Undelayed
+from .._problem.delays import Undelayed, stacked
 from .._problem.events import RootOf, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
@@ -174,10 +174,10 @@ def _require_delays(problem: Problem, method: Method, options: Options) -> None:
         raise ValueError("adjoint with delays: the adjoint equations look ahead. Use differences of solutions")
     if options["linear_solver"] != "direct":
         raise ValueError("linear_solver with delays must be 'direct', with jac_sparsity or bands where n is large")
-    if problem.matrices.jac not in (None, "differences"):
+    if problem.matrices.jac not in (None, "differences", "trace"):
         raise ValueError(
             "jac with delays: Newton's matrix has derivatives with respect to delayed values too, where these are "
-            "within the step. It is formed by differences: leave out jac, or give jac_sparsity or bands"
+            'within the step. Use jac="trace" or differences, with jac_sparsity or bands if n is large'
         )
     from .transit import contradiction  # the trace of a function that is known takes no time
 
@@ -430,7 +430,8 @@ def _linear_algebra(
     from .._linear.matrices import FunctionAtStart, prepare, too_large_to_be_dense
 
     t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
-    jac = jac if problem.delays is None else "differences"
+    if problem.delays is not None and not (problem.matrices.jac == "trace" or isinstance(problem.fun, OnGraph)):
+        jac = "differences"
     matrices = replace(problem.matrices, jac=jac or fed(problem.matrices.jac, problem.inputs))
     direct = options["linear_solver"] == "direct"
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
@@ -438,7 +439,8 @@ def _linear_algebra(
     compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
     inside = y0 if bounds is None else bounds.nearest(y0)
     fun_of_y, traced = _of_state(problem, traced, parameters)
-    start = FunctionAtStart(fun_of_y, t0, inside, problem.args, parameters, bounds, compiled, traced)
+    delays = 0 if problem.delays is None else problem.delays.count
+    start = FunctionAtStart(fun_of_y, t0, inside, problem.args, parameters, bounds, compiled, traced, delays)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], start))
     if not linear.algebraic:
         return linear, y0
@@ -477,8 +479,8 @@ def _largest_residual(problem: Problem, verdict: str) -> str:
 def _of_state(problem: Problem, traced: Any, parameters: ArgumentLayout) -> tuple[Any, Any]:
     """Return f of (t, y) as it is evaluated for its Jacobian, and as it is differentiated."""
     if problem.delays is not None:
-        undelayed = Undelayed(problem.slope.fun, problem.delays.count)
-        return undelayed, undelayed
+        n, count = len(problem.y0), problem.delays.count
+        return Undelayed(problem.slope.fun, count), stacked(fed(traced, problem.inputs, after=1), n, count, True)
     traced = fed(traced, problem.inputs)
     if problem.matrices.jac is None and not isinstance(problem.fun, OnGraph):
         n = len(problem.y0)

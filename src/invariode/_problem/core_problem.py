@@ -83,7 +83,10 @@ class LinearTerms(NamedTuple):
 
 class VariationTerms(NamedTuple):
     """Sensitivities to k parameters, with which a run integrates Y of shape (1 + k, n): y, then dy/dp_j. A list of
-    functions is empty where none is needed."""
+    functions is empty where none is needed.
+
+    With delays, the delayed values stand behind y after in jumps, which return (2 k, n): S after, then a row for each
+    parameter that begins with the derivative of the time of the jump; and events that do not act have one too."""
 
     k: int
     slope: Any  # (t, Y) -> (k, n): J S_j + f_pj

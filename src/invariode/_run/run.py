@@ -604,7 +604,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     stats.jacobian = formed(plan.functions.linear, run)
     stats.sensitivities = None if plan.varied is None else plan.varied.derivatives
     if plan.functions.delays is not None:
-        stats.marks = tuple((t, float(level)) for t, level in run.marks)
+        stats.marks = tuple(zip(run.marks[::2], run.marks[1::2], strict=True))
     if run.remarkable:
         stats.stiff_since = run.stiff_since if run.stiff else None
         stats.discontinuities = tuple(run.discontinuities)
@@ -728,11 +728,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         sol=sol,
         t_events=t_events,
         y_events=y_events,
-        stats=dataclasses.replace(
-            new.stats,
-            mechanics=_summed(old.stats.mechanics, new.stats.mechanics),
-            marks=old.stats.marks + new.stats.marks,
-        ),
+        stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
         steps=steps,
         _invariants=bound,
         _sensitivities=sensitivities,

@@ -58,18 +58,18 @@ class Rate:
         self._derivatives = slope() if self.is_singular else None
         self._near = np.asarray(atol)
         self._bounds, self._direction = problem.bounds, np.sign(problem.t_span[1] - problem.t_span[0])
-        self.past: Array | None = None  # with delays: the delayed values, (delays, n)
-        self.restart(problem)
+        self.t0, delays = problem.t_span[0], problem.delays
+        self._at_start = None if delays is None else delays.past(self.t0, problem.y0, problem.args)
+        self.past = self._at_start  # with delays: the delayed values, (delays, n)
 
     @property
     def is_singular(self) -> bool:
         """True if M is singular."""
         return self._algebraic.is_singular
 
-    def restart(self, problem: Problem) -> None:
+    def restart(self) -> None:
         """Take the delayed values of the start."""
-        if problem.delays is not None:
-            self.past = problem.delays.past(problem.t_span[0], problem.y0, problem.args)
+        self.past = self._at_start
 
     def __call__(self, t: float, y: Array) -> Array:
         """y' at (t, y), with the delayed values in `past`, or with those that stand after y."""

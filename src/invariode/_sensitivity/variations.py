@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,8 +60,7 @@ class Variations:
     derivatives_of: list[Derivative]  # derivatives of all functions
     schedule: Schedule | None = None  # times at which f changes its branch as a function of t alone
     is_complex: bool = False  # the state is complex; `start` has pairs then
-    restart: Callable[[], None] | None = None  # with delays: takes the delayed values of the start
-    t0: float = 0.0  # the start
+    rate_of_past: Rate | None = None  # with delays: y'
 
     @property
     def own_to_each(self) -> str | None:
@@ -175,8 +174,8 @@ class Variations:
         before, after, times = [], [], []
         k, n = len(self.names), n * (1 + self.is_complex)
         found = [(t.tolist(), np.ascontiguousarray(rows).view(float).reshape(len(t), 1 + k, n)) for t, rows in happened]
-        if self.restart is not None:
-            self.restart()
+        if self.rate_of_past is not None:
+            self.rate_of_past.restart()
         for i, ((t, states), time, action) in enumerate(zip(found, self.times, self.actions, strict=True)):
             before.append(np.swapaxes(states[:, 1:], 1, 2).copy())
             times.append(np.array([self._time(i, *one, found) for one in zip(t, states, strict=True)]).reshape(-1, k))
@@ -197,7 +196,7 @@ class Variations:
         """Return ∂τ (k,) of an occurrence of event i among those found. An event that a jump has carried over zero has
         the time of that jump: of a breakpoint, or of the event that acts."""
         acting = [j for j, (t_j, _) in enumerate(found) if j != i and self.actions[j] is not None and t in t_j]
-        if self.restart is not None and t != self.t0:
+        if self.rate_of_past is not None and t != self.rate_of_past.t0:
             noted = (self.times[j].noted.get(t) for j in (i, *acting))
             return next((one for one in noted if one is not None), np.zeros(len(self.names)))
         if (t not in self.breaks and not acting) or self.times[i].is_at_root(t, state):
@@ -272,8 +271,7 @@ def make_variations(
         derivatives_of=about.made,
         schedule=schedule,
         is_complex=is_complex,
-        restart=None if problem.delays is None else partial(rate.restart, problem),
-        t0=t0,
+        rate_of_past=None if problem.delays is None else rate,
     )
 
 

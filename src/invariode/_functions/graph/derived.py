@@ -99,6 +99,12 @@ class Derived:
         away = [i - j for i, row in enumerate(self.rows) for j in row]
         return max(away, default=0), -min(away, default=0)
 
+    @cached_property
+    def shifted(self) -> Derived | None:
+        """The derivative along y of n values of (y, z_1, z_2, …), of (t, (y, z, s)) with s_j = ∂z_j/∂y, one number for
+        each delay; None: its code would be too long."""
+        return None if self._is_large else _Shifted(self._name, self)
+
     def dense(self) -> GraphFunction:
         """∂/∂y by rows."""
         return self._filled("dense", len(self.rows) * self._n, lambda i, j: i * self._n + j)
@@ -215,6 +221,33 @@ class Derived:
             formula = Formula(f"{self._name}_{name}", lambda: values, (len(values),))
             self._made[key] = GraphFunction(formula, self.elementary, how=DERIVED)
         return self._made[key]
+
+
+class _Shifted(Derived):
+    """∂/∂y + Σ s_j ∂/∂z_j of a function of (t, (y, z_1, z_2, …))."""
+
+    def __init__(self, name: str, of: Derived) -> None:
+        super().__init__(f"{name}_shifted", of.outputs, len(of.outputs), of.elementary)
+        self._of = of
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The rows, of the components of y."""
+        n, first = self._n, self._of._n
+        found: list[Row] = []
+        for row in self._of.rows:
+            own = {j: one for j, one in row.items() if j < n}
+            for j, one in row.items():
+                if j >= n:
+                    delay, i = divmod(j - n, n)
+                    shifted = self._graph.y(first + delay) * one
+                    own[i] = own[i] + shifted if i in own else shifted
+            found.append(own)
+        return found
+
+    @property
+    def _is_large(self) -> bool:
+        return False
 
 
 def derived(fun: Any, n: int, size: int, parameters: ArgumentLayout = NO_ARGUMENTS, second: int = 0) -> Derived | None:
