@@ -311,6 +311,9 @@ def test_what_is_wrong_or_not_supported_is_said():
         options = {"t_span": (0, 1), "y0": [1.0], "method": "ode45", "delays": 1.0, "history": 1.0, **given}
         with pytest.raises((ValueError, TypeError), match=words):
             iv.solve_ivp(lambda t, y, z, *args: -z[0], **options)
+    with pytest.raises(TypeError) as told:
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], delays=1.0, history=1.0)
+    assert "fun(t, y, z, *args)" in told.value.__notes__[0]
     problem = iv.Problem(decay, (0, 1), [1.0], delays=1, history=1)
     with pytest.raises(ValueError, match="without delays"):
         iv.steady_state(problem)

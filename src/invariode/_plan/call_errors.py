@@ -35,7 +35,9 @@ def explain(error: TypeError | ValueError, problem: Problem, options: Mapping[st
             error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
             return
         found = _not_taking(problem, options.get("breakpoints")) if _is_of_the_call(error) else []
-        if found and not problem.args:
+        if "fun" in found and problem.delays is not None:
+            error.add_note("with delays, fun is called as fun(t, y, z, *args), where z[j] is y(t - delays[j])")
+        elif found and not problem.args:
             error.add_note(f"{' and '.join(found)}: called with t and y alone; args=(a, b) passes further arguments")
         elif found:
             if "fun" in found and (note := _one_record(problem) or _one_array(problem)):
