@@ -345,6 +345,9 @@ class Run:
         """
 
     @property
+    def marks(self) -> list[float]: ...
+
+    @property
     def discontinuities(self) -> list[float]: ...
 
     @property
@@ -549,7 +552,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 13
+MEMORY_VERSION: int = 14
 
 STATES: list = ...
 
