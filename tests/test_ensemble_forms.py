@@ -236,3 +236,21 @@ class TestEnsemblesOfAProblem:
         many = self.problem().solve_ensemble(workers=1)
         many.save(tmp_path / "many.npz")
         assert iv.EnsembleSolution.load(tmp_path / "many.npz").labels == ["fed", "free"]
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_tables_and_rows_of_arguments_are_matched_by_name(named):
+    """Columns in another order than f has its arguments, as a table, a dict or a list of dicts; not by position."""
+    pd = pytest.importorskip("pandas")
+    if named:
+        problem = iv.Problem(
+            lambda t, y, p: [y[1], -p.k * y[0] - p.c * y[1]], (0, 1), [1.0, 0.0], parameters={"k": 1.0, "c": 0.0}
+        )
+    else:
+        problem = iv.Problem(lambda t, y, k, c: [y[1], -k * y[0] - c * y[1]], (0, 1), [1.0, 0.0], args=(1.0, 0.0))
+    table = pd.DataFrame({"c": [0.1, 0.2], "k": [4.0, 1.0]})
+    expected = [problem.replace(args=row).solve().y_end for row in table.to_dict("records")]
+    for args in (table, table.to_dict("records"), table.to_dict("list"), table[["k", "c"]]):
+        np.testing.assert_array_equal(problem.solve_ensemble(args=args, workers=1).y_end, expected)
+    with pytest.raises(ValueError, match="no parameter 'kk'"):
+        problem.solve_ensemble(args=table.rename(columns={"k": "kk"}), workers=1)

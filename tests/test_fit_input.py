@@ -414,3 +414,12 @@ def test_tables_say_what_is_missing_or_is_no_number():
         fitted(pd.DataFrame({**columns, "Time": pd.to_timedelta(T, "h")}))
     series = pd.DataFrame(columns)
     assert fitted(series["prey"], series["Time"])([1.4]) == fitted(series)([1.4])
+
+
+def test_pictures_say_which_experiment_they_show():
+    pytest.importorskip("matplotlib").use("agg")
+    ones = [iv.Experiment(decaying(), T, noisy(decaying(), T, 0.1), sigma=0.1) for _ in range(2)]
+    fit = iv.fit(ones, {"c": (0, 5)})
+    for draw in (fit.plot, fit.plot_residuals):
+        texts = draw(experiment=1).figure.findobj(lambda one: hasattr(one, "get_text"))
+        assert any("experiment 1 (0 to 1)" in one.get_text() for one in texts)

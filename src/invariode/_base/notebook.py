@@ -132,8 +132,9 @@ def _titled(title: str, body: str) -> str:
 def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """Rows of text; rows without a value are left out."""
     top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
+    style = "text-align:left;white-space:nowrap" if head else "text-align:left"  # long messages have no heading
     lines = [
-        "<tr>" + "".join(f'<td style="text-align:left">{html.escape(cell)}</td>' for cell in row) + "</tr>"
+        "<tr>" + "".join(f'<td style="{style}">{html.escape(cell)}</td>' for cell in row) + "</tr>"
         for row in rows
         if row[-1]
     ]

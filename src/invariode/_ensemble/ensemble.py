@@ -205,8 +205,12 @@ def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any
 
 
 def _named(problem: Problem, args: Any) -> Any:
-    """Return args of a problem with parameters by name: columns or rows of them become rows of records."""
-    if problem.parameters is None or args is None or isinstance(args, tuple):
+    """Return args that are given by name, columns or rows of them or a table, as rows of arguments; of a problem with
+    parameters, any rows as records."""
+    if hasattr(args, "columns") and hasattr(args, "index") and all(isinstance(name, str) for name in args.columns):
+        args = {name: args[name].to_numpy() for name in args.columns}
+    by_name = isinstance(args, Mapping) or (isinstance(args, list) and args and isinstance(args[0], Mapping))
+    if args is None or isinstance(args, tuple) or (problem.parameters is None and not by_name):
         return args
     if isinstance(args, Mapping):
         columns = {name: real_numbers(f"args of {name}", one) for name, one in args.items()}
@@ -219,7 +223,7 @@ def _named(problem: Problem, args: Any) -> Any:
         every = [np.broadcast_to(one, size).tolist() for one in columns.values()]
         return [problem.arguments(dict(zip(columns, row, strict=True))) for row in zip(*every, strict=True)]
     rows = args if isinstance(args, list) else as_array("args", args).tolist()
-    names = [*problem.parameters]
+    names = [*(problem.parameters or ())]
 
     def record(row: Any) -> Any:
         if isinstance(row, Mapping) or (isinstance(row, tuple) and len(row) == 1 and isinstance(row[0], Record)):

@@ -54,14 +54,20 @@ def times(experiment: Experiment, sol: Solution) -> tuple[Array, Array]:
 
 
 def draw(
-    experiment: Experiment, band: Prediction, cuts: Array, sigmas: Sequence[Array], level: float, ax: Axes | None
+    experiment: Experiment,
+    title: str | None,
+    band: Prediction,
+    cuts: Array,
+    sigmas: Sequence[Array],
+    level: float,
+    ax: Axes | None,
 ) -> Axes:
     """See `Fit.plot`; `cuts`: where the curves are interrupted; `sigmas`: the standard deviations of the data of each
     series."""
     measured = {one.row: (one, sigma) for one, sigma in zip(experiment.series, sigmas, strict=True)}
     every, kinds = list(range(len(band.y))), units_of(band.names)
     groups = groups_of(kinds, band.y, every) if ax is None else [every]
-    panels = list(new_panels(experiment.problem._title, [1] * len(groups))) if ax is None else [ax]
+    panels = list(new_panels(title, [1] * len(groups))) if ax is None else [ax]
     shown = f"{100 * level:g} % band"
     for panel, group in zip(panels, groups, strict=True):
         for place, j in enumerate(group):
@@ -94,9 +100,9 @@ def _data(ax: Axes, experiment: Experiment, data: Series, sigma: Array, colour: 
     ax.errorbar(t, data.values, yerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.8, mfc=ax.get_facecolor())
 
 
-def draw_residuals(experiment: Experiment, residuals: Array, ax: Axes | None) -> Axes:
+def draw_residuals(experiment: Experiment, title: str | None, residuals: Array, ax: Axes | None) -> Axes:
     """See `Fit.plot_residuals`; `residuals` (m, n_t), in standard deviations."""
-    ax = new(experiment.problem._title) if ax is None else ax
+    ax = new(title) if ax is None else ax
     ax.axhspan(-_USUAL, _USUAL, color="0.5", alpha=0.12, linewidth=0, zorder=0)
     ax.axhline(0, color="0.5", linewidth=0.9, zorder=1)
     for j, (name, values) in enumerate(zip(experiment.names, residuals, strict=True)):

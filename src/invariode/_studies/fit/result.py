@@ -338,6 +338,11 @@ class Fit:
             raise ValueError(f"experiment must be an index below {len(experiments)}, got {shown(e)}")
         return experiments[int(e)]
 
+    def _title(self, e: int) -> str | None:
+        """Return the title of pictures of an experiment, which says how many others there are."""
+        title, several = self._experiment(e).problem._title, len(self._model.experiments)
+        return title if several == 1 else f"{title or 'data'}: experiment {e} (0 to {several - 1})"
+
     def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
         """Plot the data, the model and its confidence band over time.
 
@@ -361,7 +366,7 @@ class Fit:
         one = self._experiment(experiment)
         t, cuts = picture.times(one, self._solutions[experiment])
         band = self.predict(t, experiment=experiment, level=level)
-        return picture.draw(one, band, cuts, self._errors_of_data(experiment), level, ax)
+        return picture.draw(one, self._title(experiment), band, cuts, self._errors_of_data(experiment), level, ax)
 
     def plot_residuals(self, *, experiment: int = 0, ax: Axes | None = None) -> Axes:
         """Plot the residuals of the data over time, in standard deviations.
@@ -380,7 +385,8 @@ class Fit:
         -------
         matplotlib.axes.Axes
         """
-        return picture.draw_residuals(self._experiment(experiment), self._residuals(experiment)[0], ax)
+        one = self._experiment(experiment)
+        return picture.draw_residuals(one, self._title(experiment), self._residuals(experiment)[0], ax)
 
     def plot_correlation(self, *, ax: Axes | None = None) -> Axes:
         """Plot the correlations of the free parameters as a map: near 1 or −1 the data determine only a combination.
