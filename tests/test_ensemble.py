@@ -362,7 +362,7 @@ def test_starts_that_singular_mass_matrices_refuse_are_told_apart():
     for i in (1, 2):
         with pytest.raises(ValueError, match="algebraic") as refused:
             iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[i]), **about)
-        assert out.messages[i] == f"ValueError: {refused.value}"
+        assert f"ValueError: {refused.value}".startswith(out.messages[i])  # a single run names the residual, too
         assert np.isnan(out.y_end[i]).all()
     assert "Differences of fun do not prove that" in out.messages[1]
     assert "no consistent values" in out.messages[2]

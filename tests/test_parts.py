@@ -471,3 +471,25 @@ def test_without_zarr_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(ModuleNotFoundError, match=r"invariode\[cluster\]"):
         solve("native", store=tmp_path / "out.zarr")
+
+
+def test_progress_of_a_resumed_store_ends_at_the_whole(tmp_path, monkeypatch):
+    """Parts that earlier calls have solved count; and what the store holds can be written as netCDF."""
+    pytest.importorskip("zarr")
+    monkeypatch.setattr("invariode._base.progress.CALLS", 0.0)  # after each part
+    options = {"store": tmp_path / "runs.zarr", "chunk": 4, "workers": 1, "seed": 1}
+    y0 = np.arange(1.0, 21.0)[:, None]
+    stopped = []
+
+    def stop(done, size):
+        if done >= 8:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        iv.solve_ensemble(lambda t, y: -y, (0, 1), y0, progress=stop, **options)
+    store = iv.solve_ensemble(
+        lambda t, y: -y, (0, 1), y0, progress=lambda *done: stopped.append(done), resume=True, **options
+    )
+    assert stopped[-1] == (20, 20)
+    assert stopped[0][0] > 8
+    assert all(not isinstance(one, dict) and one is not None for one in store.to_xarray().attrs.values())

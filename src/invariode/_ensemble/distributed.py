@@ -206,7 +206,7 @@ def _fill(writer: StoreWriter, run: _Parted, rows: Rows, means: Means, remarks: 
     """Solve the rows that the store lacks, and add their warnings."""
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
-    size = done = 0
+    size = done = lacking = 0
 
     def counted() -> Iterator[RowBlock]:
         nonlocal size
@@ -214,16 +214,21 @@ def _fill(writer: StoreWriter, run: _Parted, rows: Rows, means: Means, remarks: 
             size = part.start + len(part.y0)
             yield part
 
-    with (
-        bar(means.shown, "trajectories", rows.size) as report,
-        closing(run.outcomes(writer.missing(counted()))) as found,
-    ):
+    def missing() -> Iterator[RowBlock]:
+        nonlocal lacking
+        for part in writer.missing(counted()):
+            lacking += len(part.y0)
+            yield part
+
+    with bar(means.shown, "trajectories", rows.size) as report, closing(run.outcomes(missing())) as found:
         for part, outcomes in found:
             writer.write(part, outcomes)
             remarks.add(outcomes, part.start)
             done += len(part.y0)
             if report:
-                report(done)
+                report(size - lacking + done)  # with those of earlier calls
+        if report:
+            report(size)
     writer.finish(size)
 
 

@@ -370,7 +370,10 @@ class EnsembleStore:
             self.path, consolidated=False, drop_variables=[*_OF_PARTS]
         )
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
-        return data
+        texts = {
+            name: json.dumps(one) for name, one in data.attrs.items() if one is None or isinstance(one, (dict, list))
+        }
+        return data.assign_attrs(texts)  # netCDF takes neither dicts nor None
 
     def load(self) -> EnsembleSolution:
         """Load the whole store into memory, as `solve_ensemble` without `store` returns it, except for the functions.

@@ -538,8 +538,9 @@ class Problem:
             As in `solve`.
         args : tuple, or array or list of shape (N, k), or dict, optional
             A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
-            those of a list may be of any types. For a problem with `parameters`: a dict of numbers or columns of N
-            numbers by name, a list of N dicts, or rows of all parameters. Default: the problem's.
+            those of a list may be of any types. By name, of parameters or of f's arguments: a DataFrame or a dict of
+            columns of N numbers, or a list of N dicts. For a problem with `parameters` rows have all of them. Default:
+            the problem's.
         t_eval : array_like, optional
             Times of the output, sorted in the direction of integration. Default: the final states are kept, and no
             others.
