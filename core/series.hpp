@@ -9,6 +9,8 @@
 
 namespace invariode {
 
+class Bounds;
+
 /// A function (t, unit, in, out) that writes Taylor coefficients in s at t + unit s, those of the powers 0 … order one
 /// after the other. Of a system y' = f(t, y): `in` is y (n,), and `out` are the coefficients of the solution through
 /// it, (order + 1, n); the first two are y and unit · f(t, y). Of a function g(t, y) of m values: `in` are the
@@ -46,6 +48,7 @@ struct SystemSeries {
   Series solution;
   Series conditions{};  // NOLINT(readability-redundant-member-init): those without conditions leave it out
   std::size_t count = 0;
+  const Bounds* bounds = nullptr;  ///< within which the solution is kept; null: none
 };
 
 }  // namespace invariode

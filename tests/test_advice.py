@@ -222,7 +222,7 @@ def test_misspelt_options_of_events_are_named():
     def down(t, y):
         return y[0] - 0.5
 
-    with pytest.raises(TypeError, match="an Event has no option 'isterminal'; did you mean 'terminal'"):
+    with pytest.raises(TypeError, match="Event has no argument 'isterminal'; did you mean 'terminal'"):
         iv.Event(down, isterminal=True)
     down.terminate = True
     with pytest.warns(UserWarning, match="the attribute terminate of down has no meaning; did you mean terminal"):

@@ -96,6 +96,15 @@ def test_forms_of_other_packages_name_the_form_here(slip: str) -> None:
     assert not Path("run.csv").exists()
 
 
+def test_values_of_several_fields_name_an_argument_that_they_do_not_have() -> None:
+    """Python's own message names the method that makes the object, and no argument like the given one."""
+    for cls in (
+        iv.Banded, iv.Checkpoint, iv.Dae, iv.Dissipated, iv.Event, iv.GMRES, iv.Input, iv.Invariants, iv.Limits,
+        iv.MechanicalSystem, iv.Roots, iv.Sensitivities,
+    ):  # fmt: skip
+        assert f"{cls.__name__} has no argument 'no_such'" in said(lambda cls=cls: cls(no_such=1))
+
+
 def test_functions_with_y_before_t_are_named_where_t_is_first() -> None:
     """Nothing raises if y has one component; the solution is that of another problem."""
     with pytest.warns(UserWarning, match=r"parameters \(y, t\) and is called as fun\(t, y\)") as given:

@@ -67,6 +67,7 @@ class Taylor final : public Step {
   Status rest(double t, const double* y, Expansion& into);
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
+  Status look_outside();
   Status look_ahead(double t, const Expansion& expansion, double length, double reach);
   Status find_cut(double t, const Expansion& expansion, double length);
   [[nodiscard]] double reach(const Expansion& expansion) const;
@@ -81,6 +82,7 @@ class Taylor final : public Step {
   };
 
   Series& series_;
+  const Bounds* bounds_;
   Conditions conditions_;
   bool projected_;
   std::size_t order_;

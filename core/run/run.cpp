@@ -125,6 +125,7 @@ void Run::keep_within_bounds() {
   const Problem& problem = solver_.problem();
   if (!problem.bounds) return;
   manifold_.bounds = &*problem.bounds;
+  if (series_) series_->bounds = &*problem.bounds;
   std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
   if (mass) {

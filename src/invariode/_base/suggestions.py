@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable
+from typing import Any, TypeVar
+
+_Class = TypeVar("_Class", bound=type)
 
 #: Functions of MATLAB's ODE Suite, and what does their work here.
 _OF_MATLAB = {
@@ -54,3 +58,20 @@ def meant(given: object, known: Iterable[str]) -> str:
     """The end of a message: the known name that was probably meant; empty if none is like the given one."""
     near = nearest(given, known)
     return "" if near is None else f"; did you mean {near!r}?"
+
+
+def naming_arguments(cls: _Class) -> _Class:
+    """Make the class name an argument that it does not have, and the one that was probably meant."""
+    made: Any = cls.__init__  # type: ignore[misc]
+    code = made.__code__
+    known = code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount]
+
+    @functools.wraps(made)
+    def checked(self: Any, *args: Any, **named: Any) -> None:
+        for name in named:
+            if name not in known:
+                raise TypeError(f"{cls.__name__} has no argument {name!r}{meant(name, known)}")
+        made(self, *args, **named)
+
+    cls.__init__ = checked  # type: ignore[misc]
+    return cls

@@ -26,7 +26,7 @@ from .._base.arguments import (
     state,
     warn,
 )
-from .._base.suggestions import meant
+from .._base.suggestions import meant, naming_arguments
 from .._base.types import EventsLike, MethodName, OnFailure, Span
 from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction
@@ -126,6 +126,7 @@ class _TracedEquations(NamedTuple):
     names: tuple[str, ...]
 
 
+@naming_arguments
 class Dae:
     """Differential-algebraic equations ``F(t, y, y', *args) = 0`` of any index, analysed for what they determine.
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, as_array, choice, extra_arguments, function, interval, shown, state, warn
 from .._base.failures import InvariantError
 from .._base.package import public
+from .._base.suggestions import naming_arguments
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._plan.call_errors import require_called
@@ -31,6 +32,7 @@ _SYMMETRIC = 1e-12
 
 
 @public
+@naming_arguments
 class MechanicalSystem(HasPoints):
     """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
-from typing import Any, Literal, Never, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -21,13 +21,14 @@ from .._base.arguments import (
     warn,
     warn_of_state_first,
 )
-from .._base.suggestions import meant, nearest
+from .._base.suggestions import naming_arguments, nearest
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
 from .core_problem import EventSpec, VectorSpec
 
 
+@naming_arguments
 class Event:
     """A function of the solution whose zeros are located.
 
@@ -109,12 +110,9 @@ class Event:
         touching: bool = False,
         name: str | None = None,
         at_jumps: bool = True,
-        **unknown: Never,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
-        if unknown:
-            raise TypeError(f"an Event has no option {shown(name := next(iter(unknown)))}{meant(name, _OPTIONS)}")
         self.fun: Any = fun
         self.terminal = terminal
         self.direction = direction
@@ -150,6 +148,7 @@ class Event:
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
 
 
+@naming_arguments
 class Roots:
     """Functions of the solution that are evaluated together, with one action for all that cross zero at a time.
 
@@ -363,7 +362,6 @@ def to_events(events: EventsLike) -> list[Event]:
 _MOST_OCCURRENCES = 2**53
 
 _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples", "touching", "at_jumps")
-_OPTIONS = (*_ATTRIBUTES, "name")
 
 
 def _from_function(fun: EventFunction) -> Event:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from .._base.arguments import count, either, function, path, positive, shown
+from .._base.suggestions import naming_arguments
 from .._functions.compiled import is_native
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
 JACOBIANS = ("trace", "complex-step", "differences")
 
 
+@naming_arguments
 @dataclass(frozen=True, kw_only=True)
 class GMRES:
     """Linear systems of implicit methods solved without a matrix, by restarted GMRES: ``linear_solver=GMRES(...)``.
@@ -95,6 +97,7 @@ class GMRES:
             function("jac_product of GMRES", self.jac_product, "jac_product(t, y, v)")
 
 
+@naming_arguments
 @dataclass(frozen=True, eq=False)
 class Banded:
     """A Jacobian that is zero except for ``i - lower <= j <= i + upper``: ``jac=Banded(lower, upper, fun)``.
@@ -156,6 +159,7 @@ def bandwidth(name: str, value: object, n: int | None = None) -> int:
     return width
 
 
+@naming_arguments
 @dataclass(frozen=True)
 class Checkpoint:
     """A run that is written to disk while it goes on: ``checkpoint=Checkpoint(path, every=10)``, or just the path.
@@ -187,6 +191,7 @@ class Checkpoint:
         object.__setattr__(self, "every", positive("every of Checkpoint", self.every))
 
 
+@naming_arguments
 @dataclass(frozen=True, kw_only=True)
 class Limits:
     """Limits that end a run early, with status -3, a message and all results so far.

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import Array, choice, flag, items, real_numbers, shown
+from .._base.suggestions import naming_arguments
 from .._base.types import InputKind
 from .._functions.compiled import NativeWithInputs, is_native
 from .._functions.graph.tables import PolynomialTable
 from .._functions.second_order import SecondOrder
 
 
+@naming_arguments
 class Input(PolynomialTable):
     """A function u(t) from a table, as an argument of f: measured forces, schedules, driving currents.
 

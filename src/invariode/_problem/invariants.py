@@ -24,6 +24,7 @@ from .._base.arguments import (
     real_numbers,
     shown,
 )
+from .._base.suggestions import naming_arguments
 from .._base.types import Function, JacobianKind, Numbers
 from .._functions.compiled import is_native
 from .._functions.forms import unlambdified
@@ -32,6 +33,7 @@ from .._functions.forms import unlambdified
 _KINDS = ("complex-step", "3-point", "2-point")
 
 
+@naming_arguments
 class Invariants:
     """Functions of the solution that keep their values, imposed by projection (paper, sections 2-4).
 
@@ -256,6 +258,7 @@ def _named(name: object, given: object) -> Invariants:
     return named
 
 
+@naming_arguments
 class Dissipated(Invariants):
     """Functions G(t, y) that must not increase with t, such as a dissipated energy (or, with ``rises=True``, must not
     decrease).

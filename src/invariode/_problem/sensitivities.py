@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, flag, items, numbers, real_numbers, shown
-from .._base.suggestions import meant
+from .._base.suggestions import meant, naming_arguments
 from .parameters import Y0, ParameterName, parameter_names
 
 #: A selection of initial values: labels or indices.
 _Components: TypeAlias = bool | int | str | Sequence[int | str]
 
 
+@naming_arguments
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """Derivatives of the solution with respect to parameters: ``sensitivities=Sensitivities(...)``.
