@@ -168,7 +168,8 @@ Step::Attempt Taylor::attempt(double h, double t1) {
     error_ = norm(row(current_, order_)) * std::pow(h_ * per_unit_, order());
   else
     error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
-  if (bounds_ != nullptr && error_ <= weights_.rtol() && look_outside() == Status::stop)
+  if (bounds_ != nullptr && error_ <= weights_.rtol() &&
+      (look_outside() == Status::stop || look_at_rest() == Status::stop))
     return {Outcome::stop, error_, candidate_};
   return {Outcome::ok, error_, candidate_};
 }
@@ -200,6 +201,27 @@ Status Taylor::look_outside() {
     std::vector<double> y(n()), slope(n());
     power_series(current_.c.data(), current_.c.size(), n(), at * length_ * per_unit_, y.data());
     if (f_(t_ + at * length_, y.data(), slope.data()) == Status::stop) return Status::stop;
+  }
+  return Status::ok;
+}
+
+/// A component that rests at its bound throughout the polynomial may have left it between the ends: its y' there is a
+/// defect as at the end.
+Status Taylor::look_at_rest() {
+  std::vector<std::size_t> resting;
+  for (const auto& [i, lower, upper] : bounds_->intervals()) {
+    bool rests = y_[i] <= lower || y_[i] >= upper;
+    for (std::size_t k = 1; rests && k <= order_; ++k) rests = row(current_, k)[i] == 0;
+    if (rests) resting.push_back(i);
+  }
+  const std::size_t parts = intervals_of_step(order_);
+  std::vector<double> y(n()), slope(n());
+  for (std::size_t j = 1; j < parts && !resting.empty(); ++j) {
+    const double theta = static_cast<double>(j) / static_cast<double>(parts);
+    power_series(current_.c.data(), current_.c.size(), n(), theta * length_ * per_unit_, y.data());
+    if (f_(t_ + theta * length_, y.data(), slope.data()) == Status::stop) return Status::stop;
+    for (const std::size_t i : resting)
+      error_ = std::max(error_, unit_of_error_ * inverse_weight_[i] * std::abs(slope[i]));
   }
   return Status::ok;
 }

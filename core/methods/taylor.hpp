@@ -68,6 +68,7 @@ class Taylor final : public Step {
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
   Status look_outside();
+  Status look_at_rest();
   Status look_ahead(double t, const Expansion& expansion, double length, double reach);
   Status find_cut(double t, const Expansion& expansion, double length);
   [[nodiscard]] double reach(const Expansion& expansion) const;
