@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from zlib import crc32
 
@@ -52,6 +52,24 @@ def few_objects() -> None:
     """Garbage collections by the tests of a file need not search what was there before it: that takes half a second."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed() -> Iterator[None]:
+    yield
+    if (pyplot := sys.modules.get("matplotlib.pyplot")) is not None:
+        pyplot.close("all")
+
+
+@pytest.fixture
+def command_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The problem files of the command, in the current directory."""
+    from command_files import FILES
+
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
 
 
 @pytest.fixture(params=list(METHODS))

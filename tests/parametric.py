@@ -17,7 +17,7 @@ def swinging(t, w, c):
 
 
 def of_swinging(t, w, c, h=1e-30):
-    """Its derivatives, of shape (n, k, n_t)."""
+    """Derivatives of the solution, of shape (n, k, n_t)."""
     columns = [swinging(t, w + 1j * h, c).imag / h, swinging(t, w, c + 1j * h).imag / h]
     return np.stack(columns, axis=1)
 

@@ -251,7 +251,7 @@ def test_the_memory_of_checkpoints_grows_with_the_root_of_the_steps(method):
 
 
 def test_functions_that_change_between_two_runs_are_found_out():
-    """Also by roundoff, which changes no step."""
+    """A change by roundoff counts too, which changes no step."""
     rate = [1.0]
     sol = iv.solve_ivp(lambda t, y, k: [-k * rate[0] * y[0]], (0, 3), [1.0], args=(0.5,), rtol=1e-9, **CHECKPOINTS)
     for rate[0] in (2.0, 1.0 + 1e-15):

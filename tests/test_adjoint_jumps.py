@@ -45,7 +45,7 @@ def struck_in_reals(t, y, gravity, restitution):
 @pytest.mark.filterwarnings("ignore:.* are differences:invariode.AccuracyWarning")
 @pytest.mark.parametrize("action", [struck, struck_in_reals])
 def test_actions_may_depend_on_the_time_of_their_event(action):
-    """They may take complex t, or not."""
+    """Actions may take complex t, or not."""
     racket = iv.Event(lambda t, y, gravity, restitution: y[0], direction=-1, action=action)
     options = {"args": (9.81, 0.8), "events": racket, "rtol": RTOL, "atol": ATOL, "dense_output": True}
     sol = iv.solve_ivp(ball, (0, 1), [1.0, 0.5], "ode45", **options, sensitivities=[*(0, 1), "y0"])
@@ -55,7 +55,8 @@ def test_actions_may_depend_on_the_time_of_their_event(action):
 
 @pytest.mark.parametrize("points", [True, False])
 def test_several_actions_at_one_time_are_taken_in_their_order(points):
-    """They do not commute, and the first moves y away from where the event is: as the one action composed of them."""
+    """The actions do not commute, and the first moves y away from the event: the gradient is that of one action
+    composed of them."""
 
     def first(t, y, k, c):
         return [y[0] - 0.05 * y[1], k * y[1] + c * y[0]]

@@ -131,7 +131,7 @@ def test_a_mass_matrix_that_depends_on_t():
 
 
 def test_a_component_at_rest_on_a_bound_pulls_nothing():
-    """It arrives at 0 at sin t = −½, and leaves where cos t is positive again."""
+    """The component arrives at 0 at sin t = −½, and leaves where cos t is positive again."""
     sol = iv.solve_ivp(
         lambda t, y, a, b: [a * np.cos(t), y[0] ** 2 - b * y[1] + a * y[0]],
         (0, 6),
@@ -189,7 +189,7 @@ def test_a_component_at_rest_pulls_nothing_through_its_own_row_of_a_mass_matrix(
 
 
 def test_a_component_at_rest_that_a_singular_mass_matrix_couples_is_refused():
-    """Its own equation is not known: the core does not change f there, and moves y alone."""
+    """The component's own equation is not known: the core does not change f there, and moves y alone."""
     M = np.array([[2.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
     points = np.zeros((3, 4))
     points[0] = [0.5, 0.0, 0.0, 0.0]

@@ -16,12 +16,6 @@ import invariode as iv
 from cases import dealt
 
 
-@pytest.fixture(autouse=True)
-def _figures_are_closed():
-    yield
-    plt.close("all")
-
-
 @pytest.fixture
 def films():
     """Makes films and draws each once, which matplotlib asks for before they go."""
@@ -273,7 +267,7 @@ def test_nothing_moves_in_one_point():
 
 
 def test_the_clock_stands_inside_the_figure_and_clear_of_the_title(films):
-    """Also of a film whose axes are narrower than the two, and of one without a title."""
+    """The law holds for a film whose axes are narrower than the two, and of one without a title."""
     for name in ("A narrow film", None):
         film = films(iv.Problem(lambda t, y: [1], (0, 9), [0.0], name=name).solve(), lambda t, y: [[0, y[0]]])
         film.figure.canvas.draw()
@@ -297,7 +291,7 @@ def test_numbers_of_a_thin_axis_in_space_do_not_run_together(films):
 
 
 def test_a_notebook_shows_a_film_once_and_small(films):
-    """Its figure is closed, so that it is not shown as a picture too; 40 frames take less than half a megabyte."""
+    """The film's figure is closed, so that it is not a picture too; 40 frames take less than half a megabyte."""
     film = films(turning(), hand, links=[(0, 1)], trace=[1], duration=2, fps=20)
     assert film.figure.number in plt.get_fignums()
     page = film._repr_html_()

@@ -23,7 +23,7 @@ def relaxation(mu, method="auto", **options):
 
 
 def turns(sol):
-    """Where each turn but the first begins."""
+    """Times at which each turn but the first begins."""
     return np.flatnonzero(sol.steps.method[1:] != sol.steps.method[:-1]) + 1
 
 
@@ -147,7 +147,7 @@ def test_jacobians_are_those_of_the_implicit_member(form):
 
 
 def test_an_undefined_jacobian_leaves_the_explicit_member_alone():
-    """It takes over where the implicit one cannot make its first step."""
+    """The explicit member takes over where the implicit one cannot make its first step."""
     sol = iv.solve_ivp(lambda t, y: [-300 * (y[0] - np.cos(t))], (0, 3), [1.0], "auto", jac=lambda t, y: [[np.nan]])
     assert sol.success
     np.testing.assert_allclose(sol.y[0, -1], np.cos(3), atol=5e-3)

@@ -13,7 +13,7 @@ import pytest
 import invariode as iv
 from cases import FAMILIES, METHODS, dealt, families
 from core_problems import core_solver
-from invariode import Event, _core, compile, solve_ivp
+from invariode import Event, _core, solve_ivp
 from invariode._base.arguments import Weights
 from invariode._plan.plan import solver as planned_solver
 from invariode._plan.planning import make_plan
@@ -180,7 +180,7 @@ def stepped(method: str, y0: Any = y0, **options: Any) -> _core.Stepper:
 
 @families
 def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -> None:
-    """It changes nothing, not even with GMRES, whose memory is given back when a run has ended."""
+    """Asking changes nothing, not even with GMRES, whose memory is given back when a run has ended."""
     options = {"linear_solver": "gmres"} if "linear_solver" in METHODS[method].options else {}
     asked, alone = stepped(method, **options), stepped(method, **options)
     while alone.state == "running":
@@ -196,7 +196,7 @@ def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -
 
 @dealt(method=FAMILIES, jump=["breakpoint", "breakpoint with an action", "event with an action"])
 def test_the_last_step_is_the_one_before_a_jump(method: str, jump: str) -> None:
-    """Its interpolant is that of the whole solution, up to the state before the action."""
+    """The interpolant of the last step is that of the whole solution, up to the state before the action."""
     options: dict[str, Any] = {
         "breakpoint": {"breakpoints": [0.5]},
         "breakpoint with an action": {"breakpoints": [(0.5, lambda t, y: y + 1)]},
@@ -226,8 +226,3 @@ def test_what_was_handed_over_is_not_there_twice() -> None:
         run.take_points()
     assert run.take_dense() is not None
     assert run.take_dense() is None
-    native = planned_solver(make_plan(Problem(compile(lambda t, y: (y[1], -y[0])), (0, 2), y0), "ode45", {}))
-    rows = _core.integrate_all([native], np.ones((3, n)), np.ones((3, 0)), None)
-    rows.take_end()
-    with pytest.raises(RuntimeError, match="handed over already"):
-        rows.take_end()

@@ -221,7 +221,7 @@ def test_mass_and_signs_are_kept_in_steps_and_between(name, method):
 
 @pytest.mark.parametrize(("rtol", "atol"), [(1e-4, 1e-8), (1e-3, 1e-6), (1e-2, 1e-4)])
 def test_robertson_is_as_accurate_as_without_bounds(rtol, atol):
-    """And where the plain run is lost, below 0, it is not."""
+    """The bounded run is not lost where the plain run falls below 0."""
     exact = iv.solve_ivp(robertson, (0, 4e11), [1, 0, 0], "ode15s", rtol=1e-9, atol=1e-18).y[:, -1]
     runs = [
         iv.solve_ivp(robertson, (0, 4e11), [1, 0, 0], "ode15s", rtol=rtol, atol=atol, **more)
@@ -437,7 +437,7 @@ def test_an_action_must_stay_within_the_bounds(method):
 
 
 def test_f_that_drives_out_of_a_bound_without_tolerance_is_told():
-    """With atol = 0 nothing may be outside, and f is not changed where M y' = f does not tell y' without ∂f/∂y: the run
+    """If atol = 0 nothing may be outside, and f is not changed where M y' = f does not tell y' without ∂f/∂y: the run
     ends and says where. (Not if a step ends exactly on the bound.)"""
     sol = iv.solve_ivp(
         lambda t, y: [-1.0, y[1] - 1], (0, 2), [1.0, 1.0], "ode15s", mass=np.array([[1.0, 1.0], [0.0, 0.0]]),

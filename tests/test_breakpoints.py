@@ -65,7 +65,7 @@ def test_inputs_bring_their_breakpoints(method):
 @explicit_and_implicit
 @pytest.mark.parametrize("jac", [False, True])
 def test_native_functions_have_inputs_first_in_their_parameters(method, jac):
-    """They get the values that the Python functions get, to the last bit."""
+    """Compiled functions get the values that the Python functions get, to the last bit."""
     pytest.importorskip("numba")
     wind = iv.Input(np.linspace(0, 10, 7), np.random.default_rng(1).normal(size=(7, 2)), "linear")
     level = iv.Input([0, 3, 6], [1.0, 2.0, 0.5])
@@ -182,7 +182,7 @@ def test_beyond_a_jump_at_its_end_a_continuous_solution_extends_the_step_beside_
 
 
 def test_a_dict_has_actions_by_time(tmp_path):
-    """It means the same as the list of its pairs, in runs and in files."""
+    """A dict means the same as the list of its pairs, in runs and in files."""
     pairs = [(2.0, None), (1.0, dose)]
     by_time, listed = ({"breakpoints": given, **TIGHT} for given in (dict(pairs), pairs))
     sol, same = (iv.solve_ivp(decay, (0, 4), [1.0], **about) for about in (by_time, listed))

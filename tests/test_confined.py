@@ -147,7 +147,7 @@ def network(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_networks_with_laws_from_a_null_space(seed):
-    """With the laws the end is as near to the reference as a few tolerances; methods take turns."""
+    """If laws are imposed, the end is as near to the reference as a few tolerances; methods take turns."""
     fun, laws, y0 = network(seed)
     reference = iv.solve_ivp(fun, (0, 3), y0, "radau", rtol=1e-8, atol=1e-11).y[:, -1]
     names = list(METHODS)

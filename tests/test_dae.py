@@ -184,7 +184,7 @@ def test_a_first_order_form_is_solved_as_the_second_order_form():
 
 
 def test_equations_that_are_not_linear_in_what_they_determine():
-    """As algebraic equations for methods that take a singular mass matrix, and differentiated for the others."""
+    """They are algebraic equations for methods that take a singular mass matrix, and differentiated for the others."""
     problem = PROBLEMS["resistor"]
     reference = problem.solve("radau", 1e-11).y[:, -1]
     for method in ("dop853", "taylor", "radau", "ode15s", "auto"):

@@ -70,8 +70,8 @@ def test_projected_values_keep_the_invariants_as_the_steps_do(method, problem):
 
 
 def jump(method: str) -> float:
-    """How far the extension of the method misses the start of its step, in units of rtol: the Adams one does, a little
-    (docs/algorithms.md, 'Adams')."""
+    """Distance by which the extension of the method misses the start of its step, in units of rtol: the Adams one does,
+    a little (docs/algorithms.md, 'Adams')."""
     return 5 if method in ("ode113", "auto") else 0
 
 
@@ -169,7 +169,7 @@ def test_a_lambda_is_copied_and_named_where_pickle_refuses_it(method):
 
 
 def test_outside_its_interval_a_solution_extrapolates_or_refuses():
-    """As in SciPy by default; with extrapolate=False the error names the time and the interval, ends included."""
+    """The default is that of SciPy; with extrapolate=False the error names the time and the interval, ends included."""
     for span in ((0, 2), (2, 0)):
         sol = iv.solve_ivp(lambda t, y: -y, span, [1.0], dense_output=True).sol
         assert np.isfinite(sol(2.5)).all()

@@ -95,7 +95,7 @@ MODULES = ["invariode"] + [
 
 @pytest.mark.parametrize("name", MODULES)
 def test_docstring_examples(name):
-    """They import what they use, so that they run where they are pasted."""
+    """Examples import what they use, so that they run where they are pasted."""
     module = importlib.import_module(name)
     assert doctest.testmod(module, globs={}).failed == 0
 
@@ -171,7 +171,7 @@ def test_every_formula_can_be_shown_without_a_network(monkeypatch):
 
 
 def test_the_picture_on_the_front_page_is_that_of_todays_solver(monkeypatch):
-    """It says in numbers what it shows; `python docs/picture.py` draws it again."""
+    """The picture says in numbers what it shows; `python docs/picture.py` draws it again."""
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     picture = importlib.import_module("picture")
     assert f"<dc:description>{picture.summary()}</dc:description>" in picture.FILE.read_text(encoding="utf-8")
@@ -195,7 +195,7 @@ def test_every_public_name_is_documented():
 
 
 def test_pages_of_benchmarks_say_when_their_figures_are_older_than_the_package():
-    """And only then. The version stands beside the machine, under the figures."""
+    """Pages that are not older say nothing. The version stands beside the machine, under the figures."""
     remark, now = "**Measured with an earlier version**", metadata.version("invariode")
     for page in sorted((ROOT / "docs/benchmarks").glob("*.md")):
         text = page.read_text(encoding="utf-8")

@@ -218,7 +218,7 @@ def test_an_exception_becomes_the_status_of_its_trajectory(workers):
 
 @pytest.mark.parametrize("method", ["ode45", "ode15s"])
 def test_a_compiled_f_of_another_length_is_told_as_of_a_single_run(method):
-    """Its values are NaN in the core, which alone would say that fun is not finite at the start."""
+    """The values of such an f are NaN in the core, which alone would say that fun is not finite at the start."""
     pytest.importorskip("numba")
     of_p = values_code()
     many = {"args": [(2.0,), (3.0,), (2.0,), (1.0,)], "on_failure": "return"}

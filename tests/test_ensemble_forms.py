@@ -40,12 +40,6 @@ def single(i, **options):
     return iv.solve_ivp(rotation, (0, 4), STARTS[i], args=tuple(RATES[i]), **given)
 
 
-@pytest.fixture(autouse=True)
-def _figures_are_closed():
-    yield
-    plt.close("all")
-
-
 @pytest.mark.parametrize("options", [{}, {"t_eval": None}, {"events": None}, {"invariants": None}])
 def test_a_trajectory_is_the_result_of_a_single_solve(options):
     m = ensemble(**options)

@@ -71,7 +71,7 @@ def test_continuous_at_the_seam(method, problem):
 
 @dealt(method=FAMILIES, problem=PROBLEMS)
 def test_invariants_keep_their_old_values(method, problem):
-    """Not the values at the seam, which crude tolerances leave a little off."""
+    """The values are not those at the seam, which crude tolerances leave a little off."""
     end = problem.t_span[1]
     sol = iv.solve_ivp(problem.fun, (0, end / 4), problem.y0, method, invariants=problem.invariants())
     for k in (2, 3, 4):
@@ -85,7 +85,7 @@ def test_invariants_keep_their_old_values(method, problem):
 
 @families_and_series
 def test_the_start_of_the_second_part_is_the_end_of_the_first_to_the_bit(method):
-    """It is not projected again, and f and g are not asked again whether g is an invariant."""
+    """The start is not projected again, and f and g are not asked again whether g is an invariant."""
     raw = solve(method, (0, 5), rtol=1e-3, atol=1e-6, invariants=KEPLER.invariants(), interpolation="raw",
                 events=iv.Event(lambda t, y: t - 4.321, terminal=True), dense_output=True)  # fmt: skip
     sol = raw.extend(10)

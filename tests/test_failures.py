@@ -182,7 +182,7 @@ class TestEnsemble:
         assert many.success.all()
 
     def test_single_trajectories_have_their_own_times(self):
-        """Also where the state at t_eval is the final state, as that of a solution at rest is."""
+        """This holds too if the state at t_eval is the final state, as that of a solution at rest is."""
         rest = iv.solve_ensemble(lambda t, y: [0.0], (0, 1), [[1.0], [2.0]], t_eval=[0.5], workers=1)
         assert rest[1].t.tolist() == [0.5]
         assert rest.to_dataframe().index.get_level_values("t").tolist() == [0.5, 0.5]

@@ -151,7 +151,7 @@ def test_it_is_one_after_an_action_too(name):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_a_component_that_starts_at_zero_under_relative_control_does_not_stop_a_run(name):
-    """Its weight asks for steps below the spacing of t, but f does not change within them."""
+    """The component's weight asks for steps below the spacing of t, but f does not change within them."""
     sol = iv.solve_ivp(lambda t, y: [-y[0], y[0]], (1, 2), [1.0, 0.0], name, rtol=1e-6, atol=1e-30)
     assert sol.success
     assert abs(sol.y[1, -1] - (1 - math.exp(-1))) <= 1e-6 * sol.stats.steps

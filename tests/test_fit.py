@@ -256,7 +256,7 @@ class TestLaws:
         assert other.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
 
     def test_ties_are_those_of_the_reduced_model(self):
-        """With c = k / 7 the fit is that of the model written with one parameter."""
+        """If c = k / 7 the fit is that of the model written with one parameter."""
         data = noisy(decaying(), T, 0.02)
         reduced = iv.Problem(lambda t, y, k: [-k * y[0] + k / 7], (0, 5), [2.0], args=(0.5,))
         one = iv.fit(reduced, T, data, {"k": (0, 5)}, sigma=0.02, **TIGHT)
@@ -365,7 +365,7 @@ class TestLinearTheory:
 
     @pytest.mark.parametrize("options", [{}, {"sigma": 0.5, "absolute_sigma": False}])
     def test_a_prior_beside_an_unknown_sigma(self, options):
-        """It is a noise level, whose name need not be given."""
+        """The sigma is a noise level, whose name need not be given."""
         prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02))}
         fit = iv.fit(straight(), T, LINE_DATA, prior, **options)
         named = iv.fit(straight(), T, LINE_DATA, {**prior, "s": iv.Parameter()}, sigma="s")
@@ -452,7 +452,7 @@ class TestLinearTheory:
         np.testing.assert_allclose(np.sqrt(expected), stats.t.ppf(0.975, degrees), rtol=3e-3)
 
     def test_a_noise_level_at_its_bound(self):
-        """It is named, and the others have the errors that they have with sigma known to be there."""
+        """The noise level is named, and the others have the errors that they have with sigma known to be there."""
         with pytest.warns(UserWarning, match=r"s is at its upper bound, 0\.05"):
             fit = iv.fit(straight(), T, LINE_DATA, {**LINE, "s": iv.Parameter(bounds=(1e-3, 0.05))}, sigma="s")
         assert fit.at_bound == [("s", "upper", 0.05)]
@@ -462,7 +462,7 @@ class TestLinearTheory:
             iv.fit(straight(), T, LINE_DATA, {**LINE, "s": iv.Parameter(bounds=(1.0, 10.0))}, sigma="s")
 
     def test_noise_levels_are_those_of_the_residuals(self):
-        """Their maximum likelihood: σ² = Σ r² / N of each group; and twice N is their information of ln σ."""
+        """Noise levels maximise the likelihood: σ² = Σ r² / N of each group; 2 N is their information of ln σ."""
         data = noisy(hunting(), T, np.array([[0.05], [0.2]]))
         wanted = {"a": (0, 5), "quiet": (1e-4, 10), "loud": iv.Parameter(5.0)}
         fit = iv.fit(hunting(), T, data, wanted, sigma=["quiet", "loud"], **TIGHT)

@@ -29,7 +29,7 @@ class TestWhatGoesWrong:
             iv.fit(problem, T[T < 1], np.ones((T < 1).sum()), {"k": (0, 9)})
 
     def test_exceptions_of_f_come_out(self):
-        """Also from a trial, where f is called as it was compiled."""
+        """Exceptions come from a trial too, where f is called as it was compiled."""
 
         def fussy(t, y, k):
             if k > 0.9:
@@ -61,7 +61,7 @@ class TestWhatGoesWrong:
         assert fit.confidence()["scale"] == (-np.inf, np.inf)
 
     def test_a_parameter_at_its_bound(self):
-        """It is named, and the others have the errors that they have with it fixed there."""
+        """The parameter is named, and the others have the errors that they have with it fixed there."""
         data = noisy(decaying(), T, 0.01)
         with pytest.warns(UserWarning, match=r"c is at its lower bound, 0\.2"):
             fit = iv.fit(decaying(), T, data, {"k": (0.01, 5), "c": (0.2, 5)}, sigma=0.01)

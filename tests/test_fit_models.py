@@ -87,7 +87,7 @@ class TestNoise:
         np.testing.assert_allclose(o.gradient(x), slopes, rtol=1e-6)
 
     def test_laplace_noise_resists_outliers(self):
-        """With Laplace noise the estimate is near the truth in spite of an outlier, and with normal noise it is not."""
+        """Under Laplace noise the estimate is near the truth in spite of an outlier; under normal noise it is not."""
         data = 2 * np.exp(-0.7 * self.T)
         data[3] += 1.0
         found = {

@@ -164,7 +164,7 @@ def test_difference_jacobian_close_to_where_g_ends(method):
 
 @explicit_and_implicit
 def test_given_jacobian_is_not_accused_where_differences_are_coarse(method):
-    """With thr far above y the increments of the check are not small for g; the entries are then not judged by them."""
+    """If thr is far above y, the increments of the check are not small for g: they do not judge the entries."""
     exact = iv.Invariants(logarithms, jac=lambda t, y: [0.7 * (1 - 1 / y[0]), 1.6 * (1 - 1 / y[1])])
     sol = iv.solve_ivp(rates, (0, 1), [3e-3, 1.5], method, rtol=1e-5, atol=1e-3, invariants=exact)
     assert sol.success, sol.message

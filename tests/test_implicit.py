@@ -507,7 +507,7 @@ def test_max_order_of_ode113(order):
 
 
 def test_backwards(code):
-    """With the same Jacobian: the first error estimate of ode23t has y'', and the roundoff of differences with it."""
+    """The Jacobian is the same: the first error estimate of ode23t has y'', and the roundoff of differences with it."""
     options = {"rtol": 1e-8, "atol": 1e-10}
     forward = code(diffusion, (0, 1), U0, jac=diffusion_jacobian, **options)
     jac = lambda t, u: -diffusion_jacobian(-t, u)  # noqa: E731  # beside the f that it belongs to

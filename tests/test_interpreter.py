@@ -74,7 +74,7 @@ def test_the_interpreter_may_end_while_daemon_threads_solve_compiled_problems() 
 
 
 def test_another_interpreter_is_told_that_it_cannot_have_the_package() -> None:
-    """It waited for the main interpreter for ever."""
+    """The import used to wait for the main interpreter for ever."""
     name = "_xxsubinterpreters" if sys.version_info < (3, 13) else "_interpreters"
     pytest.importorskip(name)
     code = (

@@ -65,7 +65,7 @@ def test_f_undefined_from_some_t_on(method, case):
 @dealt(method=FAMILIES, span=[(0.0, 11.0), (11.0, 0.0)])
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # where the equation stops being stiff
 def test_f_undefined_for_a_while_after_any_step(method, span):
-    """Also after a hand-over, from which the member before goes on with its own, longer step."""
+    """The law holds after a hand-over too, from which the member before goes on with its own, longer step."""
     base = relaxing(2.0)
     mirrored = base if span[0] == 0 else lambda t, y: -base(11 - t, y)
     options = {"max_step": 0.5, "atol": 1e-3, "rtol": 1e-3}

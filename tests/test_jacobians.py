@@ -317,7 +317,7 @@ def searched(fun, y0, args=()):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_random_patterns_are_found_whole(seed):
-    """Also where y0 = 0 hides every entry of a quadratic f."""
+    """The law holds where y0 = 0 hides every entry of a quadratic f."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(200, 500))
     A = sparse.random_array((n, n), density=3 / n, rng=rng, format="csc")
@@ -424,7 +424,7 @@ def test_a_run_with_a_detected_pattern_goes_on_from_a_file(tmp_path):
 
 
 def test_a_long_jacobian_is_formed_by_products():
-    """Where everything depends on everything the code of all entries is long; products have the same values."""
+    """If everything depends on everything, the code of all entries is long; products have the same values."""
     n = 80
 
     def chained(t, y):

@@ -128,7 +128,7 @@ POWERS = iv.Problem(lambda t, y, k, n: [-k * y[0] ** n, 1.0], (0, 1), [1.0, 0.0]
 
 
 def test_integers_and_truth_values_may_be_traced():
-    """They have no derivatives, and do not keep others from having theirs."""
+    """Integers and truth values have no derivatives, and do not keep others from having theirs."""
 
     def solved(k, n, **options):
         return bridge.solve(POWERS, args=(k, n), rtol=RTOL, atol=RTOL, **options)[0]
@@ -179,7 +179,7 @@ def test_calls_without_jit_compile_once(monkeypatch):
 
 
 def test_the_page_is_right():
-    """Its code for JAX, one block after the other."""
+    """The page's code for JAX runs, one block after the other."""
     page = Path(__file__).parents[1] / "docs" / "howto" / "jax_torch.md"
     namespace: dict[str, object] = {}
     blocks = re.findall(r"```\{code-block\} python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)

@@ -221,7 +221,7 @@ def plus(amount: float):
 
 
 def test_an_event_that_a_jump_crosses_is_reported_once_for_each_jump(method):
-    """With its direction, at the time of the jump, with the state after it; at_jumps=False: not at all."""
+    """The report has its direction, at the time of the jump, with the state after it; at_jumps=False: not at all."""
     rng = np.random.default_rng(44)
     states = np.concatenate([[0.1], rng.uniform(-1, 1, 12)])  # from one jump to the next
     times = np.arange(1.0, len(states))

@@ -292,7 +292,7 @@ def test_what_is_not_there_is_not_found_at_once_or_later() -> None:
 
 @pytest.mark.parametrize("imaginary", [0, 1j])
 def test_a_pattern_that_was_found_is_that_of_its_function(imaginary: complex) -> None:
-    """It is looked for from 200 reals on."""
+    """The pattern is looked for from 200 reals on."""
     start = np.linspace(1, 2, 100) * (1 + imaginary)
     call = {"fun": lambda t, y: -y - y.sum() / 100, "t_span": (0, 1), "y0": start, "method": "ode15s"}
     iv.solve_ivp(**{**call, "fun": lambda t, y: -y})

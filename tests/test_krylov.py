@@ -159,7 +159,7 @@ def test_what_is_localised_is_solved_too():
 
 @pytest.mark.parametrize("method", ALONE)
 def test_complex_states(method):
-    """They are pairs of reals, also in products and preconditioners."""
+    """Complex states are pairs of reals, also in products and preconditioners."""
     A = 1j * DIFFUSION / 50 - 5 * EYE
     options = {"rtol": 1e-6, "atol": 1e-8}
     y0 = Y0 * np.exp(1j * Y0)
@@ -268,7 +268,7 @@ def test_auto_continues_bit_for_bit_wherever_it_is_cut(form):
 
 
 def test_auto_needs_no_pattern_for_a_large_stiff_problem():
-    """With matrices it would be explicit throughout."""
+    """With matrices auto would be explicit throughout."""
     sol = iv.solve_ivp(lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), np.ones(20_000), "auto", linear_solver="gmres")
     assert sol.stats.switches == 1
     np.testing.assert_allclose(sol.y[:, -1], np.cos(3), atol=1e-3)

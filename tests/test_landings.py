@@ -142,7 +142,7 @@ COUNT = 0
 
 
 def test_functions_whose_tracing_could_be_noticed_are_not_traced():
-    """They write to what is not theirs, call what is not known, or read what may have effects."""
+    """Such functions write to what is not theirs, call what is not known, or read what may have effects."""
     seen, table, settings = [0], {}, types.SimpleNamespace(period=2.0)
     array = np.zeros(3)
 
@@ -240,7 +240,7 @@ def test_runs_go_on_bit_for_bit(method, tmp_path):
 
 @families_and_series
 def test_ensembles_and_prepared_solvers_do_the_same(method):
-    """Also where each row has its own times."""
+    """The law holds where each row has its own times."""
     fun = iv.compile(lambda t, y, p: [(1.0 if t % p < 0.5 else 0.0) - y[0]])
     rows = np.array([[1.1], [2.3], [3.7]])
     many = iv.solve_ensemble(fun, (0, 9), [0.3], method, args=rows, rtol=1e-5, workers=1)
@@ -319,7 +319,7 @@ def test_where_nothing_is_known_runs_are_as_before():
 
 
 def test_times_are_doubles_that_people_write():
-    """Where a line or a period leads to a double exactly, that is the landing."""
+    """If a line or a period leads to a double exactly, that is the landing."""
     problem = iv.Problem(lambda t, y: [1.0 if 1 <= t <= 1.5 or t % 24 < 2 else np.floor(t / 7)], (0, 100), [0.0])
     times = schedule_of(problem, layout_of(())).landings.apart(0, 100, np.zeros(0))
     expected = sorted({1, 1.5, *range(0, 100, 24), *range(2, 100, 24), *range(0, 100, 7)})

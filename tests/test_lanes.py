@@ -298,7 +298,7 @@ def test_branches_of_f_end_the_steps_of_series_one_at_a_time():
 
 
 def test_series_in_loops_are_solved_one_at_a_time():
-    """They fill the vector registers with the members of one trajectory."""
+    """Such series fill the vector registers with the members of one trajectory."""
     fun = iv.compile(lambda t, y, p: [-p[0] * sum(y[j] * y[i] / (j + 1) for j in range(30)) for i in range(30)])
     y0 = np.random.default_rng(2).uniform(0, 1, (5, 30))
     found = iv.solve_ensemble(fun, (0, 1), y0, "taylor", args=(0.1,), workers=1)

@@ -117,7 +117,8 @@ TUMBLING = np.array([0, 0, 1, 0, 0, -2.0, 0, 1.0])
 
 @families_and_series
 def test_corrections_in_the_metric_of_the_mass_change_no_momentum(method):
-    """They are what forces along the rod do. Plain methods keep linear functions of y, joint projection does not."""
+    """The corrections are what forces along the rod do. Plain methods keep linear functions of y;
+    joint projection does not."""
     momentum = []
     for metric in (MASSES, None):
         sol = iv.solve_ivp(tumble, (0, 5), TUMBLING, method, rtol=1e-4, atol=1e-4, invariants=dumbbell(metric))

@@ -208,7 +208,7 @@ def test_ctrl_c_raises_unless_it_is_to_return(method):
 
 @explicit_and_implicit
 def test_a_second_ctrl_c_raises(method):
-    """Where the present step does not come to its end."""
+    """The present step does not come to its end."""
 
     def stuck(t, y):
         for _ in range(2):

@@ -71,7 +71,7 @@ START = np.concatenate([np.eye(3).ravel(), [0.5, 0.5, 0.5, 0.5]])
 
 @families
 def test_attitudes_stay_attitudes_with_every_method(method):
-    """With the plain method the drift is that of its error; projected it is below a hundredth of the tolerance."""
+    """Without projection the drift is that of its error; projected it is below a hundredth of the tolerance."""
     plain = iv.solve_ivp(turning, (0, 20), START, method, rtol=1e-4, atol=1e-4)
     held = iv.solve_ivp(turning, (0, 20), START, method, rtol=1e-4, atol=1e-4, invariants=BODIES)
     assert held.success
@@ -141,7 +141,7 @@ def test_iterated_projection_reaches_roundoff():
 
 
 def test_impose_reaches_a_rotation_from_far_off():
-    """Where a singular value is small Newton's first step goes too far, and residuals fall only after it."""
+    """If a singular value is small Newton's first step goes too far, and residuals fall only after it."""
     random = np.random.default_rng(0)
     attitude = iv.RotationMatrix(np.arange(9))
     for scale in (1e-3, 0.1, 0.3):

@@ -131,7 +131,7 @@ def test_of_rows_that_depend_on_each_other_only_here_those_that_are_needed_here_
 
 @pytest.mark.slow
 def test_a_redundant_constraint_that_becomes_independent_ends_the_run_there(tmp_path):
-    """Also where it holds again at the end, whatever is kept, and in ensembles."""
+    """The run ends even if the constraint holds again at the end, whatever is kept, and in ensembles."""
 
     def problem(bend, tf):
         system = MechanicalSystem([1, 1], lambda t, q, v: [0, 0], lambda t, q: np.array([q[1], q[1] + bend(q[0])]))

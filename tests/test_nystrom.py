@@ -171,7 +171,7 @@ def test_units_of_time_and_length_change_no_bit(method):
 
 @pairs
 def test_a_run_goes_on_to_the_last_bit(method, tmp_path):
-    """Also from a file: what the sums have lost is remembered."""
+    """The law holds from a file: what the sums have lost is remembered."""
     whole, part = orbit(method, invariants=energy), orbit(method, invariants=energy, max_steps=7)
     assert same(whole, part.extend(SPAN[1], max_steps=None))
     part.save(tmp_path / "orbit.npz")

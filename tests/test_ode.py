@@ -167,7 +167,7 @@ class TestStepping:
         np.testing.assert_array_equal(run.integrate(1e3, step=True), ends.y[:, 30])
 
     def test_pairs_go_to_the_time_all_the_same(self):
-        """As SciPy's do."""
+        """SciPy's classes do so."""
         assert started("dopri5").integrate(1.0, step=True) is not None
         for library in (scipy.integrate, iv):
             run = library.ode(KEPLER.fun).set_integrator("dopri5").set_initial_value(KEPLER.y0)
@@ -244,7 +244,7 @@ class TestParameters:
         assert {*seen} == {"J"}
 
     def test_invariants_take_those_of_f(self):
-        """They are held at their values where the parameters were set."""
+        """Invariants are held at their values where the parameters were set."""
 
         def radius(t, y, a):
             return a * (y @ y)
@@ -300,7 +300,7 @@ class TestFailures:
 
     @pytest.mark.parametrize("name", ["dopri5", "vode"])
     def test_a_function_that_is_not_conserved(self, name):
-        """It is refused at the start, or the run fails where that shows."""
+        """The function is refused at the start, or the run fails where that shows."""
         with pytest.raises(iv.InvariantError):
             started(name, invariants=lambda t, y: y[1]).integrate(1.0)
         run = started(name, lambda t, y: [1.0 if t > 1 else 0.0], (1.0,), invariants=lambda t, y: y[0], max_step=0.1)

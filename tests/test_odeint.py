@@ -256,8 +256,8 @@ def test_what_has_no_effect_says_so(capsys):
 
 
 def test_the_order_of_arguments_changes_no_bit():
-    """With few further arguments and many, a lambda, a bound method and an object; functions keep their names in
-    errors."""
+    """The order changes no bit with few and many further arguments, a lambda, a bound method and an object; functions
+    keep their names in errors."""
 
     class Pendulum:
         def of_state(self, y, t, *args):

@@ -107,7 +107,7 @@ def test_order_of_implicit_formulas(method, order, _, options, project):
 @pytest.mark.parametrize("interpolation", ["projected", "corrected", "raw"])
 @pytest.mark.parametrize(("method", "_", "order", "options"), FORMULAS)
 def test_order_of_implicit_formulas_between_steps(method, _, order, options, interpolation):
-    """As below for the explicit pairs."""
+    """The law is that of the explicit pairs."""
 
     def error(n):
         sol = fixed_steps(

@@ -101,7 +101,7 @@ def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> N
 
 @dealt(8, form=FORMS, kept=[False, True], change=CHANGES, scale=[None, (1.0, 0.8)])
 def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> None:
-    """With a scale that is given, or that follows from the values of the parameters."""
+    """The scale is one that is given, or that follows from the values of the parameters."""
     problem = described(form, kept).replace(sensitivities=iv.Sensitivities(["args[0]", "y0[x]"], scale=scale))
     solver = problem.prepare("ode45")
     for _ in range(2):
@@ -112,7 +112,7 @@ def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> No
 
 @pytest.mark.parametrize("form", FORMS)
 def test_another_derivative_of_the_start_is_that_of_a_problem_that_has_it(form: str) -> None:
-    """Also beside a change of everything else, and where the derivative is a function of the arguments."""
+    """The law holds beside a change of everything else, and where the derivative is a function of the arguments."""
     matrix, change = np.arange(4.0).reshape(4, 1), {"y0": [0.9, 0.0, 0.0, 1.1], "args": (1.1,)}
     given = iv.Sensitivities(["args[0]"], dy0dp=lambda mu: mu * matrix)
     problem = described(form).replace(sensitivities=given)

@@ -86,7 +86,7 @@ def test_a_process_that_is_killed_costs_no_row(tmp_path):
 
 
 def test_workers_killed_at_random_as_they_send_cost_no_row():
-    """They may be killed in the middle of what they write, at which the reader must not wait for the rest."""
+    """Workers may be killed in the middle of what they write, at which the reader must not wait for the rest."""
     size, end = 60, threading.Event()
     random = np.random.default_rng(1)
     kills: Counter[str] = Counter()

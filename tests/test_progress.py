@@ -63,7 +63,7 @@ def oscillator(request):
 
 
 def test_updates_are_few_and_the_last_one_is_the_end(monkeypatch, oscillator):
-    """They follow a clock, not the steps: twenty steps take far less than the tenth of a second between updates."""
+    """Updates follow a clock, not the steps: twenty steps take far less than the tenth of a second between updates."""
     from rich.progress import Progress
 
     updates: list[float] = []
@@ -111,7 +111,7 @@ def on_a_terminal(monkeypatch) -> io.StringIO:
 
 
 def pictures(monkeypatch, clock: Clock) -> list[float]:
-    """When the bar is drawn."""
+    """Times at which the bar is drawn."""
     from rich.progress import Progress
 
     drawn: list[float] = []

@@ -135,7 +135,7 @@ def test_a_model_is_a_problem_with_names():
 
 
 def test_a_problem_has_the_breakpoints_of_its_model():
-    """They are where conditions on t change; derivatives for such a time know that it moves."""
+    """The breakpoints are where conditions on t change; derivatives for such a time know that it moves."""
     text = model(
         species("A", 1),
         parameter("k", 0.5) + parameter("T", 2.0),

@@ -33,7 +33,7 @@ def test_every_method_has_its_class(method):
 
 @pytest.mark.parametrize("name", [about.scipy_name for about in iv.METHODS.values() if about.scipy_name])
 def test_names_of_scipy_are_classes_too(name):
-    """Also where the name implies an option, as BDF does."""
+    """This holds too where the name implies an option, as BDF does."""
     problem = PROBLEMS["Kepler"]
     expected = problem.solve(name)
     for solve in (scipy.integrate.solve_ivp, iv.solve_ivp):
@@ -297,7 +297,7 @@ def test_mass_matrices_and_jacobians_reach_ode15s():
 
 
 class Simulation:
-    """Its functions refer to the solver that has them."""
+    """A simulation whose functions refer to the solver that has them."""
 
     def __init__(self, method, *matrices):
         given = {name: getattr(self, name) for name in ("invariants", *matrices)}

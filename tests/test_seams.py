@@ -51,7 +51,7 @@ def test_what_a_campaign_has_found(case):
 
 @explicit_and_implicit
 def test_an_action_that_ends_the_run(method):
-    """Where an action sets off a terminal event, derivatives are those of the state after it, forward and adjoint."""
+    """If an action sets off a terminal event, derivatives are those of the state after it, forward and adjoint."""
     lift = iv.Event(lambda t, y, k: t + 0.2 * y[0] - 1.5, direction=1, action=lambda t, y, k: [y[0] + 0.5])
     above = iv.Event(lambda t, y, k: y[0] - 0.7, direction=1, terminal=True)
     sol = iv.solve_ivp(

@@ -120,7 +120,7 @@ def test_jumps_far_from_the_start_are_followed():
 
 
 def test_one_condition_written_in_two_ways():
-    """As a difference it is known to be the same; times 2 it is not, which is said."""
+    """Written as a difference it is known to be the same; times 2 it is not, which is said."""
     for other, same in ((lambda d: np.sign(d), True), (lambda d: np.where(2 * d > 0, 1.0, -1.0), False)):
 
         def fun(t, y, p, other=other):

@@ -262,7 +262,7 @@ def test_what_has_no_sensitivities_is_refused_by_name():
 
 @pytest.mark.parametrize("mass", [np.diag([1.0, 0.0]), np.diag([1.0, 2.0])])
 def test_beside_a_mass_matrix_fun_need_not_be_traceable(mass):
-    """Its derivatives are complex steps then, as without one."""
+    """The derivatives of fun are complex steps then, as without one."""
 
     def fun(t, y, rate):
         if type(y) is not np.ndarray:

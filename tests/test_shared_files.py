@@ -33,7 +33,7 @@ def problem(**changes):
 
 
 class PowerError(Exception):
-    """It fails."""
+    """The error of a failing disk."""
 
 
 def fails(t, y, rate):

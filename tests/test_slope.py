@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -34,12 +33,6 @@ def poured(request):
     tap = iv.Input([0, 2, 3], [0.0, 1.0, 0.0])
     fun = pour if request.param == "Python" else compiled()
     return iv.Problem(fun, (0, 10), [0.0, 1.0], args=(RATE,), inputs=tap, invariants=total)
-
-
-@pytest.fixture(autouse=True)
-def _figures_are_closed():
-    yield
-    plt.close("all")
 
 
 @pytest.mark.parametrize("method", ["ode45", "ode15s"])
@@ -94,7 +87,7 @@ def test_the_command_checks_along_the_run(poured, tmp_path, monkeypatch):
 
 
 def test_files_tell_problems_apart(poured, tmp_path):
-    """Also by f at the start, where the tap may be open."""
+    """Files tell problems apart by f at the start, where the tap may be open."""
     opened = poured.replace(t_span=(2.5, 10))
     opened.solve().save(tmp_path / "run.npz")
     assert iv.load(tmp_path / "run.npz", opened).extend(11).success
@@ -104,7 +97,7 @@ def test_files_tell_problems_apart(poured, tmp_path):
 
 
 def test_compiled_mechanisms_are_drawn():
-    """Their f is the core's own."""
+    """The f of compiled mechanisms is the core's own."""
     numba = pytest.importorskip("numba")
     assert numba
     force = iv.compile(lambda t, q, v: (0.0 * t, -9.81))

@@ -141,7 +141,7 @@ def test_absent_reactants_keep_their_partners_where_they_are():
 
 
 def test_rows_of_constant_components_hold_no_equations():
-    """Their roundoff, 1e-30 here, is not scaled up to an equation: derivatives of the others stay right."""
+    """The roundoff of such rows, 1e-30 here, is not scaled up to an equation: derivatives of the others stay right."""
     from invariode._studies.steady import SteadyStates
 
     problem = iv.Problem(enzyme, (0, 1), [2.0, 0.3, 0.1, 0.0], args=(1.0, 0.2, 0.7, 0.05))

@@ -186,7 +186,7 @@ NAMES_OF_TWO_CLASSES = {"Problem", "Objective"}
 
 
 def test_a_class_name_means_one_thing():
-    """Also without the underscore that makes it private"""
+    """Names are compared without the underscore that makes it private"""
     places = {}
     for _, path in SOURCES:
         if path.suffix == ".py":
@@ -250,7 +250,7 @@ def docstrings(path):
 
 
 def test_every_docstring_stands_alone():
-    """It begins with what the function returns or does, or with the name of a thing: never with a headless clause."""
+    """A docstring begins with what the function returns or does, or with the name of a thing."""
     fragment = re.compile(rf"({HEADLESS})\b")
     seen = [(f"{path.relative_to(PACKAGE)}:{name}", first) for _, path in SOURCES for name, first in docstrings(path)]
     assert [f"{place}: {first}" for place, first in seen if fragment.match(first)] == []

@@ -213,7 +213,7 @@ class TestLaws:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_the_papers_pendulum_has_its_published_counts(compiled):
-    """As by hand: tests/test_counts.py."""
+    """The counts are those by hand in tests/test_counts.py."""
     problem = rod().problem((0, 50), [1, 0], [0, 0], laws=False, correction="joint", compiled=compiled)
     kept = problem.solve("ode45").stats
     assert (kept.steps, kept.failed, kept.nfev) == (113, 9, 733)
@@ -487,7 +487,7 @@ def kanes_spring(load=lambda q, u: -K * q, kinematics=lambda q, u: u, driven=0):
 
 class TestLawsOfSymPysMechanics:
     def test_the_energy_of_kanes_method(self):
-        """It is found where all speeds are independent, where some are not, and where q' is not u."""
+        """The energy is found where all speeds are independent, where some are not, and where q' is not u."""
         q, u = dynamicsymbols("q u")
         spring = sy.from_mechanics(kanes_spring(), parameters={K: 3})
         assert sympy.simplify(spring.laws["energy"] - (u**2 + K * q**2 / 2)) == 0

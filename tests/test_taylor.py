@@ -51,7 +51,7 @@ def test_solutions_are_those_of_dop853(name):
 
 @pytest.mark.slow
 def test_the_order_follows_the_tolerance_unless_it_is_given():
-    """It is higher where coefficients cost little: the circle has no products, many oscillators in a ring do."""
+    """The order is higher where coefficients cost little: the circle has no products, many oscillators in a ring do."""
     n = 20
     start = np.sin(np.arange(2.0 * n))
 

@@ -88,7 +88,7 @@ def test_an_end_that_depends_on_parameters_is_refused():
 
 
 def test_second_derivatives_are_refused():
-    """They are not zero."""
+    """Second derivatives are not zero."""
     with pytest.raises(NotImplementedError, match="first derivatives only"):
         torch.autograd.functional.hessian(lambda k: bridge.solve(BLOW_UP, args=(k,), t=[0.5]).sum(), moving(1.0))
 
@@ -120,7 +120,7 @@ def test_what_does_not_fit_is_said_before_the_run():
 
 
 def test_the_page_is_right():
-    """Its code for PyTorch, one block after the other."""
+    """The page's code for PyTorch runs, one block after the other."""
     page = Path(__file__).parents[1] / "docs" / "howto" / "jax_torch.md"
     namespace: dict[str, object] = {}
     blocks = re.findall(r"```\{code-block\} python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)

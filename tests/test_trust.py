@@ -72,7 +72,7 @@ ROUNDED = 10  # decimals
 
 @pytest.mark.parametrize(("p", "status"), [(0, 0), (0.01, -2)])
 def test_an_invariant_that_cannot_be_met_to_roundoff_is_judged_all_the_same(p, status):
-    """Where the projection does not reach roundoff, rates before and after it tell as much."""
+    """If the projection does not reach roundoff, rates before and after it tell as much."""
     held = iv.Invariants(lambda t, y: np.round(y[1] ** 2 / 2 + 2 * (1 + p) * y[0] ** 2, ROUNDED), value=None)
     try:
         sol = iv.solve_ivp(lambda t, y: [y[1], -4 * y[0]], (0, 10), [0.1, 1], invariants=held)
@@ -414,7 +414,7 @@ def test_no_harm_is_seen_where_projection_helps(method, problem, rtol):
 
 @pytest.mark.parametrize("name", GALLERY)
 def test_where_harm_is_seen_a_component_is_less_accurate(name):
-    """With ode113, whose estimates are small: of all codes it warns most."""
+    """The method is ode113, whose estimates are small: of all codes it warns most."""
     p = GALLERY[name]
     held = iv.Invariants(p.g, None, p.value)
     with warnings.catch_warnings(record=True) as said:

@@ -63,7 +63,7 @@ def first(part: float, problem: TestProblem) -> tuple[float, float]:
 
 
 def solve(problem: TestProblem, method: str, units: Units, project: bool = True, jac: str | None = "given"):
-    """With an event and output between the steps, at the default tolerances."""
+    """Solve with an event and output between the steps, at the default tolerances."""
     return iv.solve_ivp(
         units.fun(problem.fun),
         units.span(first(PART, problem)),

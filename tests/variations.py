@@ -79,7 +79,7 @@ class Varied:
         )  # fmt: skip
 
     def solver(self, method: str, rtol: float = 1e-6, *, tf: float | None = None, **options: Any) -> _core.Solver:
-        """With atol = rtol, unless `atol` is given for the problem."""
+        """The core's solver with atol = rtol, unless `atol` is given for the problem."""
         names = ("sensitivities", "project", "scale", "error_test")
         described = {name: options.pop(name) for name in names if name in options}
         problem = self.description(atol=rtol, **described)
