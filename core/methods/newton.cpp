@@ -217,14 +217,6 @@ bool AgingJacobian::set_up_again(double c, Archive& archive) {
   return true;
 }
 
-void AgingJacobian::forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals) {
-  std::fill(scratch_.begin(), scratch_.end(), 0);
-  jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value * y[j]); });
-  for (std::vector<double>* r : residuals)
-    for (std::size_t i = 0; i < scratch_.size(); ++i)
-      if (std::abs((*r)[i]) <= JacobianAudit::roundoffs_of_f * eps * std::abs(c) * scratch_[i]) (*r)[i] = 0;
-}
-
 bool AgingJacobian::forget_sensitivity_roundoff(double c, const double* Y, double* v) {
   if (free_) return false;
   const std::size_t n = extent().n;
@@ -566,14 +558,7 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
 /// farther off than its residual.
 Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
   if (matrix_free() || mass() != nullptr) return Result::converged;
-  const bool several = convergence_.iterations() > 1;
-  if (before <= tolerated_residual() && (!several || solved(size, last, before))) return Result::converged;
-  const auto norm = [this](const std::vector<double>& v) {
-    return max_norm(extent().n, [&](std::size_t i) { return v[i] / place_.w[i]; });
-  };
-  forget_roundoff(place_.c, place_.y, {&before_, &earlier_});
-  before = norm(before_);
-  const bool slow = several && !solved(size, norm(earlier_), before);
+  const bool slow = convergence_.iterations() > 1 && !solved(size, last, before);
   if (!slow && (before <= tolerated_residual() || !stiff(place_.c, place_.w))) return Result::converged;
   switch (audit()->evaluate(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
@@ -581,11 +566,10 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
     case Outcome::ok: break;
   }
   residual(place_.c, psi, d, 0, extent().n);
-  forget_roundoff(place_.c, place_.y, {&residual_});
   const bool stuck = unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly);
-  if (!slow && !stuck && solved(size, before, norm(residual_))) return Result::converged;
+  if (!slow && !stuck && solved(size, before, norm_in_attempt(residual_.data()))) return Result::converged;
   for (std::size_t i = 0; i < extent().n; ++i) residual_[i] -= before_[i];
-  const Result result = doubt(norm(residual_) <= JacobianAudit::large_stiffness * size);
+  const Result result = doubt(norm_in_attempt(residual_.data()) <= JacobianAudit::large_stiffness * size);
   if (result == Result::failed && stuck) be_careful();
   return result;
 }

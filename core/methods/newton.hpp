@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <initializer_list>
 #include <memory>
 #include <optional>
 #include <span>
@@ -133,8 +132,6 @@ class AgingJacobian {
   /// Returns whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted
   /// to tell: yes.)
   [[nodiscard]] bool stiff(double c, const double* w);
-  /// Leaves out of residuals of the state what may be roundoff of c f, judged by the terms of J y.
-  void forget_roundoff(double c, const double* y, std::initializer_list<std::vector<double>*> residuals);
 
   /// Sets to 0, in an update or an error of the sensitivities, the entries that may be roundoff of S and of c J S,
   /// whose terms may cancel: a parameter that hardly acts on a component has a tolerance there that no arithmetic

@@ -410,7 +410,6 @@ double Radau::next_h() const {
 Newton::Result Radau::look_at_end() {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
   const std::size_t states = solver_.extent().n;
-  solver_.forget_roundoff(signed_h_, candidate_.data(), {&residual_});
   const double before = max_norm(states, [this](std::size_t i) { return residual_[i] / weight_[i]; });
   if (before <= left_at_end * weights_.rtol()) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));
