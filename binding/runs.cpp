@@ -547,14 +547,52 @@ LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
   return form;
 }
 
+/// The results of an ensemble by name. Its arrays are handed over.
+nb::dict results_by_name(EnsembleResult& r) {
+  nb::dict fields;
+  const auto column = [&](const char* name, auto& values) {
+    fields[name] = to_array<Vector>(std::move(values), r.size);
+  };
+  const auto table = [&](const char* name, auto& values, std::size_t columns) {
+    fields[name] = to_array<Table>(std::move(values), r.size, columns);
+  };
+  column("t_end", r.t);
+  table("y_end", r.y_end, r.n);
+  fields["y"] = to_array<Cube>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts);
+  table("value", r.value, r.m);
+  table("residual_before", r.before, r.m);
+  table("residual_after", r.after, r.m);
+  column("correction", r.correction);
+  column("clipped_amount", r.clipped);
+  column("stiff_since", r.stiff_since);
+  column("discontinuity", r.discontinuity);
+  column("accumulation", r.accumulation);
+  fields["counts"] = to_array<IntegerTable>(std::move(r.count), r.size, EnsembleResult::counts);
+  fields["states"] = to_array<Bytes>(std::move(r.state), r.size);
+  nb::list events, failures;
+  for (EnsembleResult::Occurrences& one : r.occurrences) {
+    const std::size_t count = one.trajectory.size();
+    auto [t, y] = to_arrays(std::move(one.points), r.n);
+    events.append(nb::make_tuple(to_array<Integers>(std::move(one.trajectory), count), t, y));
+  }
+  for (const EnsembleResult::Failure& failure : r.failures) {
+    FinishedRun run;
+    run.result.state = failure.state;
+    run.result.report = failure.report;
+    failures.append(nb::make_tuple(failure.trajectory, std::move(run)));
+  }
+  fields["events"] = events;
+  fields["failures"] = failures;
+  fields["alone"] = std::vector<std::size_t>(r.alone.begin(), r.alone.end());
+  return fields;
+}
+
 /// Integrates from each row of y0, with the rows of `parameters`, and of `tolerances` of sensitivities, of the same
 /// number, on as many threads as there are solvers, all of the same problem and native. `progress(done)` is called now
 /// and then. A `request` cancels the rest.
-std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0,
-                                               const ConstMatrix& parameters, const nb::object& progress,
-                                               const std::optional<LaneCodes>& lanes,
-                                               const std::optional<ConstMatrix>& tolerances,
-                                               const StopRequest* request) {
+nb::dict integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0, const ConstMatrix& parameters,
+                        const nb::object& progress, const std::optional<LaneCodes>& lanes,
+                        const std::optional<ConstMatrix>& tolerances, const StopRequest* request) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
     require(one->bound.native(), "functions of an ensemble on threads must be native");
@@ -590,63 +628,10 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
     result = integrate_all(solvers, rows, watch, form);
   }
   if (raised) throw nb::python_error();
-  return result;
+  return results_by_name(*result);
 }
-
-/// Why each of the trajectories failed that did.
-std::vector<std::pair<std::size_t, FinishedRun>> failures(const EnsembleResult& result) {
-  std::vector<std::pair<std::size_t, FinishedRun>> all;
-  for (const EnsembleResult::Failure& failure : result.failures) {
-    FinishedRun& run = all.emplace_back(failure.trajectory, FinishedRun{}).second;
-    run.result.state = failure.state;
-    run.result.report = failure.report;
-  }
-  return all;
-}
-
-// ---------------------------------------------------------------------------------------------------------------------
-// What Python sees
 
 void define_ensemble(nb::module_& module) {
-  using Result = EnsembleResult;
-  nb::class_<Result>(module, "EnsembleRun",
-                     "Results of `integrate_all`. Arrays are handed over: each `take_…` works once.")
-      .def("take_t", [](Result& r) { return to_array<Vector>(std::move(r.t), r.size); })
-      .def("take_end", [](Result& r) { return to_array<Table>(std::move(r.y_end), r.size, r.n); })
-      .def("take_y", [](Result& r) { return to_array<Cube>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts); })
-      .def("take_drift",
-           [](Result& r) {
-             return std::make_tuple(
-                 to_array<Table>(std::move(r.value), r.size, r.m), to_array<Table>(std::move(r.before), r.size, r.m),
-                 to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
-           })
-      .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
-      .def(
-          "take_remarks",
-          [](Result& r) {
-            return std::make_tuple(to_array<Vector>(std::move(r.stiff_since), r.size),
-                                   to_array<Vector>(std::move(r.discontinuity), r.size),
-                                   to_array<Vector>(std::move(r.accumulation), r.size));
-          },
-          "From when on each is limited by stability, where f jumps for the first time, and after which t actions of "
-          "an event that came closer and closer are missing; NaN: nowhere.")
-      .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
-      .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
-      .def("take_events",
-           [](Result& r) {
-             std::vector<std::tuple<Integers, Vector, Table>> all;
-             for (Result::Occurrences& one : r.occurrences) {
-               const std::size_t count = one.trajectory.size();
-               auto [t, y] = to_arrays(std::move(one.points), r.n);
-               all.emplace_back(to_array<Integers>(std::move(one.trajectory), count), t, y);
-             }
-             return all;
-           })
-      .def("failures", &failures, "(trajectory, Run that tells why it ended) of those that failed.")
-      .def_prop_ro(
-          "alone", [](const Result& self) { return std::vector<std::size_t>(self.alone.begin(), self.alone.end()); },
-          "Numbers of trajectories that the lanes left to scalar code, by cause: a value that is not finite or a step "
-          "too short, stability, the invariant, an event or output inside a step, max_steps, and too many left.");
   module.def(
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(), nb::arg("tolerances") = nb::none(),
@@ -654,7 +639,13 @@ void define_ensemble(nb::module_& module) {
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
       "set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, "
       "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows. A "
-      "`request` cancels the trajectories that are not solved yet, whose states are then the last one.");
+      "`request` cancels the trajectories that are not solved yet, whose states are then the last one. Returns by "
+      "name: "
+      "arrays with a row for each trajectory; events, (trajectory, t, y) of each; failures, pairs of a trajectory "
+      "and a Run that tells why it ended; alone, the numbers of trajectories that the lanes left to scalar code, by "
+      "cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a "
+      "step, max_steps, and too many left. stiff_since, discontinuity and accumulation, after which t actions of an "
+      "event that came closer and closer are missing, are NaN where there is none.");
   module.def(
       "instruction_sets",
       [] {
@@ -779,26 +770,6 @@ void define_remarks_of_stepper(nb::class_<Stepper>& stepper) {
   stepper
       .def_prop_ro("remarkable", &Stepper::remarkable, nb::lock_self(),
                    "True if the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.")
-      .def_prop_ro(
-          "harmed", [](Stepper& s) { return s.integration().manifold().harm().component; }, nb::lock_self())
-      .def_prop_ro(
-          "harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; }, nb::lock_self())
-      .def_prop_ro(
-          "below_zero", [](Stepper& s) { return component(s.integration().below_zero()); }, nb::lock_self(),
-          "Component that fell below 0 where f did not lead it: (index, y, 0), or None.")
-      .def_prop_ro(
-          "stiff_since",
-          [](Stepper& s) {
-            const Stiffness stiffness = s.integration().stiffness();
-            return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
-          },
-          nb::lock_self(), "From which t on stability limits the steps; None: it does not.")
-      .def_prop_ro(
-          "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); }, nb::lock_self(),
-          "Times of the discontinuities of f found so far.")
-      .def_prop_ro(
-          "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); }, nb::lock_self(),
-          "From which t on the solution sticks where f jumps.")
       .def_prop_ro("nfev", &Stepper::evaluations, nb::lock_self())
       .def_prop_ro(
           "nfev_check",

@@ -23,7 +23,7 @@ from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._results.sensitivities import states_and_sensitivities
-from .outcomes import UNSOLVED, Outcomes, in_order, picklable
+from .outcomes import ROWS, UNSOLVED, Outcomes, in_order, picklable
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
@@ -135,40 +135,28 @@ def _on_threads(task: Task, plan: Plan, core: _core.Solver, means: Locally) -> O
     with stopped_by_interrupt() if means.keep else nullcontext() as request:
         run = _core.integrate_all(solvers, rows, parameters, means.report, lanes.for_core(), tolerances, request)
     dtype = y0.dtype
-    states = run.take_states()
-    failures = run.failures() if (_CODES[states] < 0).any() else []
+    states, failures = run["states"], run["failures"]
     misshapen = _misshapen(task, failures)
-    value, before, after, correction = run.take_drift()
-    stiff_since, discontinuity, accumulation = run.take_remarks()
     n, k = y0.shape[1], 0 if plan.varied is None else len(plan.varied.names)
-    y, S = _apart(run.take_y().view(dtype), n, k)
-    y_end, S_end = _apart(run.take_end().view(dtype), n, k)
+    y, S = _apart(run["y"].view(dtype), n, k)
+    y_end, S_end = _apart(run["y_end"].view(dtype), n, k)
     status = _CODES[states]
     status[list(misshapen)] = _RAISED
     y_end[status == _RAISED] = np.nan
     S_end[status == _RAISED] = np.nan
     found = Outcomes(
         y=y,
-        t_end=run.take_t(),
         y_end=y_end,
         status=status,
-        counts=run.take_counts(),
-        clipped_amount=run.take_clipped(),
-        stiff_since=stiff_since,
-        discontinuity=discontinuity,
-        accumulation=accumulation,
         messages=_messages(task, plan, failures, misshapen, states),
         events=[
             in_order(trajectory, t, points.view(dtype)[:, :n])
-            for trajectory, t, points in run.take_events()[: plan.own_events]
+            for trajectory, t, points in run["events"][: plan.own_events]
         ],
-        value=value,
-        residual_before=before,
-        residual_after=after,
-        correction=correction,
         S=S,
         S_end=S_end,
-        lanes=lanes.described(run.alone),
+        lanes=lanes.described(run["alone"]),
+        **{name: run[name] for name in ROWS if name in run and name not in ("y", "y_end")},
     )
     if (left := np.flatnonzero(status == UNSOLVED)).size:
         found.leave(left)

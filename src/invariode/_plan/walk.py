@@ -25,8 +25,7 @@ class Walk:
 
     def __init__(self, plan: Plan, y0: Array, span: tuple[float, float] | None = None) -> None:
         """`span`: (t0, tf) in place of those of the plan, in the same direction."""
-        # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
-        self.plan = plan._replace(functions=plan.functions._replace(linear=None))
+        self.plan = plan
         if span is not None:
             (t0, tf), first = span, plan.settings.first_step
             settings = plan.settings._replace(first_step=min(first, abs(tf - t0)))
@@ -106,27 +105,25 @@ class Walk:
             self._next_look *= 2
         if not self.core.remarkable:
             return
+        run = self.core.result()
         if not self._warned:
-            self._watch_accuracy()
-        since = self.core.stiff_since
-        if since is not None and not self._warned_stiff:
+            self._watch_accuracy(run)
+        if run.stiff and not self._warned_stiff:
             self._warned_stiff = True
-            warn(f"{self.plan.method.name}: {limited_by_stability(since)}", StiffnessWarning)
-        text = about_jumps_of_fun(self.core)
+            warn(f"{self.plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
+        text = about_jumps_of_fun(run)
         if text and not self._warned_discontinuous:
             self._warned_discontinuous = True
             warn(f"{self.plan.method.name}: {text}", DiscontinuityWarning)
 
-    def _watch_accuracy(self) -> None:
+    def _watch_accuracy(self, run: _core.Run) -> None:
         names = default_labels(len(self.y))
-        if (fallen := self.core.below_zero) is not None:
+        if run.below_zero is not None:
             self._warned = True
-            i, y, _ = fallen
+            i, y, _ = run.below_zero
             warn(below_zero(names[i], [i], f"and is {y:.2g} at t = {self.core.t:.6g}"), AccuracyWarning)
-        harmed = self.core.harmed
-        if harmed < 0 or self.state not in ("running", "reached_end"):
+        if run.harmed < 0 or self.state not in ("running", "reached_end"):
             return
         self._warned = True
-        component = names[harmed // 2 if self.plan.functions.complex else harmed]
-        distance = f"{self.core.harm:.2g} times its estimated errors"
-        warn(harmful_projection(component, distance), AccuracyWarning)
+        component = names[run.harmed // 2 if self.plan.functions.complex else run.harmed]
+        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)

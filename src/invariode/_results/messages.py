@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from .._base.arguments import EPS
-from .._core import Run, Stepper
+from .._core import Run
 from .._problem.bounds import Bounds
 from .._problem.core_problem import LinearTerms
 
@@ -79,7 +79,7 @@ def remarked(message: str, run: Run, events: Sequence[str]) -> str:
     return message
 
 
-def about_jumps_of_fun(run: Run | Stepper) -> str:
+def about_jumps_of_fun(run: Run) -> str:
     """Return the warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none
     does."""
     if (since := run.sticks_since) is not None:
