@@ -362,44 +362,9 @@ class Run:
         Internal state of the run, for `Solver.resume`; empty if it cannot be resumed.
         """
 
-class EnsembleRun:
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None, tolerances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, request: StopRequest | None = None) -> dict:
     """
-    Results of `integrate_all`. Arrays are handed over: each `take_…` works once.
-    """
-
-    def take_t(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
-
-    def take_end(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
-
-    def take_y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]: ...
-
-    def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
-
-    def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
-
-    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
-        """
-        From when on each is limited by stability, where f jumps for the first time, and after which t actions of an event that came closer and closer are missing; NaN: nowhere.
-        """
-
-    def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
-
-    def take_states(self) -> Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C')]: ...
-
-    def take_events(self) -> list[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
-
-    def failures(self) -> list[tuple[int, Run]]:
-        """(trajectory, Run that tells why it ended) of those that failed."""
-
-    @property
-    def alone(self) -> list[int]:
-        """
-        Numbers of trajectories that the lanes left to scalar code, by cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a step, max_steps, and too many left.
-        """
-
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None, tolerances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, request: StopRequest | None = None) -> EnsembleRun:
-    """
-    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows. A `request` cancels the trajectories that are not solved yet, whose states are then the last one.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows. A `request` cancels the trajectories that are not solved yet, whose states are then the last one. Returns by name: arrays with a row for each trajectory; events, (trajectory, t, y) of each; failures, pairs of a trajectory and a Run that tells why it ended; alone, the numbers of trajectories that the lanes left to scalar code, by cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a step, max_steps, and too many left. stiff_since, discontinuity and accumulation, after which t actions of an event that came closer and closer are missing, are NaN where there is none.
     """
 
 def instruction_sets() -> list[tuple[str, int]]:
@@ -515,30 +480,6 @@ class Stepper:
         """
         True if the steps have shown harm by projection, a fall below 0, stiffness or a discontinuity.
         """
-
-    @property
-    def harmed(self) -> int: ...
-
-    @property
-    def harm(self) -> float: ...
-
-    @property
-    def below_zero(self) -> tuple[int, float, float] | None:
-        """
-        Component that fell below 0 where f did not lead it: (index, y, 0), or None.
-        """
-
-    @property
-    def stiff_since(self) -> float | None:
-        """From which t on stability limits the steps; None: it does not."""
-
-    @property
-    def discontinuities(self) -> list[float]:
-        """Times of the discontinuities of f found so far."""
-
-    @property
-    def sticks_since(self) -> float | None:
-        """From which t on the solution sticks where f jumps."""
 
     @property
     def nfev(self) -> int: ...
