@@ -19,6 +19,7 @@ from invariode._functions.layout import layout_of
 from invariode._sensitivity.landings import schedule_of
 
 SPLINE = CubicSpline([0.0, 2.0, 5.0, 9.0, 12.0], [0.0, 1.0, -1.0, 0.5, 0.0])
+STEPS = iv.Input([0.0, 1.0, 2.5, 4.0], [0.0, 1.0, -1.0, 0.5])
 #: Functions of t on (0, 12), and where they, or their derivatives, jump.
 SWITCHING = {
     "pulse": (lambda t: 3.0 if 1 <= t <= 1.5 else 0.0, [1, 1.5]),
@@ -31,6 +32,7 @@ SWITCHING = {
     "limited": (lambda t: min(max(t - 2, 0.0), 3.0), [2, 5]),
     "table": (lambda t: np.interp(t, [0.0, 1.0, 2.5, 4.0], [0.0, 1.0, 1.0, 0.0]), [1, 2.5, 4]),
     "spline": (lambda t: SPLINE(t), [2, 5, 9]),
+    "input": (lambda t: STEPS(t), [1, 2.5, 4]),
     "sine": (
         lambda t: 1.0 if np.sin(2 * t) > 0.3 else 0.0,
         [(x + 2 * math.pi * k) / 2 for k in range(4) for x in (math.asin(0.3), math.pi - math.asin(0.3))],
@@ -324,3 +326,18 @@ def test_times_are_doubles_that_people_write():
     times = schedule_of(problem, layout_of(())).landings.apart(0, 100, np.zeros(0))
     expected = sorted({1, 1.5, *range(0, 100, 24), *range(2, 100, 24), *range(0, 100, 7)})
     assert np.array_equal(times, expected)
+
+
+@pytest.mark.parametrize("method", ["ode45", "ode15s", "radau"])
+def test_a_pulse_of_a_table_that_fun_calls_is_seen(method):
+    """A table of its own in a closure or among the arguments is seen like one among the inputs, though f does not
+    compare anything."""
+    values = np.zeros(1001)
+    values[500] = 1.0
+    pulse = iv.Input(np.linspace(0, 100, 1001), values)
+    runs = [
+        iv.solve_ivp(lambda t, y: [pulse(t)], (0, 100), [0.0], method),
+        iv.solve_ivp(lambda t, y, u: [u(t)], (0, 100), [0.0], method, args=(pulse,)),
+        iv.Problem(lambda t, y, u: [u], (0, 100), [0.0], inputs=pulse).solve(method),
+    ]
+    assert [sol.y[0, -1] for sol in runs] == pytest.approx([0.1] * 3, rel=1e-6)

@@ -324,9 +324,25 @@ def test_projection_of_the_start_is_the_least_change_in_the_metric_of_the_mass()
     """Two masses on a line at distance 1: the heavy one moves less, and the centre of mass rests."""
     masses = np.array([1.0, 9.0])
     rod = MechanicalSystem(masses, lambda t, q, v: [0, 0], lambda t, q: q[1] - q[0] - 1)
-    with pytest.warns(UserWarning, match=r"q0 by up to 0\.09, of v0 by up to 1\.8"):
+    with pytest.warns(UserWarning, match=r": q1 from 0 to 0\.09, q2 from 1\.1 to 1\.09, v1 from 0 to 1\.8, v2"):
         problem = rod.problem((0, 1), [0, 1.1], [0, 2], consistent="project")
     np.testing.assert_allclose(problem.y0, [0.09, 1.09, 1.8, 1.8], atol=1e-14)
+
+
+def test_what_is_fixed_at_the_start_stays():
+    """The heavy mass follows the light one, whose velocity and position are given; what contradicts itself is said."""
+    rod = MechanicalSystem(np.array([1.0, 9.0]), lambda t, q, v: [0, 0], lambda t, q: q[1] - q[0] - 1, labels=[*"abvw"])
+    with pytest.warns(UserWarning, match="b from 1.1 to 1, w from 0 to 2$"):
+        problem = rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["a", "v"])
+    np.testing.assert_allclose(problem.y0, [0, 1, 2, 2], atol=1e-14)
+    with pytest.raises(iv.InvariantError, match=r"no position near q0 .* or what is fixed: check"):
+        rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["a", "b"])
+    with pytest.raises(iv.InvariantError, match=r"no velocities .* or what is fixed, or"):
+        rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["v", "w"])
+    with pytest.raises(ValueError, match="there is no component 'u'"):
+        rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["u"])
+    with pytest.raises(ValueError, match='give consistent="project" too'):
+        rod.problem((0, 1), [0, 1], [2, 2], fixed=["a"])
 
 
 def test_projection_on_a_curve_gives_its_nearest_point():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -25,24 +25,28 @@ _ROUNDOFF = 1e-11
 #: components are many times the lengths of their links. Newton's iterations are few where it is near enough.
 _BESIDE = (1e-2, 1e-3, 1e-4)
 _FEW = 10
+_OR_FIXED = " or what is fixed"
 #: The rest of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
 #: The rest of a row above this is surely not roundoff, though the factors lose half of the digits.
 _FAR = 1e-4
 
 
-def consistent_state(motion: Motion, start: MotionPoint, names: list[str]) -> MotionPoint:
-    """Return the state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
+def consistent_state(motion: Motion, start: MotionPoint, names: list[str], fixed: Collection[int] = ()) -> MotionPoint:
+    """Return the state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix, and has
+    the components of (q, v) in `fixed` of `start`.
 
     q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
     sense, which is linear. Where q' is not v, or M is not definite, q is the nearest one in the Euclidean sense.
     """
-    q = _consistent_positions(motion, start, names)
+    n = motion.n_q
+    free = np.array([i not in fixed for i in range(n + len(start.v))])
+    q = _consistent_positions(motion, start, names, free=free[:n])
     at = start._replace(q=q)
     rows = motion.rows(at)
     if not motion.m:
         return at
-    change = _least_change(motion.mass(at), rows, -motion.rates(at))
+    change = _least_change(motion.mass(at), rows, -motion.rates(at), free[n:])
     after = at._replace(v=at.v + change)
     left = np.abs(motion.rates(after))
     moving = np.abs(at.v) + np.abs(change)
@@ -60,14 +64,17 @@ def consistent_state(motion: Motion, start: MotionPoint, names: list[str]) -> Mo
             )
         raise InvariantError(
             f"no velocities satisfy the constraints at t = {start.t}: the rate of {names[i]} can only be reduced to "
-            f"{left[i]:.3g}. The constraints may contradict each other, or be singular at this position: check their "
-            "formulas, or start from another q0"
+            f"{left[i]:.3g}. The constraints may contradict each other{_OR_FIXED * bool(fixed)}, or be singular at "
+            "this position: check their formulas, or start from another q0"
         )
     return after
 
 
-def _consistent_positions(motion: Motion, start: MotionPoint, names: list[str], nearest: bool = True) -> Array:
-    """Return the q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
+def _consistent_positions(
+    motion: Motion, start: MotionPoint, names: list[str], nearest: bool = True, free: Array | None = None
+) -> Array:
+    """Return the q of `consistent_state`, of which only the components in `free` change; without `nearest` some
+    consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
@@ -80,7 +87,7 @@ def _consistent_positions(motion: Motion, start: MotionPoint, names: list[str], 
         if not nearest and not _off(residual, rows, q, q0).any():
             break
         base = q0 if nearest else q
-        after = base + _least_change(weight, rows, rows @ (q - base) - residual)
+        after = base + _least_change(weight, rows, rows @ (q - base) - residual, free)
         moved = np.abs(after - q).max(initial=0.0)
         q = after
         if moved <= _SETTLED * sizes(q).max(initial=0.0):
@@ -95,9 +102,11 @@ def _consistent_positions(motion: Motion, start: MotionPoint, names: list[str], 
                 "not depend on q, "
                 "or q0 is a singular position of it. Correct its formula, or start from another q0"
             )
+        or_fixed = _OR_FIXED * (free is not None and not free.all())
         raise InvariantError(
             f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
-            "one found. The constraints may contradict each other: check them, or start from a q0 nearer to a solution"
+            f"one found. The constraints may contradict each other{or_fixed}: check them, or start from a q0 nearer to "
+            "a solution"
         )
     return q
 
@@ -109,9 +118,14 @@ def _off(residual: Array, rows: Any, q: Array, q0: Array) -> Array:
     return off
 
 
-def _least_change(weight: Any, rows: Any, right: Array) -> Array:
-    """Return the x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
+def _least_change(weight: Any, rows: Any, right: Array, free: Array | None = None) -> Array:
+    """Return the x of least xᵀ W x with A x = right, zero but for the components in `free`; where W does not determine
+    it, of least norm."""
     n = rows.shape[1]
+    if free is not None and not free.all():
+        some = np.zeros(n)
+        some[free] = _least_change(as_dense(weight)[np.ix_(free, free)], as_dense(rows)[:, free], right)
+        return some
     if hasattr(weight, "toarray") and hasattr(rows, "toarray"):
         found = by_factors(rows, right, weight, accuracy=_ROUNDOFF)
         if found is not None:

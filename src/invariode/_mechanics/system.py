@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, as_array, choice, extra_arguments, function, interval, shown, state, warn
 from .._base.failures import InvariantError
 from .._base.package import public
-from .._base.suggestions import naming_arguments
+from .._base.suggestions import meant, naming_arguments
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._plan.call_errors import require_called
@@ -167,6 +167,7 @@ class MechanicalSystem(HasPoints):
         v0: ArrayLike,
         consistent: Literal["check", "project"] = "check",
         correction: Literal["levels", "joint", "none"] = "levels",
+        fixed: Sequence[str] = (),
     ) -> Problem:
         """Return the initial value problem of y = (q, v).
 
@@ -186,6 +187,9 @@ class MechanicalSystem(HasPoints):
             How the solution is put back onto the constraints after each step: first positions onto φ = 0, then
             velocities onto φ' = 0 and ψ = 0 with the positions held, then all onto energy and further invariants
             without leaving those; all invariants together, as in the paper; or not at all.
+        fixed : sequence of str, optional
+            With ``consistent="project"``: labels of components that keep their values, such as the speed of a crank.
+            Default labels are "q1", …, "v1", ….
 
         Returns
         -------
@@ -196,7 +200,8 @@ class MechanicalSystem(HasPoints):
         ------
         ValueError
             Shapes do not match; ψ is not linear in v; a constraint does not depend on q; M is singular on the
-            velocities that the constraints allow.
+            velocities that the constraints allow; `fixed` names no component, or stands without
+            ``consistent="project"``.
         InvariantError
             The constraints contradict each other: there is no consistent state.
 
@@ -212,10 +217,12 @@ class MechanicalSystem(HasPoints):
         start = MotionPoint(interval(t_span)[0], state(q0), state(v0), self.args)
         motion = self._motion(start)
         names = self._names(motion)
-        known = consistent_state(motion, start, names)
+        if len(fixed) and consistent != "project":
+            raise ValueError('fixed says what a start keeps that is moved: give consistent="project" too')
+        known = consistent_state(motion, start, names, self._components(motion, fixed))
         self._look_for_redundancy(motion, known, names)
         if consistent == "project":
-            self._tell_move(start, known)
+            self._tell_move(motion, start, known)
             start = known
         elif correction == "none":
             self._require_consistent(motion, start, names)
@@ -448,11 +455,26 @@ class MechanicalSystem(HasPoints):
         motion.kept, motion.names = ~redundant, names
         motion.choose_factors([known, beside])
 
-    def _tell_move(self, start: MotionPoint, known: MotionPoint) -> None:
-        q, v = (np.abs(a - b).max(initial=0.0) for a, b in ((known.q, start.q), (known.v, start.v)))
+    def _components(self, motion: Motion, fixed: Sequence[str]) -> list[int]:
+        """Return the places in (q, v) of components by their labels."""
+        labels, wanted = self._labels(motion), [fixed] if isinstance(fixed, str) else [*fixed]
+        if unknown := [one for one in wanted if one not in labels]:
+            raise ValueError(
+                f"fixed: there is no component {shown(unknown[0])}{meant(str(unknown[0]), labels)}: there are "
+                f"{', '.join(labels)}"
+            )
+        return [labels.index(one) for one in wanted]
+
+    def _tell_move(self, motion: Motion, start: MotionPoint, known: MotionPoint) -> None:
         roundoff = _SYMMETRIC * max(np.abs(start.x).max(initial=0.0), np.finfo(float).tiny)
-        if max(q, v) > roundoff:
-            warn(f"the start was moved onto the constraints: components of q0 by up to {q:.3g}, of v0 by up to {v:.3g}")
+        moves = [
+            f"{name} from {old:.6g} to {new:.6g}"
+            for name, old, new in zip(self._labels(motion), start.x, known.x, strict=True)
+            if abs(new - old) > roundoff
+        ]
+        if moves:
+            rest = f", and {len(moves) - 6} more" if len(moves) > 6 else ""
+            warn(f"the start was moved onto the constraints: {', '.join(moves[:6])}{rest}")
 
     def _require_consistent(self, motion: Motion, start: MotionPoint, names: list[str]) -> None:
         t, v = start.t, start.v

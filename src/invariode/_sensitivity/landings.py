@@ -79,7 +79,7 @@ def switches_in_time(problem: Problem) -> bool:
     """Return whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
     from .._functions.graph.plain import may_switch, plain_graph
 
-    if not may_switch(problem.fun):
+    if not may_switch(problem.fun, problem.args):
         return False
     is_complex = problem.y0.dtype.kind == "c"
     made = plain_graph(problem.fun, reals(problem.y0), layout_of(problem.args), is_complex=is_complex)

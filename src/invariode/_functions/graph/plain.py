@@ -26,6 +26,7 @@ from ..forms import Filling, FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
 from .landings import Crossing, timed
 from .nodes import Node, TraceError
+from .tables import PolynomialTable, is_table
 
 #: The attribute of a function of ours in which the one stands that it calls, and does something besides.
 AS_TRACED = "__as_traced__"
@@ -92,11 +93,13 @@ class _CodeSummary(NamedTuple):
 _known: Latest[CodeType, _CodeSummary] = Latest(1024)
 
 
-def may_switch(fun: Any) -> bool:
-    """Return whether a Python function, or one that it calls, has anything that may switch with t, and code without
-    observable effects. This takes less than a microsecond for a function that is known."""
+def may_switch(fun: Any, args: Sequence[Any] = ()) -> bool:
+    """Return whether a Python function, one that it calls, or a table in its `args` has anything that may switch with
+    t, and its code no observable effects. This takes less than a microsecond for a function that is known."""
     function = _function_of(fun)
-    if function is None or not _may_switch(function, ()):
+    if function is None or not (
+        _may_switch(function, ()) or any(type(one) is not float and _is_table(one) for one in args)
+    ):
         return False
     time = 1 if isinstance(getattr(fun, AS_TRACED, fun), StateFirst) else 0
     return time in _code_of(function.__code__).reads or time >= function.__code__.co_argcount
@@ -206,9 +209,13 @@ def _may_switch(function: FunctionType, around: tuple[CodeType, ...]) -> bool:
     for one in _outside(function, code):
         if type(one) is FunctionType and _may_switch(one, (*around, function.__code__)):
             return True
-        if type(one).__module__.startswith("scipy.interpolate"):
+        if _is_table(one):
             return True
     return False
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, PolynomialTable) or type(value).__module__.startswith("scipy.interpolate")
 
 
 def _code_of(code: CodeType) -> _CodeSummary:
@@ -308,8 +315,6 @@ def _contents_of(value: Any, around: tuple[CodeType, ...]) -> Hashable:
         return _contents(value, around)
     if _is_of_library(value):
         return id(value)
-    from .tables import is_table
-
     if is_table(value) and not isinstance(value, type):
         return object()  # whose contents are not compared
     raise _NoticedError
