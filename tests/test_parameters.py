@@ -117,7 +117,8 @@ def test_ensembles_and_prepared_solvers_take_names(compiled):
     columns = {"lambda": rates, "t": 2.0}
     rows = [{"lambda": one} for one in rates]
     matrix = np.array([[one, 2.0, 0.3, 1.0] for one in rates])
-    for args in (columns, rows, matrix):
+    table = pytest.importorskip("pandas").DataFrame({"t": 2.0, "lambda": rates})
+    for args in (columns, rows, matrix, table):
         many = problem.solve_ensemble(args=args, workers=1)
         np.testing.assert_array_equal(many.y_end if hasattr(many, "y_end") else many.y[:, :, -1], single)
     solver = problem.prepare("ode45", keep="end")
@@ -170,6 +171,9 @@ def test_arguments_of_fun_are_changed_by_name():
     other = problem.replace(args={"k": 5.0, "p[1]": 6.0})
     assert (other.args[0], [*other.args[1]]) == (5.0, [3.0, 6.0])
     assert problem.prepare("ode45")(args={"k": 5.0, "p[1]": 6.0}).y[0, -1] == other.solve("ode45").y[0, -1]
+    single = [problem.replace(args={"k": one}).solve("ode45", keep="end").y[:, -1] for one in (1.0, 5.0)]
+    for args in ({"k": [1.0, 5.0]}, [{"k": 1.0}, {"k": 5.0}]):
+        np.testing.assert_array_equal(problem.solve_ensemble(args=args, workers=1).y_end, single)
     with pytest.raises(ValueError, match="takes no parameter 'kk'; parameters are k, p"):
         problem.replace(args={"kk": 1.0})
     with pytest.raises(TypeError, match=r"k is an argument of fun: replace\(args="):

@@ -78,10 +78,10 @@ bool JacobianCheck::agrees(const double* slope) const {
 
 /// All components move to the side to which the differences move them: where f is not defined everywhere, it is there.
 JacobianCheck::Fit JacobianCheck::fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J,
-                                      const double* reach, std::size_t turn, const Box& box) {
+                                      const double* reach, std::size_t turn, const Box& box, bool scattered) {
   const std::size_t n = n_;
   if (!all_finite(slope, n)) return Fit::good;
-  aim(y, J, reach, turn, box, [slope](std::size_t j, double) { return slope[j]; });
+  aim(y, J, reach, turn, box, [=](std::size_t j, double part) { return scattered ? part : slope[j]; });
   if (!all_finite(size_.data(), n)) return Fit::good;
   if (move(f, t, y, slope, 1, change_.data()) == Status::stop) return Fit::stop;
   if (!all_finite(change_.data(), n) || !misleads(slope)) return Fit::good;
@@ -101,8 +101,11 @@ bool JacobianCheck::misleads(const double* slope) const {
   return false;
 }
 
-/// Judges by both looks. (A J that is too small where f bends, as that of y² is at 0, fails Newton's iteration visibly,
-/// if at all.)
+/// Returns whether J predicts less than half of the change of f_i, which costs steps only.
+bool JacobianCheck::understates(std::size_t i) const { return std::abs(product_[i]) < 0.5 * std::abs(change_[i]); }
+
+/// Judges by both looks. Of rows that do not fit, one that J overstates is taken, if there is one. (A J that is too
+/// small where f bends, as that of y² is at 0, fails Newton's iteration visibly, if at all.)
 JacobianCheck::Fit JacobianCheck::judge(const double* slope) {
   Fit fit = Fit::good;
   for (std::size_t i = 0; i < change_.size(); ++i) {
@@ -110,7 +113,7 @@ JacobianCheck::Fit JacobianCheck::judge(const double* slope) {
     const double far = change_[i], near = back_[i] / closer;
     const bool linear = std::abs(far - near) <= nearly_linear * std::abs(far) + noise(i, slope) / closer;
     if (!linear && size_[i] > std::abs(far)) return Fit::bent;
-    if (!linear || fit == Fit::wrong) continue;
+    if (!linear || (fit == Fit::wrong && !understates(row_))) continue;
     fit = Fit::wrong;
     row_ = i;
   }

@@ -26,14 +26,16 @@ class JacobianCheck {
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
                   std::size_t turn, const Box& box = {});
   /// Examines J in the direction in which f leads, in a neighbourhood as wide as `reach`, with the tolerance of
-  /// Newton's iteration: only errors that would mislead the iteration count.
+  /// Newton's iteration: only errors that would mislead the iteration count. `scattered`: in a direction with random
+  /// signs instead.
   Fit fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
-          std::size_t turn, const Box& box = {});
+          std::size_t turn, const Box& box = {}, bool scattered = false);
   /// The result of the latest `fit`: the direction v; the row in which J v is not the change of f, and both values.
   [[nodiscard]] const std::vector<double>& direction() const { return direction_; }
   [[nodiscard]] std::size_t row() const { return row_; }
   [[nodiscard]] double change() const { return change_[row_]; }
   [[nodiscard]] double predicted() const { return product_[row_]; }
+  [[nodiscard]] bool understates() const { return understates(row_); }
   /// Gives memory back if it is large: the result of the latest `fit` is not needed any more.
   void rest();
   /// max_i Σ_j |J_ij| w_j / w_i
@@ -46,6 +48,7 @@ class JacobianCheck {
   [[nodiscard]] bool agrees(const double* slope) const;
   [[nodiscard]] bool misleads(std::size_t i, double change, double part, const double* slope) const;
   [[nodiscard]] bool misleads(const double* slope) const;
+  [[nodiscard]] bool understates(std::size_t i) const;
   [[nodiscard]] Fit judge(const double* slope);
   [[nodiscard]] double noise(std::size_t i, const double* slope) const;
 

@@ -33,7 +33,15 @@ void JacobianAudit::begin(double t, const double* y) {
 }
 
 Status JacobianAudit::look(double t, const double* y, const double* slope) {
-  return slope != nullptr && due(y) ? fit_or_mend(t, y, slope) : Status::ok;
+  if (slope != nullptr) return due(y) ? fit_or_mend(t, y, slope) : Status::ok;
+  if (jacobian_.kind() != Jacobian::Kind::function || !due(y)) return Status::ok;
+  std::vector<double> value(weights_.size());
+  switch (evaluate(t, y, value.data())) {
+    case Outcome::stop: return Status::stop;
+    case Outcome::not_finite: return Status::ok;
+    case Outcome::ok: break;
+  }
+  return fit_or_mend(t, y, value.data());
 }
 
 Outcome JacobianAudit::evaluate(double t, const double* y, double* out) {
@@ -44,13 +52,15 @@ Outcome JacobianAudit::evaluate(double t, const double* y, double* out) {
   return all_finite(out, weights_.size()) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// The first J of a start, the evaluations 1, 2, 4, 8, …, and one that has grown much beyond those that fitted; of
-/// those that are given, which no look can improve, the first. A J that is not larger than the right one cannot make
-/// Newton's iteration look converged.
+/// The first J of a start, the evaluations 1, 2, 4, 8, …, and one that has grown much beyond those that fitted. Of
+/// those that are given, which no look can improve, the evaluations 1, 2, 4, 8, … until one does not fit: at the start
+/// many of their entries may not count. A J that is not larger than the right one cannot make Newton's iteration look
+/// converged.
 bool JacobianAudit::due(const double* y) {
   const bool first = std::exchange(first_, false);
-  if (!jacobian_.computed()) return !fitting_;
-  if (first || !fitting_ || std::has_single_bit(static_cast<std::uint64_t>(jacobian_.count()))) return true;
+  const bool in_turn = std::has_single_bit(static_cast<std::uint64_t>(jacobian_.count()));
+  if (!jacobian_.computed()) return !fitting_ || (in_turn && !misfit_ && jacobian_.kind() == Jacobian::Kind::function);
+  if (first || !fitting_ || in_turn) return true;
   weights_.fill(y, reach_.data());
   return check_.size(jacobian_.matrix(), reach_.data()) > suspicious_growth * *fitting_;
 }
@@ -91,7 +101,8 @@ JacobianCheck::Fit JacobianAudit::fit(Callback& f, double t, const double* y, co
   const double reach = part * std::min(weights_.rtol(), widest_reach);
   for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = reach * jacobian_.scale(j, y);
   const auto turn = static_cast<std::size_t>(jacobian_.count());
-  return check_.fit(f, t, y, slope, jacobian_.matrix(), reach_.data(), turn, jacobian_.box());
+  const bool again = jacobian_.kind() == Jacobian::Kind::function && turn > 1;  // other signs may show more
+  return check_.fit(f, t, y, slope, jacobian_.matrix(), reach_.data(), turn, jacobian_.box(), again);
 }
 
 /// f jumps, or bends sharply, within the tolerance: J is taken on the side to which f leads.
@@ -120,8 +131,7 @@ Status JacobianAudit::take_beside(Callback& f, double t, const double* y) {
 Status JacobianAudit::mend(Callback& f, double t, const double* y, const double* slope) {
   if (jacobian_.computed()) return jacobian_.complete(f, t, y, slope, check_.direction());
   if (jacobian_.kind() == Jacobian::Kind::derived) return Status::ok;
-  const bool too_small = std::abs(check_.predicted()) < 0.5 * std::abs(check_.change());  // which costs steps only
-  if (!misfit_ && !too_small)
+  if (!misfit_ && !check_.understates())
     misfit_ = Misfit{.kind = Misfit::Kind::matrix,
                      .t = t,
                      .row = check_.row(),

@@ -24,7 +24,8 @@ class JacobianAudit {
   void start() { first_ = true; }
   /// J is taken at (t, y).
   void begin(double t, const double* y);
-  /// Tests J at (t, y), where f is `slope`, if that is due. What does not fit is mended as far as it can be.
+  /// Tests J at (t, y), where f is `slope`, if that is due; without a slope only a J that is given. What does not fit
+  /// is mended as far as it can be.
   Status look(double t, const double* y, const double* slope);
   /// The fit of J to the iterate y at t, of which updates by J have not removed the residual r. It is
   /// `of_another_branch` if J r was not the derivative of f where J was taken, or if this derivative jumps between

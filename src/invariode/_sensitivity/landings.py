@@ -100,7 +100,7 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
         return found.timed if not problem.inputs else timed(*_fed(found.outputs, problem))
     from .._functions.graph.plain import may_switch
 
-    made = graph_of_python(problem) if n and may_switch(_python(problem)) else None
+    made = graph_of_python(problem) if n and may_switch(_python(problem), problem.args) else None
     if made is None:
         return []
     if problem.delays is not None:

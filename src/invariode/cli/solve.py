@@ -17,12 +17,12 @@ from .._base.arguments import Array, weights_of
 from .._base.progress import in_passing
 from .._base.style import STYLE
 from .._base.types import MethodName
-from .._functions.compiled import is_native
 from .._laws.bound import bind
 from .._problem.grouped import Checkpoint, Limits
 from .._problem.options import ExtensionOptions
 from .._problem.problem import Problem
 from .._results.pictures.canvas import component, listed
+from .._results.result import STOPPED
 from .._results.solution import Solution
 from .._solve.loading import load as load_solution
 from .._studies.precision import unprojected
@@ -187,6 +187,9 @@ def solve(
             sol = _solved(run, name, options, others, from_file)
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
+    if sol.status == STOPPED:
+        go_on = "with --checkpoint it could be resumed" if checkpoint is None else f"--resume goes on from {checkpoint}"
+        raise stop(f"Interrupted at t = {sol.t_end:.6g}, after {sol.stats.steps} steps; {go_on}.", INTERRUPTED)
     if not quiet:
         with guarded():
             named = method if method == chosen.name else f"{chosen.name} as {method}"
@@ -210,27 +213,15 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 def _solved(
     problem: Problem, method: MethodName, options: dict[str, Any], others: ExtensionOptions, from_file: Path | None
 ) -> Solution:
-    """Return the solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run
-    got."""
-    reached = [problem.t_span[0], 0.0]
-
-    def note(t: float, y: Array) -> None:
-        reached[0] = t
-        reached[1] += 1
-
-    if not is_native(problem.fun):  # native code need not wait for Python at each step
-        options = {"callback": note, **options}
+    """Return the solution, perhaps of a run that began earlier; Ctrl-C ends it after the step."""
+    options = {"on_interrupt": "return", **options}
     try:
         if from_file is None:
             return problem.solve(method, **{**others, **options})
         begun = load_solution(from_file, problem, **options)
         return begun if begun.t_end == problem.t_span[1] else begun.extend(problem.t_span[1], **others)
-    except KeyboardInterrupt:
-        where = "" if is_native(problem.fun) else f" at t = {reached[0]:.6g}, after {reached[1]:.0f} steps"
-        saved = (
-            f"--resume goes on from {options['checkpoint'].path}" if "checkpoint" in options else "nothing was saved"
-        )
-        raise stop(f"Interrupted{where}; {saved}.", INTERRUPTED) from None
+    except KeyboardInterrupt:  # before the first step, or by fun itself
+        raise stop("Interrupted; nothing was saved.", INTERRUPTED) from None
 
 
 def _nonnegative(problem: Problem, given: str | None) -> Problem:
