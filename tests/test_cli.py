@@ -16,6 +16,7 @@ import typer
 import invariode as iv
 from cases import dealt, explicit_and_implicit
 from command_files import FILES, flat, invariode, problem
+from invariode.cli.load import load
 from invariode.cli.session import guarded
 from invariode.cli.solve import OUTPUTS
 
@@ -146,7 +147,7 @@ def test_solve_quietly_prints_nothing():
         (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
         (["faulty.py:blowing_up"], 1, "without reducing the step below its smallest size"),
         (["faulty.py:blowing_up", "-q"], 1, "without reducing the step below its smallest size"),
-        (["faulty.py:interrupted"], 130, "Interrupted at t = "),
+        (["faulty.py:interrupted"], 130, "Interrupted; nothing was saved."),
         (["faulty.py:endless"], 0, "A termination event occurred."),
     ],
 )
@@ -300,11 +301,22 @@ def test_a_short_run_shows_no_progress_bar():
     assert "%" not in invariode("solve", "pendulum.py", "--progress").output
 
 
+def test_files_of_the_command_go_on_in_python_and_its_checkpoints_there(tmp_path):
+    """The command adds nothing to a run: no callback of its own is asked for."""
+    problem = load("pendulum.py")
+    assert invariode("solve", "pendulum.py", "-o", f"{tmp_path}/run.npz").exit_code == 0
+    run = iv.load(tmp_path / "run.npz", problem)
+    assert run.extend(run.t_end + 1).success
+    problem.solve(rtol=1e-4, atol=1e-7, checkpoint=tmp_path / "c.ck", limits=iv.Limits(steps=5))
+    options = ["--rtol", "1e-4", "--atol", "1e-7", "--checkpoint", f"{tmp_path}/c.ck", "--resume"]
+    assert invariode("solve", "pendulum.py", *options).exit_code == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
-def test_ctrl_c_ends_with_130_and_one_line():
+def test_ctrl_c_ends_with_130_and_one_line(tmp_path):
     code = "from invariode.cli import main\nmain()"
     with subprocess.Popen(
-        [sys.executable, "-c", code, "solve", "faulty.py:slow"],
+        [sys.executable, "-c", code, "solve", "faulty.py:slow", "-o", str(tmp_path / "run.npz")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -314,7 +326,8 @@ def test_ctrl_c_ends_with_130_and_one_line():
         running.send_signal(signal.SIGINT)
         _, errors = running.communicate(timeout=60)
     assert running.returncode == 130
-    assert re.fullmatch(r"Interrupted at t = \S+, after \d+ steps; nothing was saved.\n", errors)
+    assert re.fullmatch(r"Interrupted at t = \S+, after \d+ steps; with --checkpoint it could be resumed\.\n", errors)
+    assert 0 < iv.load(tmp_path / "run.npz").t_end < 1000
 
 
 def test_check_prints_the_report():
@@ -392,11 +405,6 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path):
     said = "rtol = 0.0001 differs from 0.001 in the file" in flat(other.output)
     assert (other.exit_code, said) == (2, True), other.output
     assert invariode("solve", "pendulum.py", "--resume").exit_code == 2
-
-
-def test_an_interrupted_run_says_where_it_stopped():
-    result = invariode("solve", "faulty.py:interrupted")
-    assert re.fullmatch(r"Interrupted at t = \S+, after \d+ steps; nothing was saved.\n", result.output)
 
 
 def test_solve_draws_components_and_drift_in_panels(monkeypatch):
