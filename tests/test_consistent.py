@@ -69,11 +69,11 @@ def test_a_higher_index_is_proved_by_derivatives_and_not_by_differences(method):
 
     exact = [(fun, None), (fun, "trace"), (fun, lambda t, y: [[0.0, 1.0], [1.0, 0.0]]), (iv.compile(fun), None)]
     for one, jac in exact:
-        with pytest.raises(ValueError, match=r"index 1.*Differentiate the constraints"):
+        with pytest.raises(ValueError, match=r"index 1.*differentiates constraints"):
             solve(one, jac)
     with pytest.raises(ValueError, match="Differences of fun do not prove that") as unproved:
         solve(fun, "differences")
-    assert "ifferentiate the" not in str(unproved.value)
+    assert "differentiates" not in str(unproved.value)
 
 
 def test_ensembles_say_the_same():

@@ -188,8 +188,7 @@ def solve(
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if sol.status == STOPPED:
-        go_on = "with --checkpoint it could be resumed" if checkpoint is None else f"--resume goes on from {checkpoint}"
-        raise stop(f"Interrupted at t = {sol.t_end:.6g}, after {sol.stats.steps} steps; {go_on}.", INTERRUPTED)
+        raise _interrupted(sol, checkpoint)
     if not quiet:
         with guarded():
             named = method if method == chosen.name else f"{chosen.name} as {method}"
@@ -201,6 +200,12 @@ def solve(
             console.print("Wrote", Text(str(path), style="bold"), soft_wrap=True)
     if not sol.success:
         raise stop(sol.message, code=1) if quiet else typer.Exit(1)
+
+
+def _interrupted(sol: Solution, checkpoint: Path | None) -> typer.Exit:
+    """Return the end of a command whose run Ctrl-C has ended after a step."""
+    go_on = "with --checkpoint it could be resumed" if checkpoint is None else f"--resume goes on from {checkpoint}"
+    return stop(f"Interrupted at t = {sol.t_end:.6g}, after {sol.stats.steps} steps; {go_on}.", INTERRUPTED)
 
 
 def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[str, list[int] | None, bool]) -> None:
@@ -249,8 +254,7 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
         "rtol": rtol,
         "atol": atol,
         "t_eval": None if points is None else _times(problem, points),
-        "refine": DENSE if dense else 1,
-        "dense_output": dense,
+        **({"refine": DENSE, "dense_output": True} if dense else {}),
         "on_failure": "return",
     }
 
