@@ -52,24 +52,31 @@ class MaxNorm {
   bool undefined_ = false;
 };
 
-/// The MaxNorm of term(i), i < n, for many: the terms are formed block by block in a loop that does nothing else, which
-/// becomes vector instructions, and no maximum waits for the one before.
+/// The terms that `add_blocks` takes at a time.
+inline constexpr std::size_t block_of_norm = 64;
+
+/// Adds term(i) to `norm` block by block, up to the returned i ≤ n: terms are formed in a loop that does nothing else,
+/// which becomes vector instructions, and no maximum waits for the one before.
 template <class Term>
-double max_norm(std::size_t n, Term term) {
-  constexpr std::size_t block = 64, lanes = 4;
-  MaxNorm norm;
+[[gnu::noinline]] std::size_t add_blocks(std::size_t n, const Term& term, MaxNorm& norm) {
+  constexpr std::size_t lanes = 4;
+  MaxNorm part[lanes];
   std::size_t i = 0;
-  if (n >= block) {
-    MaxNorm part[lanes];
-    for (; i + block <= n; i += block) {
-      double values[block];
-      for (std::size_t j = 0; j < block; ++j) values[j] = term(i + j);
-      for (std::size_t j = 0; j < block; j += lanes)
-        for (std::size_t lane = 0; lane < lanes; ++lane) part[lane].add(values[j + lane]);
-    }
-    for (const MaxNorm& one : part) norm.add(one.value());
+  for (; i + block_of_norm <= n; i += block_of_norm) {
+    double values[block_of_norm];
+    for (std::size_t j = 0; j < block_of_norm; ++j) values[j] = term(i + j);
+    for (std::size_t j = 0; j < block_of_norm; j += lanes)
+      for (std::size_t lane = 0; lane < lanes; ++lane) part[lane].add(values[j + lane]);
   }
-  for (; i < n; ++i) norm.add(term(i));
+  for (const MaxNorm& one : part) norm.add(one.value());
+  return i;
+}
+
+/// The MaxNorm of term(i), i < n. A short one needs no memory for blocks, and is inlined.
+template <class Term>
+double max_norm(std::size_t n, const Term& term) {
+  MaxNorm norm;
+  for (std::size_t i = n < block_of_norm ? 0 : add_blocks(n, term, norm); i < n; ++i) norm.add(term(i));
   return norm.value();
 }
 

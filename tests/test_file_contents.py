@@ -204,7 +204,7 @@ CODES = {
     ),
 }
 FIRST = {
-    "jac": dict(jac=lambda t, y: np.ones((3, 3))),
+    "jac": dict(jac=lambda t, y: 0 * np.ones((3, 3))),
     "event": dict(events=lambda t, y: y[0] - 0.6),
     "what an event keeps": dict(events=crossing(0.6)),
     "action": dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: y)),

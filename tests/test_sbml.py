@@ -345,8 +345,8 @@ def test_delays_are_numbers_parameters_and_sums_and_columns_show_delayed_values(
 
 def test_initial_states_and_histories_follow_the_parameters():
     """With delays too, other parameters are those of a problem that is made with them, and its exact solution
-    x = c (1 - k t + k² (t - 1)² / 2 - k³ (t - 2)³ / 6), c = x0 + k, of x' = -k x(t - 1), in (2, 3); sensitivities to
-    a history are refused."""
+    x = c (1 - k t + k² (t - 1)² / 2 - k³ (t - 2)³ / 6), c = x0 + k, of x' = -k x(t - 1), in (2, 3); so do
+    sensitivities."""
     rule = f'<rateRule variable="x">{formula("-k * delay(x, 1)")}</rateRule>'
     start = f'<initialAssignment symbol="x">{formula("x0 + k")}</initialAssignment>'
     numbers = parameter("x", 1, "false") + parameter("k", 0.5) + parameter("x0", 2)
@@ -357,8 +357,10 @@ def test_initial_states_and_histories_follow_the_parameters():
         found = problem.replace(parameters=values).solve("ode15s", rtol=1e-8, atol=1e-11)
         np.testing.assert_array_equal(found.y, one.problem((0, 3), **values).solve("ode15s", rtol=1e-8, atol=1e-11).y)
         assert found.y_end[0] == pytest.approx(c * (1 - 3 * k + 2 * k**2 - k**3 / 6), rel=1e-6)
-    with pytest.raises(ValueError, match="history that depends on args"):
-        problem.replace(sensitivities=["k"]).solve("ode15s")
+    k, c = 0.5, 2.5
+    found = problem.replace(sensitivities=["k", "x0"]).solve("ode15s", rtol=1e-8, atol=1e-11)
+    slope = 1 - 3 * k + 2 * k**2 - k**3 / 6, c * (-3 + 4 * k - k**2 / 2)
+    np.testing.assert_allclose(found.sensitivities[0, :, -1], [sum(slope), slope[0]], rtol=1e-6)
 
 
 def test_values_before_the_start_and_delays_in_events():

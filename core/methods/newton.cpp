@@ -53,9 +53,10 @@ Convergence::Verdict Convergence::judge(double size) {
   } else {
     rate_ = std::max(rate_memory * rate_, size / previous_);
     rate_known_ = true;
-    const double left = size * rate_ / (1 - rate_);
+    double left = size * rate_ / (1 - rate_);
     if (left <= rules_.goal * rtol_) return Verdict::converged;
-    if (left * std::pow(rate_, most_iterations_ - iteration_) > rules_.goal * rtol_) return Verdict::diverged;
+    for (int k = iteration_; k < most_iterations_; ++k) left *= rate_;
+    if (left > rules_.goal * rtol_) return Verdict::diverged;
   }
   previous_ = size;
   return iteration_ < most_iterations_ ? Verdict::go_on : Verdict::diverged;

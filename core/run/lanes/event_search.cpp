@@ -16,12 +16,12 @@ void gather(const double* from, std::size_t stride, std::vector<double>& to) {
 
 /// Puts a pair between two steps, where it is after one without failures, as its `state` archives that.
 void resume(Step& step, double t, std::vector<double>& y, std::vector<double>& slope) {
-  double h = 0, grown = 0;  // the next attempt is told its size
+  double h = 0;  // the next attempt is told its size
   bool moved_onto_bounds = false, failed = false, rests = false;
   Archive written(0);
   written(t, y, h, moved_onto_bounds);
   written.values(slope.data(), slope.size());
-  written(failed, grown, rests);
+  written(failed, rests);
   const RunMemory memory = written.take();
   Archive archive(std::span(memory.data(), memory.size()));
   step.state(archive);

@@ -175,16 +175,14 @@ def solve(
         problem = load(file)
         problem = _nonnegative(problem, nonnegative)
         drawn = _components(problem, components, "--components")
-        options = _options(problem, rtol, atol, t_eval, dense)
+        kept = {} if checkpoint is None else {"checkpoint": Checkpoint(checkpoint, every=checkpoint_every)}
+        options = _options(problem, rtol, atol, t_eval, dense) | kept
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
-        run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
             others: ExtensionOptions = {"progress": shown, "limits": Limits(steps=max_steps, time=time_limit)}
-            if checkpoint is not None:
-                options["checkpoint"] = Checkpoint(checkpoint, every=checkpoint_every)
             from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
-            sol = _solved(run, name, options, others, from_file)
+            sol = _solved(problem if project else unprojected(problem), name, options, others, from_file)
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if sol.status == STOPPED:
