@@ -360,3 +360,20 @@ def test_bands_with_a_far_entry_of_a_large_system():
     with pytest.warns(UserWarning, match=r"miss the entry \(7, 49997\)"):
         sol = iv.solve_ivp(f, (0, 1e-3), np.ones(n), "ode15s", lband=1, uband=1, max_steps=3)
     assert sol.stats.steps == 3
+
+
+def test_a_given_jacobian_that_fits_at_the_start_alone_is_named(method_code):
+    """Robertson's, transposed: at the start, where half of the entries are 0, it does no harm."""
+
+    def f(t, y):
+        slow, fast = 0.04 * y[0] - 1e4 * y[1] * y[2], 3e7 * y[1] ** 2
+        return [-slow, slow - fast, fast]
+
+    def jac(t, y):
+        slow, fast = np.array([0.04, -1e4 * y[2], -1e4 * y[1]]), np.array([0.0, 6e7 * y[1], 0.0])
+        return np.array([-slow, slow - fast, fast])
+
+    given = {"rtol": 1e-6, "atol": 1e-10, "max_steps": 300}
+    with pytest.warns(UserWarning, match="jac does not fit fun at t = "):
+        iv.solve_ivp(f, (0, 4e6), [1, 0, 0], method_code, jac=lambda t, y: jac(t, y).T, **given)
+    iv.solve_ivp(f, (0, 4e6), [1, 0, 0], method_code, jac=jac, **given)  # warnings are errors
