@@ -172,6 +172,7 @@ ONLY_IN = {
     r"^class (Problem|Posed|Description)\b": {"_problem/problem.py", "petab/problem.py"},
     r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
     r"^class Course\b": {"_plan/plan.py"},
+    r"from functools import .*\bcached_property|functools\.cached_property": {"_base/forks.py"},
     r"^class (\w+Spec|\w+Terms|CoreProblem)\b": {"_problem/core_problem.py"},
     r"(Settings|Plan|Course)\._make\(": set(),
     r"^def derivative_of\b|^class Derivative\b": {"_functions/derivatives.py"},

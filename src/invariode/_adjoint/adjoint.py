@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import LEAST_RTOL, Array, Weights, function, numbers, quietly, real_numbers, shown, warn
 from .._base.failures import SolveError
+from .._base.forks import cached_property
 from .._base.types import MethodName
 from .._functions.compiled import is_native
 from .._functions.derivatives import Derivative, Point, derivative_of

@@ -3,10 +3,11 @@ those that another thread held then nobody would ever release one."""
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 #: Held while a function is traced and compiled, by LLVM or by numba, which have locks of their own.
 compiling = threading.RLock()
@@ -19,6 +20,21 @@ def short_lock() -> Any:
     lock = threading.Lock()
     _short.append(lock)
     return lock
+
+
+if TYPE_CHECKING:
+    from functools import cached_property as cached_property
+else:
+
+    class cached_property(functools.cached_property):  # noqa: N801 - named like that of functools
+        """A property that is computed once, without the lock of CPython 3.11, which a child would inherit. Threads may
+        compute it at the same time."""
+
+        def __get__(self, instance: Any, owner: type | None = None) -> Any:
+            if instance is None:
+                return self
+            value = instance.__dict__[self.attrname] = self.func(instance)
+            return value
 
 
 _taken: list[Any] = []

@@ -10,12 +10,12 @@ is regular.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.forks import cached_property
 from .._functions.graph.derivatives import PIECEWISE_CONSTANT, tangent
 from .._functions.graph.nodes import Node, in_order
 from .expressions import leaves, primed, row_of, substituted

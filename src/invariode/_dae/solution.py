@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from importlib.util import find_spec
 from typing import Any, cast
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers, warn
+from .._base.forks import cached_property
 from .._functions.compiled import as_python
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.derived import Derived

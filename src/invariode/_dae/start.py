@@ -7,13 +7,13 @@ is regular, and earlier stages stay solved. In weights w the smallest change is 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array
 from .._base.failures import InvariantError
+from .._base.forks import cached_property
 from .._functions.graph.derivatives import jacobian
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.rounding import bounds

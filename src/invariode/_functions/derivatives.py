@@ -10,7 +10,6 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import cached_property
 from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, call_name
+from .._base.forks import cached_property
 from .._base.matrices import as_matrix
 from .compiled import (
     CompiledFunction,

@@ -6,13 +6,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import count
 from typing import Any, Self, TypeAlias
 
 import numpy as np
 
 from .._base.arguments import Array, as_array, shown
+from .._base.forks import cached_property
 from .._base.record import Record
 from .contents import content
 

@@ -12,13 +12,13 @@ import operator
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from types import FunctionType
 from typing import Any, Literal
 
 import numpy as np
 
 from .._base.arguments import Array, call_name, items, number, shown
+from .._base.forks import cached_property
 from .._base.record import Record
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction

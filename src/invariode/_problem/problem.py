@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Never, Self, Unpack, overload
 
@@ -29,6 +29,7 @@ from .._base.arguments import (
     state,
     warn_of_state_first,
 )
+from .._base.forks import cached_property
 from .._base.notebook import html_of_problem
 from .._base.record import Record, record_of
 from .._base.types import BreakpointsLike, EventsLike, Function, MethodName, Span

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, default_labels, flag, real_numbers, shown
+from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._core import MEMORY_VERSION, Dense, Run
 from .._laws.bound import BoundInvariants, as_columns

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from .._adjoint.adjoint import Forward, gradient
 from .._adjoint.sections import Sectioned, SectionedSolution
 from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
+from .._base.forks import cached_property
 from .._base.interrupts import stopped_by_interrupt
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure

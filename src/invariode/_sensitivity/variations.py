@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
 from .._base.arguments import EPS, Array, Weights, warn
+from .._base.forks import cached_property
 from .._functions.compiled import is_native
 from .._functions.derivatives import Derivative, Given, Point, derivative_of, has_llvm
 from .._functions.graph.nodes import Node

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._base.types import MethodName
 from .._functions.derivatives import has_llvm

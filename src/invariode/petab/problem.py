@@ -6,13 +6,13 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, number, real_numbers
+from .._base.forks import cached_property
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
 from .._studies.fit.likelihood import FittedModel

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.forks import cached_property
 from .._base.rational import fraction, left_null_space
 from .._functions.graph.arrays import ArrayFunction
 from .._functions.graph.derivatives import jacobian

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, interval, number, positive_integer
+from .._base.forks import cached_property
 from .._base.latest import Latest
 from .._base.package import extra
 from .._base.rational import as_rows

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
+from ..._base.forks import cached_property
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
 from ..layout import NO_ARGUMENTS, ArgumentLayout
 from .derivatives import Row, dependences, gradient, jacobian, tangent, tangents

@@ -13,12 +13,12 @@ import inspect
 import math
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..._base.forks import cached_property
 from ..._base.latest import Latest
 from ..._core import StateFirst
 from ..contents import nested

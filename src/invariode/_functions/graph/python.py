@@ -6,13 +6,13 @@ import math
 import operator
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
+from ..._base.forks import cached_property
 from .arrays import CALLED
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, LinearSystem, Node, as_rows, in_order
 

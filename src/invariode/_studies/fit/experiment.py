@@ -6,13 +6,13 @@ import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from functools import cached_property
 from typing import Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, call_name, choice, items, number, real_numbers, shown
+from ..._base.forks import cached_property
 from ..._base.package import public
 from ..._base.suggestions import meant
 from ..._base.types import MethodName

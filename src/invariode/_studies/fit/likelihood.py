@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array, shown
+from ..._base.forks import cached_property
 from ..._base.types import MethodName
 from ..._problem.options import TABLE, Options, changed, unknown_option
 from ..._problem.problem import Problem

@@ -6,12 +6,12 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from ..._base.arguments import Array, choice, flag, items, number, shown
+from ..._base.forks import cached_property
 from ..._base.package import public
 from ..._base.suggestions import meant
 from .priors import Prior, PriorLike, to_prior

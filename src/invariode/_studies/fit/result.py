@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, number, real_numbers, shown
+from ..._base.forks import cached_property
 from ..._base.notebook import html_of_fit
 from ..._base.package import public
 from ..._base.suggestions import meant

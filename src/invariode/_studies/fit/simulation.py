@@ -5,13 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array, quietly
 from ..._base.failures import InvariantError
+from ..._base.forks import cached_property
 from ..._base.latest import Latest
 from ..._base.types import MethodName
 from ..._functions.compile import compile
