@@ -644,8 +644,9 @@ void define_ensemble(nb::module_& module) {
       "arrays with a row for each trajectory; events, (trajectory, t, y) of each; failures, pairs of a trajectory "
       "and a Run that tells why it ended; alone, the numbers of trajectories that the lanes left to scalar code, by "
       "cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a "
-      "step, max_steps, and too many left. stiff_since, discontinuity and accumulation, after which t actions of an "
-      "event that came closer and closer are missing, are NaN where there is none.");
+      "step, max_steps, and too many left. stiff_since, discontinuity, and accumulation, after which actions of an "
+      "event "
+      "are missing because they came ever closer together: times, or NaN where this did not happen.");
   module.def(
       "instruction_sets",
       [] {

@@ -498,6 +498,11 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
     return tuple(listed)
 
 
+def first_few(listed: Sequence[str], most: int = 6) -> str:
+    """Return a list for a message: the first of them, and how many more there are."""
+    return ", ".join(listed[:most]) + (f", and {len(listed) - most} more" if len(listed) > most else "")
+
+
 def default_labels(size: int) -> list[str]:
     """Return labels of components, made on demand: for a large problem they take more memory than the solution."""
     return [f"y{i}" for i in range(size)]

@@ -18,6 +18,7 @@ from .._base.arguments import (
     choice,
     distinct_labels,
     extra_arguments,
+    first_few,
     function,
     interval,
     number,
@@ -539,8 +540,7 @@ class Dae:
                 if abs(new - old) > _LARGE_MOVE * max(1.0, abs(new)):
                     large.append(f"{primed(name, more)} from {old:.6g} to {new:.6g}")
         if large:
-            rest = f", and {len(large) - 6} more" if len(large) > 6 else ""
-            warn(f"initial values were moved onto the constraints: {', '.join(large[:6])}{rest}")
+            warn(f"initial values were moved onto the constraints: {first_few(large)}")
 
     def _reduced(self, nonlinear: Nonlinear) -> tuple[Reduction, Starts]:
         if nonlinear not in self._reductions:

@@ -10,7 +10,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, as_array, choice, extra_arguments, function, interval, shown, state, warn
+from .._base.arguments import (
+    Array,
+    as_array,
+    choice,
+    extra_arguments,
+    first_few,
+    function,
+    interval,
+    shown,
+    state,
+    warn,
+)
 from .._base.failures import InvariantError
 from .._base.package import public
 from .._base.suggestions import meant, naming_arguments
@@ -473,8 +484,7 @@ class MechanicalSystem(HasPoints):
             if abs(new - old) > roundoff
         ]
         if moves:
-            rest = f", and {len(moves) - 6} more" if len(moves) > 6 else ""
-            warn(f"the start was moved onto the constraints: {', '.join(moves[:6])}{rest}")
+            warn(f"the start was moved onto the constraints: {first_few(moves)}")
 
     def _require_consistent(self, motion: Motion, start: MotionPoint, names: list[str]) -> None:
         t, v = start.t, start.v

@@ -88,7 +88,7 @@ def require_called(name: str, fun: Any, signature: str, args: tuple[Any, ...]) -
 
 
 def _one_record(problem: Problem) -> str:
-    """Return a note on parameters by name for an f that takes them one by one; empty if there are none."""
+    """Return a note on parameters by name for an f that takes them one by one; empty without such parameters."""
     values = None if problem.parameters is None else [*problem.parameters.values()]
     if values is None or not takes(problem.fun, [*problem.before_args, *values]):
         return ""

@@ -48,7 +48,7 @@ class Schedule(NamedTuple):
 
 
 def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[Node] | None = None) -> Schedule | None:
-    """The landings of a problem, of f and of its invariants; None: there are none. Conditions that change too often, or
+    """The landings of a problem, of f and of its invariants, or None without any. Conditions that change too often, or
     in a way that is not understood, are left out, with a warning.
 
     - `problem`: the problem

@@ -455,7 +455,7 @@ class Switching:
         return made
 
     def crossing(self, t: float, y: Array) -> SwitchCrossing | None:
-        """Return the crossing in this state, or None if there is none."""
+        """Return the crossing in this state, or None if the condition does not change in it."""
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
         none = np.zeros((2, self.difference.k))
         rates = self.difference.columns(t, y, np.ones(2), np.stack([below, above]), none)[:, 0]

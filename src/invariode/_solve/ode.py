@@ -135,7 +135,7 @@ def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
 
 
 def _scipys(name: object) -> tuple[str, _Theirs] | None:
-    """Return SciPy's integrator whose name begins with `name`, as SciPy looks it up; None if there is none."""
+    """Return SciPy's integrator whose name begins with `name`, as SciPy looks it up, or None for an unknown name."""
     if not isinstance(name, str) or (name in METHODS and name not in _SCIPYS):
         return None
     return next(((full, about) for full, about in _SCIPYS.items() if full.startswith(name.lower())), None)

@@ -325,7 +325,7 @@ def _count(name: str, value: object) -> int:
 
 def _integer(name: str, value: object) -> int:
     try:
-        return operator.index(value)  # type: ignore[arg-type]  # what is none is told apart right here
+        return operator.index(value)  # type: ignore[arg-type]  # other types raise TypeError, which is caught here
     except TypeError:
         raise TypeError(f"{name} must be an integer or a flag, got {shown(value)}") from None
 

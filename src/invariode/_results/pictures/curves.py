@@ -26,8 +26,8 @@ _LONG, _COLUMNS = 16_000, 2000
 #: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
 #: its extremes, in columns of this many changes.
 _BUSY, _TURNS = 300, 4
-#: Changes between two points below this fraction of the extent are none: the roundoff of a component that is constant
-#: between jumps.
+#: Changes between two points below this fraction of the extent do not count: they are the roundoff of a component that
+#: is constant between jumps.
 _TREMOR = 1e-5
 
 

@@ -93,7 +93,7 @@ def axis_label(names: Sequence[str], kinds: set[str]) -> str:
 
 
 def units_of(names: Sequence[str]) -> list[str]:
-    """Return the unit at the end of each label, '' if there is none."""
+    """Return the unit at the end of each label, '' for a label without a unit."""
     return [found[1] if (found := _UNIT.search(name)) else "" for name in names]
 
 
