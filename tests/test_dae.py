@@ -21,7 +21,7 @@ from dae_problems import (
 )
 from invariode._base.arguments import EPS
 from invariode._dae.expressions import Values
-from invariode._functions.graph.derivatives import jacobian
+from invariode._functions.graph.differentiation import jacobian
 from invariode._functions.graph.rounding import bounds
 
 pytestmark = pytest.mark.filterwarnings("ignore:initial values were moved")

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 import invariode as iv
 from cases import families
 from invariode._functions.compiled import as_python
-from invariode._functions.graph.derivatives import dependences, gradient, jacobian, tangent
 from invariode._functions.graph.derived import Derived
+from invariode._functions.graph.differentiation import dependences, gradient, jacobian, tangent
 from invariode._functions.graph.function import GraphFunction
 from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
 from invariode._functions.graph.python import Formula, as_text
@@ -431,7 +431,7 @@ def test_dependences_count_the_terms_of_a_forward_jacobian():
 
 def test_values_at_many_times_are_those_of_single_points():
     """NumPy's code of a graph and Python's: all operations, within roundoff of the functions."""
-    from invariode._functions.graph.arrays import ArrayFunction
+    from invariode._functions.graph.array_code import ArrayFunction
     from invariode._functions.graph.nodes import COMPARISONS, ELEMENTARY, Graph
     from invariode._functions.graph.python import Formula
 
@@ -459,7 +459,7 @@ def test_values_at_many_times_are_those_of_single_points():
 
 
 def test_what_is_not_defined_is_infinite_or_nan_at_many_times():
-    from invariode._functions.graph.arrays import ArrayFunction
+    from invariode._functions.graph.array_code import ArrayFunction
     from invariode._functions.graph.nodes import Graph
 
     graph = Graph()

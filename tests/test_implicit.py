@@ -223,7 +223,7 @@ def test_pattern_with_a_jacobian_is_warned_of():
 
 
 def test_dense_jacobian_of_very_many_components_is_warned_of(monkeypatch):
-    monkeypatch.setattr("invariode._linear.matrices._DENSE_LIMIT", 1000)
+    monkeypatch.setattr("invariode._linear.linear_terms._DENSE_LIMIT", 1000)
     with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* jac=Banded"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(12))
 

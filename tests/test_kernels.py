@@ -17,7 +17,7 @@ from scipy import sparse
 
 import invariode as iv
 from cases import METHODS
-from invariode._linear import matrices, null_space
+from invariode._linear import linear_terms, null_space
 from kernels import loaded, runnable
 from problems import implicit
 from stiff_ends import PROBLEMS as ENDS
@@ -128,7 +128,7 @@ def test_the_null_space_of_a_circuit_is_the_sums_over_its_floating_groups(n):
     rng = np.random.default_rng(n)
     for _ in range(5):
         M = _nodes(n, rng)
-        Z = matrices.null_basis(sparse.csc_array(M)).toarray()
+        Z = linear_terms.null_basis(sparse.csc_array(M)).toarray()
         groups, label = sparse.csgraph.connected_components(sparse.csr_array(M))
         expected = {tuple(label == k) for k in range(groups)}
         assert {tuple(z == 1) for z in Z.T} == expected
@@ -142,7 +142,7 @@ def test_the_null_space_of_any_matrix_is_found_in_any_units(n):
     rank = n - n // 3
     M = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, n))
     M *= 10.0 ** rng.integers(-8, 9, n) * 10.0 ** rng.integers(-8, 9, n)[:, None]
-    Z = matrices.null_basis(sparse.csc_array(M)).toarray()
+    Z = linear_terms.null_basis(sparse.csc_array(M)).toarray()
     assert Z.shape == (n, n - rank)
     assert np.all(np.abs(Z.T @ M) <= 1e3 * n * np.finfo(float).eps * (np.abs(Z.T) @ np.abs(M)))
 
@@ -162,13 +162,13 @@ def test_elimination_counts_pivots_and_says_what_is_left():
 def test_a_null_space_with_noise_in_its_last_bits_serves_as_well(monkeypatch, seed):
     """Noise as another processor's linear algebra makes it: no run of the amplifier fails, in either form."""
     rng = np.random.default_rng(seed)
-    exact = matrices.null_vectors
+    exact = linear_terms.null_vectors
 
     def noisy(mass: np.ndarray) -> np.ndarray:
         Z = exact(mass)
         return Z * (1 + np.finfo(float).eps * rng.choice([-1, 0, 1], Z.shape))
 
-    monkeypatch.setattr(matrices, "null_vectors", noisy)
+    monkeypatch.setattr(linear_terms, "null_vectors", noisy)
     problem = ENDS["transistor amplifier"]
     for jacobian in (problem.jac, None):
         for bdf in (False, True):

@@ -51,7 +51,7 @@ def differences(objective, x, h=1e-4):
 @pytest.mark.parametrize("number", range(1, 21))
 def test_cases_of_the_suite(problems, number):
     """Log-likelihood, χ² and simulations within the suite's tolerances; gradients are differences."""
-    from invariode.petab.tables import rows_of
+    from invariode.petab.problem_files import rows_of
 
     folder = problems / "sbml" / f"{number:04d}"
     expected = yaml.safe_load((folder / f"_{number:04d}_solution.yaml").read_text())

@@ -12,7 +12,7 @@ from ._base.failures import FailureWarning, InvariantError, SolveError
 from ._base.package import public as _public
 from ._base.package import version as _version
 from ._base.suggestions import absent as _absent
-from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from ._ensemble.ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
 from ._functions.compiled import CompiledFunction
@@ -28,32 +28,32 @@ from ._problem.problem import Problem
 from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Marks, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
-from ._solve.ensemble import solve_ensemble
 from ._solve.ivp import solve_ivp
 from ._solve.loading import load
 from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in it
 from ._solve.odepack import odeint
-from ._solve.prepared import PreparedSolver
+from ._solve.prepared_solver import PreparedSolver
+from ._solve.solve_ensemble import solve_ensemble
 
 if _typing.TYPE_CHECKING:
     from ._dae.dae import Dae, Start
-    from ._dae.solution import DaeSolution
-    from ._dae.solve import decic, ode15i, solve_dae
+    from ._dae.dae_solution import DaeSolution
+    from ._dae.solve_dae import decic, ode15i, solve_dae
     from ._functions.graph.stored_code import code_cache
     from ._mechanics.system import MechanicalSystem
     from ._results.citations import cite
-    from ._solve.delays import dde23
+    from ._solve.dde23 import dde23
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
+    from ._studies.check_sensitivities import SensitivityReport, check_sensitivities
+    from ._studies.find_invariants import PolynomialInvariant, find_invariants
     from ._studies.fit.experiment import Experiment
     from ._studies.fit.fit import fit
+    from ._studies.fit.fit_result import Fit
     from ._studies.fit.objective import Objective, objective
-    from ._studies.fit.parameters import Parameter
+    from ._studies.fit.parameter_space import Parameter
     from ._studies.fit.profile import Profile
-    from ._studies.fit.result import Fit
     from ._studies.fit.uncertainty import Prediction
-    from ._studies.search import PolynomialInvariant, find_invariants
-    from ._studies.sensitivities import SensitivityReport, check_sensitivities
     from ._studies.steady import SteadyState, steady_state
     from ._studies.work_precision import plot_work_precision
 
@@ -136,11 +136,11 @@ __all__ += METHODS
 _LATER = {
     "Dae": "._dae.dae",
     "Start": "._dae.dae",
-    "DaeSolution": "._dae.solution",
-    "dde23": "._solve.delays",
-    "decic": "._dae.solve",
-    "ode15i": "._dae.solve",
-    "solve_dae": "._dae.solve",
+    "DaeSolution": "._dae.dae_solution",
+    "dde23": "._solve.dde23",
+    "decic": "._dae.solve_dae",
+    "ode15i": "._dae.solve_dae",
+    "solve_dae": "._dae.solve_dae",
     "MechanicalSystem": "._mechanics.system",
     "cite": "._results.citations",
     "code_cache": "._functions.graph.stored_code",
@@ -152,14 +152,14 @@ _LATER = {
     "fit": "._studies.fit.fit",
     "Objective": "._studies.fit.objective",
     "objective": "._studies.fit.objective",
-    "Parameter": "._studies.fit.parameters",
+    "Parameter": "._studies.fit.parameter_space",
     "Prediction": "._studies.fit.uncertainty",
     "Profile": "._studies.fit.profile",
-    "Fit": "._studies.fit.result",
-    "PolynomialInvariant": "._studies.search",
-    "find_invariants": "._studies.search",
-    "SensitivityReport": "._studies.sensitivities",
-    "check_sensitivities": "._studies.sensitivities",
+    "Fit": "._studies.fit.fit_result",
+    "PolynomialInvariant": "._studies.find_invariants",
+    "find_invariants": "._studies.find_invariants",
+    "SensitivityReport": "._studies.check_sensitivities",
+    "check_sensitivities": "._studies.check_sensitivities",
     "SteadyState": "._studies.steady",
     "steady_state": "._studies.steady",
     "plot_work_precision": "._studies.work_precision",

@@ -11,11 +11,11 @@ from .._base.failures import InvariantError
 from .._functions.graph.rounding import bounds
 from .._problem.breakpoints import to_breakpoints
 from .._results.solution import Solution
+from .consistent_start import ConsistentPoint, conditions
+from .dae_solution import Unknowns
 from .expressions import Values
 from .linear_systems import orientations
 from .reduction import Reduction
-from .solution import Unknowns
-from .start import ConsistentPoint, conditions
 
 #: Residuals are compared with changes of F where its arguments change by this part, times random numbers: even if
 #: leading derivatives have lost half of the digits, they are smaller.

@@ -31,9 +31,9 @@ from .._base.suggestions import meant, naming_arguments
 from .._base.types import EventsLike, MethodName, OnFailure, Span
 from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction
-from .._functions.graph.landings import timed
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
+from .._functions.graph.switching_times import timed
 from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
 from .._plan.call_errors import require_called
 from .._problem.bounds import to_bounds
@@ -47,12 +47,12 @@ from .._results.result import FAILED, NOT_CONSERVED
 from .._results.solution import Solution
 from .._run.run import concluded
 from .checks import impasse, jump, passage, point_of, require_no_jump, violation
+from .consistent_start import ConsistentPoint, Starts
+from .dae_solution import Unknowns, in_unknowns
 from .expressions import is_zero, leaves, primed, row_of, substituted
+from .functions_of_unknowns import ThroughUnknowns
 from .reduction import GivenValues, Reduction, Variable
-from .solution import Unknowns, in_unknowns
-from .start import ConsistentPoint, Starts
-from .structure import GenericPoints, Structure
-from .through import ThroughUnknowns
+from .structural_analysis import GenericPoints, Structure
 
 #: Changes of initial values below this part of them are roundoff, above the second they are reported in a warning.
 _MOVED, _LARGE_MOVE = 1e-10, 1e-6

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.graph.derivatives import jacobian, tangent
+from .._functions.graph.differentiation import jacobian, tangent
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.python import Formula
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.forks import cached_property
-from .._functions.graph.derivatives import PIECEWISE_CONSTANT, tangent
+from .._functions.graph.differentiation import PIECEWISE_CONSTANT, tangent
 from .._functions.graph.nodes import Node, in_order
 from .expressions import leaves, primed, row_of, substituted
 from .linear_systems import Elimination, solution
 from .offsets import Block, Offsets
-from .structure import Arrangement, Structure
+from .structural_analysis import Arrangement, Structure
 
 #: A derivative of an unknown: its order and the number of the unknown.
 Variable = tuple[int, int]

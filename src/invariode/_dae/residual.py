@@ -29,9 +29,9 @@ from .._problem.options import Options
 from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import concluded
+from .dae_solution import in_unknowns
+from .functions_of_unknowns import ThroughUnknowns
 from .linear_systems import SINGULAR, condition
-from .solution import in_unknowns
-from .through import ThroughUnknowns
 
 #: Where ∂F/∂y' is formed: distances from the start in units of 1 + |y|.
 _DISTANCES, _SEED = (0.0, 1e-3, 1e-2), 11

@@ -12,8 +12,8 @@ from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import accumulating_in, below_zero, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
+from .ensemble_solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .outcomes import UNSOLVED, Outcomes, counts_by_name
-from .solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .store import EnsembleStore
 from .task import Task
 

@@ -18,10 +18,10 @@ from .._files.identity import in_words
 from .._plan.plan import Plan, solver
 from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table_of
 from .conclusion import Remarks, solution
+from .ensemble_solution import EnsembleSolution
 from .executors import on_executor, packed, places_of, shares_memory
+from .local import Locally, attempted, unsolved
 from .outcomes import Outcomes, joined
-from .rows import Locally, attempted, unsolved
-from .solution import EnsembleSolution
 from .sources import RowBlock, Rows, rejoined, rows_of
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .task import Ensemble, first_plan

@@ -38,8 +38,8 @@ from .._problem.options import (
 from .._problem.problem import Problem
 from .conclusion import solution
 from .distributed import Means, Place, in_parts, stored
-from .rows import Locally, attempted
-from .solution import EnsembleSolution
+from .ensemble_solution import EnsembleSolution
+from .local import Locally, attempted
 from .sources import GivenRows, Rows, StreamedRows
 from .store import EnsembleStore
 from .task import Attempt, Ensemble, first_plan

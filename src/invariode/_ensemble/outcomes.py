@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
-from .solution import EnsembleEvents
+from .ensemble_solution import EnsembleEvents
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:

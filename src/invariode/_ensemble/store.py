@@ -21,8 +21,7 @@ from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
 from .._base.package import extra
 from .._results.saving import apart, together
-from .outcomes import ROWS, UNSOLVED, Outcomes, counts_by_name
-from .solution import (
+from .ensemble_solution import (
     OF_TRAJECTORIES,
     REAL_STATS,
     EnsembleEvents,
@@ -32,6 +31,7 @@ from .solution import (
     final_states,
     none_of,
 )
+from .outcomes import ROWS, UNSOLVED, Outcomes, counts_by_name
 from .sources import RowBlock, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used

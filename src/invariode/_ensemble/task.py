@@ -46,7 +46,7 @@ class Task:
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
-    first_here: bool = False  # see `_ensemble.rows`
+    first_here: bool = False  # see `_ensemble.local`
     _alike: _Alike | None = None  # of the rows, found with the first that is run
 
     def __getstate__(self) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
 from .._problem.problem import Problem
-from .code import digest, digest_of_code
+from .code_digest import digest, digest_of_code
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8

@@ -31,8 +31,8 @@ from .compiled import (
     to_native,
 )
 from .forms import Filling
-from .graph.derivatives import singular_where
 from .graph.derived import Derived, derived, native
+from .graph.differentiation import singular_where
 from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula

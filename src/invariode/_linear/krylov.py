@@ -14,7 +14,7 @@ from .._base.matrices import is_sparse
 from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
 from .._problem.grouped import GMRES
-from .._problem.matrices import Matrices
+from .._problem.jacobian_and_mass import Matrices
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from .._functions.compiled import is_native, to_native
 from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
 from .._problem.core_problem import CoreProblem
-from .._problem.matrices import Matrices
+from .._problem.jacobian_and_mass import Matrices
 
 #: From this n on a pattern is sought: below it dense factors take less time than f.
 _LARGE = 200

@@ -20,7 +20,7 @@ from .._functions.layout import ArgumentLayout
 from .._laws.jacobians import SparseJacobian
 from .._problem.core_problem import MechanicsTerms
 from .differentiable import Differentiable, full_pattern
-from .graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
+from .motion_graph import MOST_UNKNOWNS, GraphsOfMotion, OfState, of_state
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.

@@ -43,7 +43,7 @@ from .._problem.events import RootOf, event_spec, vector_specs
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import Matrices
+from .._problem.jacobian_and_mass import Matrices
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import Options, checked
 from .._problem.problem import Problem
@@ -52,11 +52,11 @@ from .._results.messages import (
 )
 from .._results.result import Names
 from .._sensitivity.landings import Schedule, schedule_of
-from .second_order import require_second_order
+from .nystrom_requirements import require_second_order
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
-    from .._linear.matrices import FunctionAtStart
+    from .._linear.linear_terms import FunctionAtStart
     from .._taylor.expansion import SeriesSystem
 from .plan import Choice, Course, Plan, Settings
 
@@ -427,7 +427,7 @@ def _linear_algebra(
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
-    from .._linear.matrices import FunctionAtStart, prepare, too_large_to_be_dense
+    from .._linear.linear_terms import FunctionAtStart, prepare, too_large_to_be_dense
 
     t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
     if problem.delays is not None and not (problem.matrices.jac == "trace" or isinstance(problem.fun, OnGraph)):

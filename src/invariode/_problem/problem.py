@@ -46,7 +46,7 @@ from .docstrings import documented
 from .events import Event, direction_sign, of_one_run, roots_among, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
-from .matrices import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
+from .jacobian_and_mass import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
 from .options import (
     CallingOptions,
     DescribingOptions,
@@ -62,10 +62,10 @@ from .slope import Slope
 from .start import follow_start
 
 if TYPE_CHECKING:
-    from .._ensemble.solution import EnsembleSolution
+    from .._ensemble.ensemble_solution import EnsembleSolution
     from .._ensemble.store import EnsembleStore
     from .._results.solution import Solution
-    from .._solve.prepared import PreparedSolver
+    from .._solve.prepared_solver import PreparedSolver
     from .accepted import problem_ensemble_options, run_options
 
 __all__ = ["Problem"]
@@ -484,7 +484,7 @@ class Problem:
         """
         if TYPE_CHECKING:
             run_options(**options)
-        from .._solve.prepared import PreparedSolver
+        from .._solve.prepared_solver import PreparedSolver
 
         return PreparedSolver(self, method, options)
 

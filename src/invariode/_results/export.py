@@ -16,7 +16,7 @@ from .._base.formats import write
 from .._base.package import extra, version
 from .result import Result
 from .saving import SOLUTION, require_whole
-from .sensitivities import named
+from .sensitivity_data import named
 
 _TABLE, _LABELLED = "write sol.to_dataframe() in that format", "write sol.to_xarray() in that format"
 #: Endings of files in other formats, and how to write these.

@@ -14,7 +14,7 @@ from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._core import MEMORY_VERSION, Dense, Run
 from .._laws.bound import BoundInvariants, as_columns
-from .sensitivities import SensitivityData, states_and_sensitivities
+from .sensitivity_data import SensitivityData, states_and_sensitivities
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
 #: invariant which f does not conserve, of one in which a step could not be made, and of one that was stopped.

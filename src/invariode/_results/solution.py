@@ -15,7 +15,7 @@ from .._problem.invariants import InvariantsLike
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
-from .pictures import derivatives, drift, over_time, phase, steps
+from .pictures import drift, over_time, phase, sensitivity_plots, steps
 from .pictures.canvas import require_matplotlib
 from .pictures.whole_run import thumbnail
 
@@ -425,7 +425,7 @@ class Solution(Exports):
         choice("kind", kind, ("lines", "map"))
         if relative is not None:
             flag("relative", relative)
-        return derivatives.draw(self, components, parameters, kind, relative, ax, line)
+        return sensitivity_plots.draw(self, components, parameters, kind, relative, ax, line)
 
     def plot_steps(self, *, axes: Any = None, **line: Any) -> Array:
         """Draw the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.

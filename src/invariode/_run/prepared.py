@@ -29,13 +29,13 @@ from .._functions.compiled import (
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, values_at_start
+from .._plan.nystrom_requirements import fits_any_args
 from .._plan.plan import Choice, Course, Plan, solver
 from .._plan.planning import choose, course_of, names_of, planned
-from .._plan.second_order import fits_any_args
 from .._problem.core_problem import InvariantSpec, LinearTerms
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants
-from .._problem.matrices import NO_MATRICES
+from .._problem.jacobian_and_mass import NO_MATRICES
 from .._problem.options import Options
 from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities

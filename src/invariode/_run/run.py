@@ -29,9 +29,9 @@ from .._laws.bound import BoundInvariants, ValueJump, as_columns
 from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
+from .._plan.nystrom_requirements import require_no_velocities
 from .._plan.plan import Course, Plan, say_established, solver
 from .._plan.planning import make_plan, ordered_breakpoints
-from .._plan.second_order import require_no_velocities
 from .._problem.breakpoints import to_breakpoints, warn_of_idle_actions
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
@@ -62,7 +62,7 @@ from .._results.result import (
     Steps,
     at_events,
 )
-from .._results.sensitivities import SensitivityData, states_and_sensitivities
+from .._results.sensitivity_data import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared

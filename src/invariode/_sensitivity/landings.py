@@ -25,8 +25,8 @@ from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 
 if TYPE_CHECKING:
-    from .._functions.graph.landings import Crossing, Landings
     from .._functions.graph.plain import PlainGraph
+    from .._functions.graph.switching_times import Crossing, Landings
     from .actions import Rate
 
 #: On which side of a landing f is evaluated: so many ulp from it, as far as no step leads.
@@ -57,7 +57,7 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     """
     if problem.delays is not None and problem.y0.dtype.kind == "c":
         return None
-    from .._functions.graph.landings import landings, timed
+    from .._functions.graph.switching_times import landings, timed
 
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
     found = found + _of_invariants(problem)
@@ -88,7 +88,7 @@ def switches_in_time(problem: Problem) -> bool:
 
 def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     """The conditions of f that depend on t alone."""
-    from .._functions.graph.landings import timed
+    from .._functions.graph.switching_times import timed
 
     n = reals(problem.y0)
     fun = problem.slope.fun if not isinstance(problem.fun, SecondOrder) else problem.fun
@@ -119,7 +119,7 @@ def of_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
 
 def _of_invariants(problem: Problem) -> list[Crossing]:
     """The conditions of invariants that have a graph, and that depend on t alone."""
-    from .._functions.graph.landings import timed
+    from .._functions.graph.switching_times import timed
 
     formulas = (getattr(one.fun, "fun", one.fun) for one in problem.invariants)
     return [one for fun in formulas if isinstance(fun, Formula) for one in timed(fun.outputs)]
@@ -215,7 +215,7 @@ class LandingJump:
 
     def rates_of_time(self, t: float) -> Array:
         """∂τ/∂p of the landing at t, of shape (k,)."""
-        from .._functions.graph.landings import rates_of_time
+        from .._functions.graph.switching_times import rates_of_time
 
         found = [rates_of_time(one, self._places)(t, self.schedule.p) for one in self.schedule.landings.at(t)]
         if not found:

@@ -26,7 +26,7 @@ from .._problem.inputs import fed, with_tables
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
-from .._results.sensitivities import AtEvents
+from .._results.sensitivity_data import AtEvents
 from .actions import ActionAtPoint, ActionOfEvent, EventTime, Rate, Together, WithPast, of_roots, restoration
 from .landings import Schedule, landing_jump, schedule_of
 from .mass_derivatives import MassDerivatives, WithMass, mass_derivatives

@@ -22,7 +22,7 @@ from .._problem.options import Options
 from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities
 from .._results.solution import Solution
-from .prepared import PreparedSolver
+from .prepared_solver import PreparedSolver
 
 Operands: TypeAlias = Sequence[Any]
 

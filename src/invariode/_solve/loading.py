@@ -28,7 +28,7 @@ from .._problem.options import Options, checked
 from .._problem.problem import Problem
 from .._results.result import BeforeProjection, ByEvent, DenseSolution, Names, Origin, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
-from .._results.sensitivities import AtEvents, SensitivityData
+from .._results.sensitivity_data import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .._run.run import RunOrigin, Solved
 

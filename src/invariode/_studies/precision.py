@@ -135,7 +135,7 @@ def able(problem: Problem) -> list[Method]:
         return [m for m in METHODS.values() if _takes(m, problem)]
     from scipy.sparse import csc_array  # takes longer to import than everything else
 
-    from .._linear.matrices import null_basis
+    from .._linear.linear_terms import null_basis
 
     regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
     return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]

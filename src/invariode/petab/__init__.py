@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from .problem import Evaluation, Objective, Problem, load
+from .estimation_problem import Evaluation, Objective, Problem, load
 
 __all__ = ["Evaluation", "Objective", "Problem", "load"]

@@ -20,17 +20,17 @@ from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._base.types import MethodName
 from .._functions.derivatives import has_llvm
-from .._functions.graph.arrays import ArrayFunction
+from .._functions.graph.array_code import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node
 from .._functions.graph.python import Formula
 from .._problem.problem import Problem
 from .._studies.fit.experiment import Experiment
 from ..sbml.equations import used
-from ..sbml.events import Machine
-from ..sbml.expressions import Translator, parse
+from ..sbml.event_machine import Machine
+from ..sbml.formulas import Translator, parse
 from ..sbml.model import Model
-from .tables import Measurement, Tables
+from .problem_files import Measurement, Tables
 
 LN10 = math.log(10.0)
 

@@ -17,14 +17,14 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.forks import cached_property
 from .._base.rational import fraction, left_null_space
-from .._functions.graph.arrays import ArrayFunction
-from .._functions.graph.derivatives import jacobian
+from .._functions.graph.array_code import ArrayFunction
+from .._functions.graph.differentiation import jacobian
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import replaced
 from .._problem.problem import Problem
-from .expressions import Expression, Translator
+from .formulas import Expression, Translator
 from .library import UnsupportedError
 from .reading import ModelContents
 

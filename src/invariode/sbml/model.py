@@ -17,7 +17,7 @@ from .._base.rational import as_rows
 from .._base.suggestions import meant
 from .._base.types import MethodName
 from .._functions.derivatives import has_llvm
-from .._functions.graph.arrays import ArrayFunction
+from .._functions.graph.array_code import ArrayFunction
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
@@ -28,9 +28,9 @@ from .._problem.methods import METHODS
 from .._problem.options import TABLE
 from .._problem.problem import Problem
 from .._results.solution import Solution
-from .._solve.prepared import PreparedSolver
+from .._solve.prepared_solver import PreparedSolver
 from .equations import FAST, ModelEquations, used
-from .events import SAME_TIME, EventCode, Machine, is_clock, times_of_roots
+from .event_machine import SAME_TIME, EventCode, Machine, is_clock, times_of_roots
 from .past import with_past_as_states
 from .reading import ModelContents
 

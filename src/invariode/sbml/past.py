@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .expressions import Expression
+from .formulas import Expression
 from .library import UnsupportedError
 from .reading import EventRule, ModelContents
 

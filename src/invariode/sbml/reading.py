@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .._base.arguments import shown
-from .expressions import Expression, read
+from .formulas import Expression, read
 from .library import UnsupportedError, libsbml
 
 #: Packages that change nothing of a simulation.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import sympy
 
 from .._functions.compiled import CompiledFunction
-from .._functions.graph.derivatives import Row, gradient, jacobian
+from .._functions.graph.differentiation import Row, gradient, jacobian
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import ELEMENTARY, Graph, Node
 from .._functions.graph.python import Formula, Pattern

@@ -8,11 +8,11 @@ from typing import Any
 from ..._base.forks import cached_property
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
 from ..layout import NO_ARGUMENTS, ArgumentLayout
-from .derivatives import Row, dependences, gradient, jacobian, tangent, tangents
+from .differentiation import Row, dependences, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
-from .landings import Crossing, timed
 from .nodes import Node, in_order
 from .python import Formula, Pattern
+from .switching_times import Crossing, timed
 
 #: How these functions were compiled.
 DERIVED = "derived"

@@ -24,8 +24,8 @@ from ..._core import StateFirst
 from ..contents import nested
 from ..forms import Filling, FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
-from .landings import Crossing, timed
 from .nodes import Node, TraceError
+from .switching_times import Crossing, timed
 from .tables import PolynomialTable, is_table
 
 #: The attribute of a function of ours in which the one stands that it calls, and does something besides.

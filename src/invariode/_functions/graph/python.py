@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
 from ..._base.forks import cached_property
-from .arrays import CALLED
+from .array_code import CALLED
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, LinearSystem, Node, as_rows, in_order
 
 #: The name of the function that is executed.

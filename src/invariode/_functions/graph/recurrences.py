@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from .derivatives import PIECEWISE_CONSTANT
+from .differentiation import PIECEWISE_CONSTANT
 from .nodes import Node, in_order
 
 #: What takes a coefficient of its arguments to one of its own, with coefficients of order 0 as factors.

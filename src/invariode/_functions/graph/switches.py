@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array
-from .derivatives import jacobian
+from .differentiation import jacobian
 from .nodes import Node, in_order
 from .python import Formula
 

@@ -14,8 +14,8 @@ from ..._base.package import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .experiment import Noise
+from .fit_result import Fit
 from .likelihood import FittedModel, to_model
-from .result import Fit
 from .search import LOSSES, NoStartError, Optimum, search, start_points
 from .uncertainty import Uncertainty, uncertainty, unknown_uncertainty
 

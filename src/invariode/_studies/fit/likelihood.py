@@ -18,7 +18,7 @@ from ..._problem.options import TABLE, Options, changed, unknown_option
 from ..._problem.problem import Problem
 from .data import is_table
 from .experiment import Experiment, Failed
-from .parameters import Parameter, Space, to_parameters
+from .parameter_space import Parameter, Space, to_parameters
 from .simulation import Simulation
 
 #: Options of runs that a fit sets itself.

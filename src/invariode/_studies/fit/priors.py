@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from ..._base.arguments import choice, items, number, shown
-from .through import OfNumbers
+from .observed import OfNumbers
 
 #: Kinds of densities; those of logarithms are about a median.
 _KINDS = ("normal", "lognormal", "laplace", "loglaplace")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._base.arguments import EPS, Array
 from .likelihood import FittedModel, ModelValues
-from .parameters import Priors
+from .parameter_space import Priors
 from .trust_region import QuadraticModel, minimise
 
 #: A noise level below this part of the data is that of a model that fits without errors.

@@ -27,10 +27,10 @@ from ..._problem.problem import Problem
 from ..._problem.sensitivities import Sensitivities
 from ..._results.messages import MESSAGES
 from ..._results.solution import Solution
-from ..._solve.prepared import PreparedSolver
+from ..._solve.prepared_solver import PreparedSolver
 from ..steady import Found, NotFound, SteadyStates
 from .experiment import Experiment, Failed, Series
-from .through import Curves, ParameterPlaces, Through
+from .observed import Curves, ParameterPlaces, Through
 
 
 class Simulated(NamedTuple):

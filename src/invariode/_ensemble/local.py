@@ -18,13 +18,13 @@ from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, layout_of
 from .._plan.call_errors import error_at_start
+from .._plan.nystrom_requirements import fits_any_args
 from .._plan.plan import Plan, solver
-from .._plan.second_order import fits_any_args
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
-from .._results.sensitivities import states_and_sensitivities
+from .._results.sensitivity_data import states_and_sensitivities
+from .ensemble_solution import EnsembleEvents
 from .outcomes import ROWS, UNSOLVED, Outcomes, in_order, picklable
-from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
 from .worker_processes import may_start, solve_rows

@@ -16,14 +16,14 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._functions.derivatives import Derivative
-from .._functions.graph.arrays import ArrayFunction
-from .._functions.graph.derivatives import jacobian
+from .._functions.graph.array_code import ArrayFunction
+from .._functions.graph.differentiation import jacobian
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._problem.events import Roots
 from .._sensitivity.actions import OfRoots
 from .equations import ModelEquations, used
-from .expressions import Expression
+from .formulas import Expression
 from .library import UnsupportedError
 from .reading import EventRule
 

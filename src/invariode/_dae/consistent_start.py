@@ -14,7 +14,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._base.failures import InvariantError
 from .._base.forks import cached_property
-from .._functions.graph.derivatives import jacobian
+from .._functions.graph.differentiation import jacobian
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.rounding import bounds
 from .._linear.least_norm import Ended, newton
@@ -22,7 +22,7 @@ from .expressions import Values, is_zero, leaves, primed, substituted
 from .linear_systems import SINGULAR, condition, equilibrated
 from .offsets import Block
 from .reduction import Reduction, Variable
-from .structure import filled
+from .structural_analysis import filled
 
 #: Residuals are roundoff below this part of their terms.
 _ROUNDOFF = 1e-9

@@ -14,8 +14,8 @@ from ..._base.arguments import Array, choice, flag, items, number, shown
 from ..._base.forks import cached_property
 from ..._base.package import public
 from ..._base.suggestions import meant
+from .observed import OfNumbers
 from .priors import Prior, PriorLike, to_prior
-from .through import OfNumbers
 
 
 @public

@@ -23,7 +23,7 @@ from .._functions.increments import compiled_at_complex, python_at_complex
 from .._functions.layout import ArgumentLayout
 from .._problem.bounds import Bounds
 from .._problem.core_problem import LinearTerms
-from .._problem.matrices import Matrices
+from .._problem.jacobian_and_mass import Matrices
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
 from .sparsity import find_pattern, is_large, is_sparse_enough

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..._base.arguments import Array, number, warn
 from ..._functions.derivatives import Derivative, Point, derivative_of
-from ..._functions.graph.arrays import ArrayFunction
-from ..._functions.graph.derivatives import jacobian
+from ..._functions.graph.array_code import ArrayFunction
+from ..._functions.graph.differentiation import jacobian
 from ..._functions.graph.function import GraphFunction
 from ..._functions.graph.nodes import Node, in_order
 from ..._functions.graph.python import Formula

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import as_array
 from .._base.types import EventsLike, Function, MethodName, Span
-from .._ensemble.solution import EnsembleSolution
+from .._ensemble.ensemble_solution import EnsembleSolution
 from .._ensemble.store import EnsembleStore
 from .._problem.docstrings import documented
 from .._problem.options import DescribingOptions, EnsembleOptions, parted, table_of

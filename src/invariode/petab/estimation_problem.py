@@ -16,11 +16,11 @@ from .._base.forks import cached_property
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
 from .._studies.fit.likelihood import FittedModel
-from .._studies.fit.parameters import Parameter
+from .._studies.fit.parameter_space import Parameter
 from ..sbml.model import Model
 from ..sbml.reading import contents
 from .experiments import LN10, Experiments, Period, numbers
-from .tables import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
+from .problem_files import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
 
 #: The estimated parameters: an array on their scales, (k,), or their values by name.
 Point: TypeAlias = ArrayLike | Mapping[str, float]

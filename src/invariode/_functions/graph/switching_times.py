@@ -21,8 +21,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array
-from .arrays import ArrayFunction
-from .derivatives import jacobian
+from .array_code import ArrayFunction
+from .differentiation import jacobian
 from .nodes import Node, in_order
 from .python import Formula
 

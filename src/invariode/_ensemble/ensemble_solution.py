@@ -24,7 +24,7 @@ from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, ByEvent, DataRecord, Drift, Names, Stats, at_events
 from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
-from .._results.sensitivities import SensitivityData
+from .._results.sensitivity_data import SensitivityData
 from .._results.solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used

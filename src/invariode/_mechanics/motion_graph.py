@@ -17,7 +17,7 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, Shape, is_native
-from .._functions.graph.derivatives import Row, jacobian, tangent
+from .._functions.graph.differentiation import Row, jacobian, tangent
 from .._functions.graph.function import TracedFunction
 from .._functions.graph.nodes import Graph, Node
 

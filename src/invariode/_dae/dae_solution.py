@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, real_numbers, warn
 from .._base.forks import cached_property
 from .._functions.compiled import as_python
-from .._functions.graph.arrays import ArrayFunction
+from .._functions.graph.array_code import ArrayFunction
 from .._functions.graph.derived import Derived
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node, in_order
@@ -25,7 +25,7 @@ from .._problem.options import ExtensionOptions
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.messages import blamed_on
 from .._results.result import Names, Origin
-from .._results.sensitivities import AtEvents, SensitivityData
+from .._results.sensitivity_data import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .expressions import leaves, substituted
 from .reduction import GivenValues, Reduction
