@@ -211,22 +211,33 @@ def test_each_thing_has_one_mechanism():
         assert {path.relative_to(PACKAGE).as_posix() for path in found} == files, pattern
 
 
-def test_a_solve_of_a_known_kind_reaches_the_core_in_four_hops():
-    """From the call to the core: the call, the run, its prepared plan with the options, and with the state."""
-    hops = []
+def test_a_solve_of_a_known_kind_reaches_the_core_in_twelve_frames_four_of_them_one_in_another():
+    """No function only forwards. `_solve` and `_problem` are not entered again once the run's plan is looked for."""
+    entered, hops = [], []
 
     def fun(t, y):
-        frame, names = sys._getframe(1), []
-        while frame is not None:
-            if frame.f_code.co_filename.startswith(str(PACKAGE)):
-                names.append(frame.f_code.co_qualname)
-            frame = frame.f_back
-        hops[:] = names[::-1]
         return -y
 
-    for _ in range(2):  # the first makes the plan of the kind
-        iv.solve_ivp(fun, (0, 1), [1.0])
-    assert hops == ["solve_ivp", "solve", "Prepared.run_of", "Prepared.run"]
+    def follow(frame, event, _):
+        if event == "call" and not hops:
+            entered.append(frame.f_code)
+            while frame is not None and entered[-1] is fun.__code__:
+                hops.insert(0, frame.f_code.co_name)
+                frame = frame.f_back
+
+    iv.solve_ivp(fun, (0, 1), [1.0], "ode23", rtol=1e-5)  # makes the plan of the kind
+    before = sys.getprofile()
+    sys.setprofile(follow)
+    try:
+        iv.solve_ivp(fun, (0, 1), [1.0], "ode23", rtol=1e-5)
+    finally:
+        sys.setprofile(before)
+    assert hops[-5:] == ["solve_ivp", "solve", "run_or_plan", "run", "fun"]
+    names = [code.co_name for code in entered[:-1]]
+    assert len(names) <= 12, names
+    files = [code.co_filename.removeprefix(str(PACKAGE)) for code in entered]
+    after = files[names.index("run_or_plan") :]
+    assert not any(file.startswith(("/_solve", "/_problem", "/_results")) for file in after)
 
 
 def test_the_package_imports_numpy_alone():

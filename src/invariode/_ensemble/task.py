@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import numpy as np
 
@@ -13,27 +12,16 @@ from .. import _core
 from .._base.arguments import Array, quietly
 from .._base.types import MethodName, OnFailure
 from .._functions.graph.plain import only_calculates
-from .._plan.plan import Course, Plan, solver
+from .._plan.plan import Plan, solver
 from .._plan.planning import make_plan
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._run.prepared import Prepared, kind_of, prepared_or_plan
+from .._run.prepared import OnCourse, kind_of, run_or_plan
 
 #: Rows with arguments of these types are of one kind, whatever the values.
 _NUMBERS = frozenset({float, int})
 #: Types of arguments whose arithmetic runs no code of users.
 _PLAIN = (int, float, complex, str, np.number, np.bool_, type(None))
-
-
-class _Alike(NamedTuple):
-    """The prepared plan that the rows of a task have in common, if there is one."""
-
-    prepared: Prepared
-    problem: Problem  # of one of the rows
-    course: Course
-    plan: Plan  # on this course, for runs that reached its end
-    limit: _core.StepLimit | None
-    types: tuple[type, ...] | None  # of their arguments, if these are numbers
 
 
 @dataclasses.dataclass
@@ -47,7 +35,7 @@ class Task:
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
     first_here: bool = False  # see `_ensemble.local`
-    _alike: _Alike | None = None  # of the rows, found with the first that is run
+    _alike: tuple[OnCourse, Plan] | None = None  # of the rows, found with the first that is run
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_alike": None}
@@ -59,41 +47,24 @@ class Task:
     def run(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
         """Return the run of one trajectory, the plan that all trajectories of its kind share, and a function that
         returns the trajectory's own plan."""
-        args, alike = self.args_of(i), self._alike
-        if alike is not None and (args is alike.problem.args or alike.types == tuple(map(type, args))):
-            y0 = np.ascontiguousarray(self.y0[i])
-            run = alike.prepared.run(alike.problem, y0, args, alike.course, limit=alike.limit, remember=False)
-            if run is not None:
-                return run, alike.plan, partial(self._own_plan, i, run)
+        args = self.args_of(i)
+        if self._alike is not None:
+            (prepared, first, course), plan = self._alike
+            if args is first.args or _numbers_alike(args, first.args):
+                y0, limit = np.ascontiguousarray(self.y0[i]), self.options.get("callback")
+                run = prepared.run(first, y0, args, course, limit=limit, remember=False)
+                if run is not None:
+                    return run, plan, lambda: prepared.plan_of(self._problem(i), course, run)
         with quietly():  # the first plan has given the warnings
-            return self._run_alone(i)
-
-    def _run_alone(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
-        """See `run`: the row is described by a problem of its own."""
-        problem = self._problem(i)
-        found = prepared_or_plan(problem, self.method, self.options)
-        if isinstance(found, Prepared):
-            solved = found.run_of(problem, self.options, remember=False)
-            if solved is not None:
-                run, course = solved
-                self._remember(found, problem, course)
-                plan = found.plan_of(problem, course, run)
-                return run, plan, lambda: plan
-            found = make_plan(problem, self.method, self.options)
-        plan = found
-        return solver(plan).integrate(plan.start), plan, lambda: plan
-
-    def _remember(self, prepared: Prepared, problem: Problem, course: Course) -> None:
-        """Store the plan that the rows share: only the types of y0 and of the arguments decide the kind of a row."""
-        if self.options.get("breakpoints") is None:
-            limit = cast("_core.StepLimit | None", self.options.get("callback"))
-            plan, types = prepared.plan._replace(course=course), tuple(map(type, problem.args))
-            numbers = types if _NUMBERS.issuperset(types) else None
-            self._alike = _Alike(prepared, problem, course, plan, limit, numbers)
-
-    def _own_plan(self, i: int, run: _core.Run) -> Plan:
-        assert self._alike is not None  # it has made the run
-        return self._alike.prepared.plan_of(self._problem(i), self._alike.course, run)
+            begun = run_or_plan(self._problem(i), self.method, self.options, remember=False)
+            if isinstance(begun, Plan):
+                return solver(begun).integrate(begun.start), begun, lambda: begun
+            shared, run = begun
+            if self.options.get("breakpoints") is None:
+                # Only the types of y0 and of the arguments decide the kind of a row.
+                self._alike = shared, shared.prepared.plan._replace(course=shared.course)
+            plan = shared.prepared.plan_of(shared.problem, shared.course, run)
+            return run, plan, lambda: plan
 
     def only_calculates(self) -> bool:
         """Return whether the functions of the rows do nothing but calculate with numbers: they cannot end a process."""
@@ -118,6 +89,12 @@ class Task:
         if problem.y0_of_args is not None and np.array_equal(problem.start_with(args), self.y0[i]):
             return problem.replace(args=args)
         return problem.replace(y0=self.y0[i], args=args)
+
+
+def _numbers_alike(args: tuple[Any, ...], others: tuple[Any, ...]) -> bool:
+    """Return whether arguments are numbers of the types of others."""
+    types = tuple(map(type, args))
+    return types == tuple(map(type, others)) and _NUMBERS.issuperset(types)
 
 
 @dataclasses.dataclass

@@ -95,7 +95,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     _require_fitting(problem, chosen)
     rtol, atol = options["rtol"], options["atol"]
     weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
-    course = course_of(choice, problem.t_span, reals(problem.y0), options["t_eval"])
+    course = course_of(choice, problem.t_span, problem.y0, options["t_eval"])
     if options["calibrate"] and "calibrate" in chosen.options:
         factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / (settings.max_order or chosen.order))
         weights = weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
@@ -258,8 +258,8 @@ def _settings(method: Method, options: Options) -> Settings:
     )
 
 
-def course_of(choice: Choice, t_span: tuple[float, float], n: int, t_eval: Any) -> Course:
-    """Return the course over an interval, with its output times, which fill what may be kept, of states of n reals."""
+def course_of(choice: Choice, t_span: tuple[float, float], y0: Array, t_eval: Any) -> Course:
+    """Return the course from y0, (n,), over an interval, with its output times, which fill what may be kept."""
     t0, tf = t_span
     span, options = abs(tf - t0), choice.options
     times = None if t_eval is None else output_times(t_eval, t0, tf)
@@ -270,8 +270,9 @@ def course_of(choice: Choice, t_span: tuple[float, float], n: int, t_eval: Any) 
     if limits is None and times is None:  # the common case
         most = _MOST_POINTS, _MOST_BYTES
     else:
-        most = _most_kept(limits or _UNLIMITED, 0 if times is None else len(times), n)
-    return Course(t0, tf, longest_step(options["max_step"], span), times, *most)
+        most = _most_kept(limits or _UNLIMITED, 0 if times is None else len(times), reals(y0))
+    max_step = options["max_step"]
+    return Course(t0, tf, longest_step(max_step, span) if max_step == "tenth" else max_step, times, *most)
 
 
 def longest_step(given: LargestStep, span: float) -> float:

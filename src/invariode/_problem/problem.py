@@ -203,8 +203,9 @@ class Problem:
         args = _args_or(parameters, args)
         y0 = start_of(y0, history, t_span, args)
         state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
-        self._pose(_filled(fun, inplace, delays is not None), t_span, state, args)
-        called, start, described = self.fun, self.y0, self.__dict__
+        described = self.__dict__
+        described |= self.plain(_filled(fun, inplace, delays is not None), t_span, state, args).__dict__
+        called, start = self.fun, self.y0
         if of_args is not None:
             described["y0_of_args"] = of_args
         given: dict[str, Any] = {}
@@ -247,27 +248,26 @@ class Problem:
     def plain(cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> Self:
         """Return the problem ``y' = fun(t, y, *args)`` with nothing else, which takes less time than to see that
         every other argument is missing."""
-        problem = cls.__new__(cls)
-        problem._pose(fun, t_span, y0, args)
-        if type(problem.fun) is not FunctionType and states_second_order(problem.fun):
-            problem.__dict__["second_order"] = _is_second_order(False, problem.fun, problem.y0)
-        return problem
-
-    def _pose(self, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> None:
-        """Check f, the interval, the initial state, which nobody changes, and the extra arguments."""
         plain = plainly_posed(t_span, y0, args)
         if plain is not None:
             span, start, extra = plain
             if extra:
                 require_no_unit("args", extra)
-            called = _as_called(fun, start)
         else:
             span, start = interval(t_span), state(y0)
-            called, extra = _as_called(fun, start), extra_arguments(args)
+            extra = extra_arguments(args)
             start.setflags(write=False)
-        if any(type(one) is np.ndarray for one in extra):  # which the caller could change
+        called, second_order = fun, False
+        if type(fun) is FunctionType and fun.__name__ != LAMBDIFIED:  # the common case
+            warn_of_state_first("fun", fun, ", or use odeint")
+        elif type(fun) is not StateFirst:
+            called = _as_called(fun, start)
+            second_order = states_second_order(called) and _is_second_order(False, called, start)
+        if extra and np.ndarray in map(type, extra):  # which the caller could change
             extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
-        self.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra)
+        problem = cls.__new__(cls)
+        problem.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra, second_order=second_order)
+        return problem
 
     @property
     def name(self) -> str:
@@ -629,11 +629,6 @@ def _record_in(args: tuple[Any, ...]) -> Record | None:
 
 def _as_called(fun: Any, y0: Array) -> Any:
     """Return f as the solvers call it."""
-    kind = type(fun)
-    if kind is StateFirst or (kind is FunctionType and fun.__name__ != LAMBDIFIED):  # the common cases
-        if kind is FunctionType:
-            warn_of_state_first("fun", fun, ", or use odeint")
-        return fun
     called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
     if isinstance(called, SecondOrder) and isinstance(called.fun, TracedFunction):
         called = compile(called)

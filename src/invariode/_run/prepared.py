@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
-from typing import Any, cast
+from types import FunctionType
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, reals, warnings_given
+from .._base.arguments import Array, call_name, warnings_given
 from .._base.latest import Latest
 from .._base.types import MethodName
 from .._functions.compiled import (
@@ -26,12 +27,13 @@ from .._functions.compiled import (
     is_plain_function,
     native_parameters,
 )
+from .._functions.graph.plain import may_switch
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, values_at_start
 from .._plan.nystrom_requirements import fits_any_args
 from .._plan.plan import Choice, Course, Plan, solver
-from .._plan.planning import choose, course_of, names_of, planned
+from .._plan.planning import choose, course_of, make_plan, names_of, planned
 from .._problem.core_problem import InvariantSpec, LinearTerms
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants
@@ -41,9 +43,9 @@ from .._problem.problem import Problem
 from .._problem.sensitivities import Sensitivities
 from .._sensitivity.landings import switches_in_time
 
-#: From so many reals on sparsity is looked for, which depends on f, and the work of a plan is small beside that of a
-#: step.
-_LARGE = 200
+#: From this many bytes of y0 on, 200 reals, sparsity is looked for, which depends on f, and the work of a plan is small
+#: compared with that of a step.
+_LARGE = 200 * 8
 
 #: Prepared plans by the kinds of their problems; a compiled f has its own.
 _kept: Latest[Hashable, Prepared] = Latest()
@@ -90,6 +92,7 @@ class Prepared:
         self.any_args = self.any_y0 and _of_any_args(problem, plan)
         self.any_span = self.any_y0 and _of_any_span(problem, plan)
         self._parameters = plan.functions.parameters.size > 0
+        self._calls_others = bool(problem.invariants or problem.events or isinstance(problem.fun, CompiledFunction))
 
     def run(
         self,
@@ -99,7 +102,7 @@ class Prepared:
         course: Course,
         *,
         breaks: Array | None = None,
-        limit: _core.StepLimit | None = None,
+        limit: Any = None,
         remember: bool = True,
         dy0dp: Any = None,
     ) -> _core.Run | None:
@@ -119,7 +122,7 @@ class Prepared:
         breaks : ndarray, optional
             Breakpoints of a plan that is lent functions, without actions.
         limit : StepLimit, optional
-            The limit of steps of such a plan.
+            The limit of steps of such a plan, its only callback.
         remember : bool, default True
             The run can be extended.
         dy0dp : array_like or callable, optional
@@ -130,7 +133,9 @@ class Prepared:
             value = values_at_start(plan.bound, problem.invariants, course.t0, y0, args, plan.tolerances.threshold)
             if value is None:
                 return None
-        functions = _functions_of(problem, plan.bound) if self._lends else None
+        functions = None
+        if self._lends:
+            functions = _functions_of(problem, plan.bound) if self._calls_others else (problem.fun,)
         if plan.functions.complex:
             y0 = y0.view(float)
         if varied is not None:
@@ -163,17 +168,13 @@ class Prepared:
         called = names_of(problem, list(plan.called.events))
         return plan._replace(course=course, bound=bound, called=called, y0=problem.y0)
 
-    def run_of(self, problem: Problem, options: Options, *, remember: bool = True) -> tuple[_core.Run, Course] | None:
-        """Return the run of a problem of the kind of this plan with options that it was found for, and its course.
-        None: see `run`."""
-        course = course_of(self.choice, problem.t_span, reals(problem.y0), options.get("t_eval"))
-        breaks, limit = options.get("breakpoints"), cast("_core.StepLimit | None", options.get("callback"))
-        if breaks is not None:
-            breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
-            if breaks is None:
-                raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
-        run = self.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
-        return None if run is None else (run, course)
+
+class OnCourse(NamedTuple):
+    """A prepared plan with the problem and the course of its runs, which differ in y0 and args."""
+
+    prepared: Prepared
+    problem: Problem
+    course: Course
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -258,43 +259,61 @@ def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> 
     return prepared
 
 
+def run_or_plan(
+    problem: Problem, method: MethodName, options: Options, *, remember: bool = True
+) -> tuple[OnCourse, _core.Run] | Plan:
+    """Return the run of a problem by the plan that all problems of its kind share; or the problem's own plan, if there
+    is no such plan, or it does not hold for this problem. `remember`: the run can be extended."""
+    found = prepared_or_plan(problem, method, options)
+    if not isinstance(found, Prepared):
+        return found
+    course = course_of(found.choice, problem.t_span, problem.y0, options.get("t_eval"))
+    breaks, limit = options.get("breakpoints"), options.get("callback")
+    if breaks is not None:
+        breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
+        if breaks is None:
+            raise ValueError("breakpoints have changed while they were read: give them in a list of their own")
+    run = found.run(problem, problem.y0, problem.args, course, breaks=breaks, limit=limit, remember=remember)
+    return make_plan(problem, method, options) if run is None else (OnCourse(found, problem, course), run)
+
+
 def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable | None:
-    """Return a key of all problems that have a plan in common; None: this problem is the only one of its kind."""
-    n, fun = reals(problem.y0), problem.fun
-    described = _described(problem) if n < _LARGE and isinstance(method, str) else None
-    if described is None:
+    """Return a key of all problems that have a plan in common: the method, the options, and everything that a plan
+    takes from a problem besides its functions, y0, args and interval. None: this problem is the only one of its kind.
+    """
+    fun, y0, matrices = problem.fun, problem.y0, problem.matrices
+    compiled = isinstance(fun, CompiledFunction)
+    if not (compiled or type(fun) is FunctionType or is_plain_function(fun)) or not isinstance(method, str):
         return None
-    if isinstance(fun, CompiledFunction):
+    if problem.inputs or problem.breakpoints or problem.second_order or problem.delays is not None:
+        return None
+    given = _core.plain_options(options)
+    if given is None or matrices is not NO_MATRICES or y0.nbytes >= _LARGE:
+        return None
+    bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
+    types: tuple[type, ...] = ()
+    laws: tuple[Any, ...] = ()
+    events: tuple[Any, ...] = ()
+    varied: tuple[Any, ...] | None = ()
+    if problem.invariants:
+        if y0.nbytes >= 8 * MANY_COLUMNS and any(callable(one.jac) for one in problem.invariants):
+            return None  # it may return a sparse matrix, which its first call tells
+        laws = tuple([_law(one, compiled) for one in problem.invariants])
+    if problem.events:
+        events = tuple([_event(one, compiled) for one in problem.events])
+    if problem.sensitivities is not None:
+        varied = _varied(problem, problem.sensitivities)
+    if None in laws or None in events or varied is None:
+        return None
+    if compiled:
         fun.renew()
         types = tuple(map(type, problem.args))
         if not _NUMBERS.issuperset(types):
             return None
-        described = (*described, types)
-    elif switches_in_time(problem):
+    elif may_switch(fun, problem.args) and switches_in_time(problem):
         return None
-    given = _core.plain_options(options)
-    return None if given is None else (method, n, problem.y0.dtype.kind, described, given)
-
-
-def _described(problem: Problem) -> tuple[Any, ...] | None:
-    """Return everything that a plan takes from a problem besides its functions, y0, args and interval; None: something
-    that belongs to this problem alone."""
-    if not (is_plain_function(problem.fun) or isinstance(problem.fun, CompiledFunction)):
-        return None
-    if problem.inputs or problem.breakpoints or problem.second_order:
-        return None
-    if problem.matrices is not NO_MATRICES or problem.delays is not None:
-        return None
-    bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
-    if reals(problem.y0) >= MANY_COLUMNS and any(callable(one.jac) for one in problem.invariants):
-        return None  # it may return a sparse matrix, which its first call tells
-    compiled = isinstance(problem.fun, CompiledFunction)
-    laws = tuple([_law(one, compiled) for one in problem.invariants])
-    events = tuple([_event(one, compiled) for one in problem.events])
-    varied = () if problem.sensitivities is None else _varied(problem, problem.sensitivities)
-    if None in laws or None in events or varied is None:
-        return None
-    return problem.records_events, problem.signed_states, bounds, laws, events, varied
+    recorded = problem.records_events, problem.signed_states
+    return method, y0.shape, y0.dtype.kind, recorded, bounds, laws, events, varied, types, given
 
 
 def _varied(problem: Problem, wanted: Sensitivities) -> tuple[Any, ...] | None:

@@ -30,7 +30,7 @@ from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .._plan.nystrom_requirements import require_no_velocities
-from .._plan.plan import Course, Plan, say_established, solver
+from .._plan.plan import Plan, say_established, solver
 from .._plan.planning import make_plan, ordered_breakpoints
 from .._problem.breakpoints import to_breakpoints, warn_of_idle_actions
 from .._problem.invariants import AccuracyWarning
@@ -66,7 +66,7 @@ from .._results.sensitivity_data import SensitivityData, states_and_sensitivitie
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared
-from .prepared import Prepared, prepared_or_plan
+from .prepared import OnCourse, run_or_plan
 
 if TYPE_CHECKING:
     from .._sensitivity.variations import Variations
@@ -240,15 +240,10 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
     try:
         if (points := options.get("breakpoints")) is not None:
             warn_of_idle_actions(points, problem.t_span)
-        found = prepared_or_plan(problem, method, options)
         given = keeping_arrays(options)
         given.pop("progress", None)
-        source = Solved(problem, method, given)
-        if isinstance(found, Prepared):
-            if (solved := found.run_of(problem, options)) is not None:
-                return finished_solution(Finished.by(found, *solved, source), problem)
-            found = make_plan(problem, method, options)
-        return _solved(found, source)
+        begun = run_or_plan(problem, method, options)
+        return _solved(begun, Solved(problem, method, given))
     except (TypeError, ValueError) as error:
         explain(error, problem, options)
         raise
@@ -257,19 +252,10 @@ def solve(problem: Problem, method: MethodName, options: Options) -> Solution:
 def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
     """The outputs of a solve that needs nothing else: the same run, without making a solution of it."""
     try:
-        found = prepared_or_plan(problem, method, options)
-        source = Solved(problem, method, options)
-        if isinstance(found, Prepared):
-            if uncompared(problem) is None and (solved := found.run_of(problem, options, remember=False)) is not None:
-                run = solved[0]
-                if run.ordinary:
-                    return Outputs(run.take_points()[1], run.t_end, *MESSAGES[run.state])
-                finished = Finished.by(found, *solved, source)
-                _require_start(finished)
-                _warn(finished)
-                return Outputs(run.take_points()[1], run.t_end, *finished.plan.verdict(run))
-            found = make_plan(problem, method, options)
-        sol = _solved(found, source)
+        begun = run_or_plan(problem, method, options, remember=False)
+        if not isinstance(begun, Plan) and (run := begun[1]).ordinary and uncompared(problem) is None:
+            return Outputs(run.take_points()[1], run.t_end, *MESSAGES[run.state])
+        sol = _solved(begun, Solved(problem, method, options))
         return Outputs(sol["y"], sol["t_end"], sol["status"], sol["message"])
     except (TypeError, ValueError) as error:
         explain(error, problem, options)
@@ -285,9 +271,12 @@ def finished_solution(finished: Finished, problem: Problem) -> Solution:
     return concluded(sol, finished.general.on_failure)
 
 
-def _solved(plan: Plan, source: Solved) -> Solution:
-    """Return the solution of a plan by a solver of its own."""
+def _solved(begun: tuple[OnCourse, _core.Run] | Plan, source: Solved) -> Solution:
+    """Return the solution of a run that has ended, or of a plan by a solver of its own."""
     problem = source.problem
+    if not isinstance(begun, Plan):
+        return finished_solution(Finished.by(*begun, source), problem)
+    plan = begun
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
         sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, found)), plan, found)
@@ -363,8 +352,7 @@ class Finished:
         plan: Plan,
         source: Solved,
         members: tuple[str, ...],
-        prepared: Prepared | None = None,
-        course: Course | None = None,
+        shared: OnCourse | None = None,
         checkpoint: RunFiles | None = None,
     ) -> None:
         self.run = run
@@ -372,19 +360,19 @@ class Finished:
         self.source = source
         self.members = members  # the methods that took turns
         self.checkpoint = checkpoint
-        self._prepared, self._course = prepared, course
+        self._shared = shared
 
     @classmethod
-    def by(cls, prepared: Prepared, run: _core.Run, course: Course, source: Solved) -> Finished:
+    def by(cls, shared: OnCourse, run: _core.Run, source: Solved) -> Finished:
         """Return a run of a prepared plan, whose own plan is made when it is needed."""
-        return cls(run, prepared.plan, source, prepared.members, prepared, course)
+        return cls(run, shared.prepared.plan, source, shared.prepared.members, shared)
 
     @cached_property
     def plan(self) -> Plan:
         """Plan of the run."""
-        if self._prepared is None or self._course is None:
+        if self._shared is None:
             return self.general
-        return self._prepared.plan_of(self.source.problem, self._course, self.run)
+        return self._shared.prepared.plan_of(self.source.problem, self._shared.course, self.run)
 
     @cached_property
     def bound(self) -> BoundInvariants:

@@ -76,11 +76,9 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
 
 
 def switches_in_time(problem: Problem) -> bool:
-    """Return whether a Python f, as it is, may have landings. (A compiled one has a plan of its own anyhow.)"""
-    from .._functions.graph.plain import may_switch, plain_graph
+    """Return whether a Python f that may switch has landings."""
+    from .._functions.graph.plain import plain_graph
 
-    if not may_switch(problem.fun, problem.args):
-        return False
     is_complex = problem.y0.dtype.kind == "c"
     made = plain_graph(problem.fun, reals(problem.y0), layout_of(problem.args), is_complex=is_complex)
     return made is not None and bool(made.timed)

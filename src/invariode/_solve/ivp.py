@@ -115,8 +115,10 @@ def solve_ivp(
     """
     if TYPE_CHECKING:
         solve_options(**options)  # editors complete options from this call
-    describing, running = parted(options, DescribingOptions)
-    if describing:
+    describing: DescribingOptions = {}
+    running: Any = options
+    if not DescribingOptions.__annotations__.keys().isdisjoint(options):
+        describing, running = parted(options, DescribingOptions)
         unused(method, describing)
     if vectorized is not False and flag("vectorized", vectorized):
         fun = one_column(fun, describing)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, extra_arguments, interval, quietly, reals, require_no_unit
+from .._base.arguments import Array, extra_arguments, interval, quietly, require_no_unit
 from .._base.types import MethodName, Span
 from .._functions.compiled import CompiledFunction
 from .._plan.planning import choose, course_of, planned
@@ -18,7 +18,7 @@ from .._problem.options import Options, ProblemArguments, keeping_arrays
 from .._problem.problem import Problem
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
-from .._run.prepared import Prepared, prepared_or_plan
+from .._run.prepared import OnCourse, Prepared, prepared_or_plan
 from .._run.run import Finished, Solved, finished_solution, solve
 
 
@@ -40,12 +40,13 @@ class PreparedSolver:
         self.problem = problem
         self.method = method
         self._options = keeping_arrays(options)
-        self._prepared = _prepared(problem, method, self._options)
+        prepared = _prepared(problem, method, self._options)
         #: The problem's own interval and output times, which those of its kind do not share.
-        self._course = course_of(self._prepared.choice, problem.t_span, reals(problem.y0), self._options.get("t_eval"))
+        course = course_of(prepared.choice, problem.t_span, problem.y0, self._options.get("t_eval"))
+        self._shared = OnCourse(prepared, problem, course)
         self._source = Solved(problem, method, self._options)  # of runs in which nothing differs
         # Breakpoints lie in the interval.
-        self._any_span = self._prepared.any_span and self._options.get("breakpoints") is None
+        self._any_span = prepared.any_span and self._options.get("breakpoints") is None
 
     def __reduce__(self) -> tuple[type[PreparedSolver], tuple[Any, ...]]:
         return PreparedSolver, (self.problem, self.method, self._options)
@@ -88,7 +89,8 @@ class PreparedSolver:
             args = extra_arguments(self.problem.arguments(args))
         if args is not None:
             require_no_unit("args", args)
-        prepared, problem = self._prepared, self.problem
+        shared = self._shared
+        prepared, problem, course = shared
         if dy0dp is not None and problem.sensitivities is None:
             raise ValueError("dy0dp is of no use without sensitivities, which the problem does not ask for")
         known = prepared.any_y0 and (args is None or prepared.any_args) and (t_span is None or self._any_span)
@@ -96,16 +98,16 @@ class PreparedSolver:
         if y0 is None and args is not None and problem.y0_of_args is not None:
             start = _as_state(problem.start_with(args), problem.y0)
         if known and start is not None:
-            course = self._course
             if t_span is not None:
-                course = course_of(prepared.choice, interval(t_span), len(start), self._options.get("t_eval"))
+                course = course_of(prepared.choice, interval(t_span), start, self._options.get("t_eval"))
+                shared = shared._replace(course=course)
             run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
             if run is not None and (run.ordinary or run.state in MESSAGES or run.steps > 0):
                 source = self._source
                 if y0 is not None or args is not None or t_span is not None or dy0dp is not None:
                     changed = partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp)
                     source = Solved(changed, self.method, self._options)
-                return finished_solution(Finished.by(prepared, run, course, source), problem)
+                return finished_solution(Finished.by(shared, run, source), problem)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
 

@@ -96,10 +96,12 @@ _known: Latest[CodeType, _CodeSummary] = Latest(1024)
 def may_switch(fun: Any, args: Sequence[Any] = ()) -> bool:
     """Return whether a Python function, one that it calls, or a table in its `args` has anything that may switch with
     t, and its code no observable effects. This takes less than a microsecond for a function that is known."""
-    function = _function_of(fun)
-    if function is None or not (
-        _may_switch(function, ()) or any(type(one) is not float and _is_table(one) for one in args)
-    ):
+    function = fun if type(fun) is FunctionType and not fun.__dict__ else _function_of(fun)
+    if function is None:
+        return False
+    known = _known.get(function.__code__)
+    nothing_inside = known is not None and not (known.switches or known.outside)
+    if (nothing_inside or not _may_switch(function, ())) and not (args and any(map(_is_table, args))):
         return False
     time = 1 if isinstance(getattr(fun, AS_TRACED, fun), StateFirst) else 0
     return time in _code_of(function.__code__).reads or time >= function.__code__.co_argcount
@@ -215,6 +217,8 @@ def _may_switch(function: FunctionType, around: tuple[CodeType, ...]) -> bool:
 
 
 def _is_table(value: Any) -> bool:
+    if type(value) is float:
+        return False
     return isinstance(value, PolynomialTable) or type(value).__module__.startswith("scipy.interpolate")
 
 
