@@ -32,6 +32,24 @@ def test_algebraic_variables_at_zero_are_found_at_every_size_and_tolerance(metho
 
 
 @pytest.mark.parametrize("method", ALGEBRAIC)
+def test_a_constant_source_does_not_hide_the_terms_of_algebraic_variables_at_zero(method):
+    """A divider of three equal resistors, whose source goes from 12 V to 24 V at t = 1/2, starts without a guess."""
+
+    def fun(t, y):
+        return [(y[2] - y[0]) / 100 - (y[0] - y[1]) / 100, (y[0] - y[1]) / 100 - y[1] / 100, 0.0]
+
+    for atol in (1e-6, 1e-9, 1e-14):
+        for jac in (None, "differences"):
+            sol = iv.solve_ivp(
+                fun, (0, 1), [0.0, 0.0, 12.0], method, mass=np.diag([0, 0, 1.0]), rtol=1e-6, atol=atol, jac=jac,
+                breakpoints=[(0.5, lambda t, y: [0.0, 0.0, 24.0])],
+            )  # fmt: skip
+            assert sol.success
+            np.testing.assert_allclose(sol.y[:, 0], [8, 4, 12], rtol=1e-9)
+            np.testing.assert_allclose(sol.y[:, -1], [16, 8, 24], rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", ALGEBRAIC)
 def test_units_of_components_and_equations_do_not_change_the_index(method):
     rng = np.random.default_rng(3)
     for _ in range(6):

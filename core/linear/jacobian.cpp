@@ -378,6 +378,7 @@ Status Jacobian::evaluate_boldly(Callback& f, double t, const double* y, const d
   assert(kind_ == Kind::differences);
   const std::size_t n = matrix_.n();
   if (difference(f, t, y, slope) == Status::stop) return Status::stop;
+  std::copy(y, y + n, point_.begin());  // the measurement of the noise has used it
   double largest = 1;
   for (std::size_t j = 0; j < n; ++j) largest = std::max(largest, std::abs(y[j]));
   std::vector<double> before;  // entries of the column, and whether they stand above roundoff
