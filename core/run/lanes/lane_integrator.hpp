@@ -14,6 +14,7 @@
 #include "detect/step_look.hpp"
 #include "methods/runge_kutta.hpp"
 #include "run/lanes/lane_invariant.hpp"
+#include "run/lanes/lane_method.hpp"
 #include "run/lanes/lane_output.hpp"
 #include "run/lanes/lane_pair.hpp"
 #include "run/lanes/lane_taylor.hpp"
@@ -23,10 +24,9 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// Integrates by a method in lanes: LanePair or LaneTaylor.
-template <class Stepper>
+/// Integrates by a method in W lanes.
+template <int W>
 class LaneIntegrator {
-  static constexpr int W = Stepper::width;
   using P = Pack<W>;
   using M = Mask<W>;
   using Series = FailedSeries<P>;
@@ -37,30 +37,31 @@ class LaneIntegrator {
   static constexpr double least_threshold = std::numeric_limits<double>::min();
 
  public:
-  LaneIntegrator(const Job& job, Host& host)
+  LaneIntegrator(const Job& job, const LaneRows<W>& rows, LaneMethod<W>& stepper, Host& host)
       : job_(job),
         host_(host),
-        rows_(job),
-        now_(take<W>(host, rows_.size)),
+        rows_(rows.of),
+        now_(rows.now),
         y_(now_ + Rows::y),
         p_(now_ + rows_.parameters),
         candidate_(take<W>(host, job.all)),
-        ready_(take<W>(host, rows_.size)),
-        stepper_(job, rows_, now_, ready_, host),
+        ready_(rows.ready),
+        stepper_(stepper),
         reached_y_(take<W>(host, job.all)),
         points_(take<W>(host, Series::points * job.n)->lanes()),
-        between_(job, Stepper::degree(job), Stepper::evaluate_extension, host),
+        between_(job, stepper.traits.degree, stepper.traits.evaluate_extension, host),
         outputs_(job, host),
         held_(job, now_ + rows_.invariant, ready_ + rows_.invariant, host),
-        watched_(job, intervals_of_step(Stepper::degree(job)), now_ + rows_.events, host) {}
+        watched_(job, intervals_of_step(stepper.traits.degree), now_ + rows_.events, host) {}
 
-  /// Integrates until there is nothing left to take.
-  void run() {
+  /// Integrates by `method`, which is the stepper, until there is nothing left to take.
+  template <class Method>
+  void run(Method& method) {
     for (unsigned free = every_lane;;) {
       fill(free);
-      if (empty_ && std::popcount(occupied_) < Stepper::fewest_lanes) break;
+      if (empty_ && std::popcount(occupied_) < stepper_.traits.fewest_lanes) break;
       if (cancelled()) return;
-      attempt();
+      attempt(method);
       free = settle();
     }
     for_each_lane(occupied_, [&](int l) {
@@ -73,7 +74,8 @@ class LaneIntegrator {
   }
 
   /// One trajectory, in lane 0, to its end.
-  void go_on(const Suspended& from) {
+  template <class Method>
+  void go_on(const Suspended& from, Method& method) {
     trajectory_[0] = from.lane.trajectory;
     for (std::size_t r = 0; r < rows_.size; ++r) now_[r].lanes()[0] = from.lane[r];
     outputs_.go_on(0, from.output);
@@ -81,7 +83,7 @@ class LaneIntegrator {
     series_[0].go_on(from.series);
     in_series_ = series_[0].any() ? 1 : 0;
     for (std::size_t i = 0; i < Series::points * job_.n; ++i) points_[i] = from.points[i];
-    for (occupied_ = 1; occupied_ != 0 && !cancelled(); settle()) attempt();
+    for (occupied_ = 1; occupied_ != 0 && !cancelled(); settle()) attempt(method);
   }
 
  private:
@@ -219,13 +221,14 @@ class LaneIntegrator {
   // ---------------------------------------------------------------------------------------------------------- a step
 
   /// One attempt in each lane, from which those that are accepted go on.
-  void attempt() {
+  template <class Method>
+  void attempt(Method& method) {
     const P t = t_(), hmin = hmin_ulps * ulp(t), reach = choose(retries(), P(1), P(stretch));
     const Aimed<P, M> aim = aimed<M>(t, row(Rows::h), reach, hmin, job_.hmax, job_.forward(), job_.tf);
     const P purified = aim.t1 - t;
     M odd = no_lane<W>();
     LaneStep<W> step{t, aim.t1, aim.h, purified, aim.t1, y_, candidate_, p_, candidate_};
-    const P error = stepper_.attempt(step, candidate_, odd);
+    const P error = method.attempt(step, candidate_, odd);
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
     const M looks = accepted & (P(0) < row(Rows::rests));  // single runs look at f beside the start
@@ -234,19 +237,21 @@ class LaneIntegrator {
     row(Rows::rests) = P(0);
     doubted_ = inside_ = cut_ = 0;
     unsigned missing = 0;  // may miss a jump of f
-    if constexpr (Stepper::may_miss_jumps) {
-      missing = bits(accepted & stepper_.bends(step, candidate_, error, nearly)) | passes_series(bits(accepted), step);
+    if constexpr (Method::may_miss_jumps) {
+      missing = bits(accepted & method.bends(step, candidate_, error, nearly)) | passes_series(bits(accepted), step);
       const M left = to_mask<W>(missing);
       odd = odd | left;
       accepted = accepted & ~left;
     }
     if (holds()) project(accepted, step);
-    const M undefined = accepted & stepper_.finish(step);
+    const M undefined = accepted & method.finish(step);
     odd = odd | undefined;
     accepted = accepted & ~undefined;
     if (holds()) judge(accepted, step);
     if (job_.looks_inside()) look_inside(accepted, step);
-    decide(accepted, step, error, hmin);
+    const M again = retries();
+    decide(accepted, step);
+    row(Rows::h) = method.accept(accepted, step, error, hmin, again);
     odd = odd | (~accepted & (absolute(step.h) <= hmin)) | (P(StepLook::long_streak) <= row(Rows::limited));
     reached_ = bits(accepted & aim.lands) | cut_;
     jumping_ |= missing;
@@ -312,9 +317,8 @@ class LaneIntegrator {
     step.reached_y = reached_y_;
   }
 
-  /// |h| of the next attempt; the counts; where those that are accepted have come to.
-  INVARIODE_SHARED void decide(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin) {
-    row(Rows::h) = stepper_.next(accepted, step, error, hmin, retries());
+  /// The counts; where those that are accepted have come to.
+  INVARIODE_SHARED void decide(const M& accepted, const LaneStep<W>& step) {
     row(Rows::steps) += choose(accepted, P(1), P(0));
     row(Rows::failed) += choose(accepted, P(0), P(1));
     row(Rows::retries) = choose(accepted, P(0), P(1));
@@ -322,7 +326,6 @@ class LaneIntegrator {
     jumping_ = note_failures(bits(accepted), step) | note_falls(accepted, step);
     row(Rows::t) = choose(accepted, step.reached_t, step.t0);
     for (std::size_t i = 0; i < job_.all; ++i) y_[i] = choose(accepted, step.reached_y[i], y_[i]);
-    stepper_.commit(accepted);
   }
 
   /// Looks at steps as the `StiffnessDetector` of a single run does, with thresholds that find no fewer limited ones.
@@ -334,7 +337,7 @@ class LaneIntegrator {
     const auto probed = stepper_.stability(step, candidate_);
     LaneNorm<W> moved;
     for (std::size_t i = 0; i < job_.n; ++i) moved.add((step.y1[i] - y_[i]) / weight(i));
-    const M at_limit = P(nearly * StepLook::near * Stepper::limit(job_)) * probed[1] <= probed[0];
+    const M at_limit = P(nearly * StepLook::near * stepper_.traits.limit) * probed[1] <= probed[0];
     const M limited = now & at_limit & (nearly * moved.value() <= P(StepLook::slow));
     row(Rows::limited) += choose(limited, P(1), P(0));
   }
@@ -403,7 +406,7 @@ class LaneIntegrator {
   P *y_, *p_;
   P* candidate_;
   P* ready_;  // the rows of those that are ready to take their places
-  Stepper stepper_;
+  LaneMethod<W>& stepper_;
   P* reached_y_;
   double* points_;  // (lanes, 2, n)
   LaneInterpolant<W> between_;
@@ -424,13 +427,20 @@ class LaneIntegrator {
 
 // ------------------------------------------------------------------------------------------------- what the host calls
 
-template <class Stepper>
-void run(const Job& job, Host& host) {
-  LaneIntegrator<Stepper>(job, host).run();
+/// Lets the loop do what it is asked for with a method.
+template <class Method, class Operation>
+void with(const Job& job, Host& host, Operation operation) {
+  const LaneRows<Method::width> rows(job, host);
+  Method method(job, rows, host);
+  operation(LaneIntegrator<Method::width>(job, rows, method, host), method);
 }
-template <class Stepper>
+template <class Method>
+void run(const Job& job, Host& host) {
+  with<Method>(job, host, [](auto&& loop, auto& method) { loop.run(method); });
+}
+template <class Method>
 void go_on(const Job& job, const Suspended& from, Host& host) {
-  LaneIntegrator<Stepper>(job, host).go_on(from);
+  with<Method>(job, host, [&](auto&& loop, auto& method) { loop.go_on(from, method); });
 }
 
 /// `Alone`: with the code for trajectories that have no neighbours.
@@ -448,8 +458,7 @@ struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
   // Coefficients of series fill the first cache; their code is no faster in more lanes, and takes longer to compile.
   static constexpr int of_series = native < 4 ? 4 : native;
   using Taylor = LaneTaylor<of_series>;
-  static constexpr Kernel kernels[] = {kernel_of_pair<T, W, Alone>()...,
-                                       {Taylor::name, of_series, run<Taylor>, nullptr}};
+  static constexpr Kernel kernels[] = {kernel_of_pair<T, W, Alone>()..., {"taylor", of_series, run<Taylor>, nullptr}};
 };
 
 template <int W, bool Alone>

@@ -20,10 +20,7 @@ class LaneInterpolant {
   using P = Pack<W>;
 
  public:
-  /// Writes values at θ of the polynomial with these coefficients.
-  using Evaluate = void(const P* coefficients, std::size_t size, std::size_t n, const P& theta, P* out);
-
-  LaneInterpolant(const Job& job, std::size_t degree, Evaluate* evaluate, Host& host)
+  LaneInterpolant(const Job& job, std::size_t degree, LaneExtension<W>* evaluate, Host& host)
       : job_(job),
         size_((degree + 1) * job.all),
         evaluate_(evaluate),
@@ -49,7 +46,7 @@ class LaneInterpolant {
  private:
   const Job& job_;
   std::size_t size_;
-  Evaluate* evaluate_;
+  LaneExtension<W>* evaluate_;
   P *data_, *lack_;
 };
 

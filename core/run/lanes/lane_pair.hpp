@@ -6,12 +6,12 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <string_view>
 
 #include "aim.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/runge_kutta_kernel.hpp"
-#include "run/lanes/lane_output.hpp"
+#include "output/polynomial.hpp"
+#include "run/lanes/lane_method.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
@@ -21,37 +21,28 @@ namespace invariode::lanes::INVARIODE_LANES {
 
 /// The pair T in W lanes. Its rows are f at the point reached, with the slopes of sensitivities.
 template <const auto& T, int W>
-class LanePair {
+class LanePair final : public LaneMethod<W> {
   using P = Pack<W>;
   using M = Mask<W>;
   using Kernel = runge_kutta::Kernel<T, P, LaneNorm<W>>;
   static constexpr std::size_t last = T.stages - 1;
 
  public:
-  static constexpr int width = W;
-  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
-  static constexpr int fewest_lanes = W / 8 + 1;
-  static constexpr std::string_view name = T.name;
-
-  LanePair(const Job& job, const Rows& rows, P* now, P* ready, Host& host)
-      : job_(job),
-        y_(now + Rows::y),
-        p_(now + rows.parameters),
-        thresholds_(now + rows.thresholds),
-        ready_thresholds_(ready + rows.thresholds),
-        first_(ready + rows.memory),
+  LanePair(const Job& job, const LaneRows<W>& rows, Host& host)
+      : LaneMethod<W>({T.degree, nested_polynomial<P>, Kernel::real_limit, W / 8 + 1}),
+        job_(job),
+        y_(rows.now + Rows::y),
+        p_(rows.now + rows.of.parameters),
+        thresholds_(rows.now + rows.of.thresholds),
+        ready_thresholds_(rows.ready + rows.of.thresholds),
+        first_(rows.ready + rows.of.memory),
         stage_(take<W>(host, job.all)),
         slopes_(take<W>(host, job.all * (stages() - 1))) {
-    k_[0] = now + rows.memory;
+    k_[0] = rows.now + rows.of.memory;
     for (std::size_t k = 1; k < stages(); ++k) k_[k] = slopes_ + (k - 1) * job.all;
   }
 
-  [[nodiscard]] static std::size_t degree(const Job&) { return T.degree; }
-  static constexpr auto evaluate_extension = nested_polynomial<P>;
-
-  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it. Sets where f is not defined, and where the start is
-  /// at rest.
-  P start(const P& t0, const P* y, const P* p, M& undefined, M& rests) {
+  P start(const P& t0, const P* y, const P* p, M& undefined, M& rests) override {
     evaluate_all(t0, y, first_, p);
     const P speed = Kernel::size_of_stage(0, {first_}, job_.all, weight(ready_thresholds_, y, y));
     undefined = ~(speed < P(infinity));
@@ -59,27 +50,22 @@ class LanePair {
     rests = ~gives_scale(reciprocal, t0, job_.tf);
     return initial_step(reciprocal, t0, job_.tf, job_.hmax);
   }
-  /// y′ at the starts.
-  [[nodiscard]] const P* slope_at_start() const { return first_; }
-  /// The memory of a trajectory that was made ready, or is in another lane, beside its rows.
-  void adopt(int /*lane*/, int /*from*/) {}
-  void keep_defined(int /*lane*/, int /*from*/) {}
+  [[nodiscard]] const P* slope_at_start() const override { return first_; }
 
-  /// The candidates and their errors. `odd`: where something is not finite.
   P attempt(const LaneStep<W>& at, P* candidate, M& odd) {
-    Kernel::inner_stages(at.t0, y_, at.purified, k_, job_.all, stage_, [&](const P& t, P* y, std::size_t k) {
+    const P t0 = at.t0, h = at.purified;  // which no pointer leads to
+    Kernel::inner_stages(t0, y_, h, k_, job_.all, stage_, [&](const P& t, P* y, std::size_t k) {
       odd = odd | mend(y, y_, job_.all);
       evaluate_all(t, y, k_[k], p_);
       return true;
     });
-    Kernel::candidate(y_, at.purified, k_, job_.all, candidate);
+    Kernel::candidate(y_, h, k_, job_.all, candidate);
     odd = odd | mend(candidate, y_, job_.all);
     if constexpr (T.last_in_error()) evaluate_all(at.t1, candidate, k_[last], p_);
-    return absolute(at.purified) * Kernel::error(k_, job_.all, weight(thresholds_, y_, candidate));
+    return absolute(h) * Kernel::error(k_, job_.all, weight(thresholds_, y_, candidate));
   }
 
-  /// Returns where single runs look for a jump of f that the errors may not show, and nearly where they do
-  /// (`RungeKuttaStep::trust`).
+  /// As `RungeKuttaStep::trust`.
   static constexpr bool may_miss_jumps = true;
   M bends(const LaneStep<W>& step, const P* candidate, const P& error, double nearly) {
     if constexpr (T.watches_bends()) {
@@ -90,23 +76,20 @@ class LanePair {
     }
   }
 
-  /// Evaluates the rest at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     if constexpr (T.last_in_error()) return no_lane<W>();
     evaluate_all(step.t1, step.y1, k_[last], p_);
     return not_finite(k_[last], job_.all);
   }
-  /// y′ there.
-  [[nodiscard]] const P* slope() { return k_[last]; }
+  const P* slope() override { return k_[last]; }
 
-  /// Estimated errors of the candidates.
-  const P* errors(const P& length) {
+  const P* errors(const P& length) override {
     Kernel::errors(length, k_, job_.all, stage_);
     return stage_;
   }
 
-  /// Coefficients of the extension behind y0. Returns where they are not sound, as `RungeKuttaStep::extension` says it.
-  M extend(const LaneStep<W>& step, P* coefficients) {
+  /// As `RungeKuttaStep::extension`.
+  M extend(const LaneStep<W>& step, P* coefficients) override {
     M odd = no_lane<W>();
     if constexpr (T.all_stages > T.stages) {
       const auto weight = this->weight(thresholds_, step.y0, step.y1);
@@ -122,14 +105,12 @@ class LanePair {
     return odd;
   }
 
-  /// |h λ| as a quotient, and the limit of the formula.
-  std::array<P, 2> stability(const LaneStep<W>& step, const P* candidate) {
+  std::array<P, 2> stability(const LaneStep<W>& step, const P* candidate) override {
     return Kernel::probed(k_, job_.all, step.purified, step.y1, candidate, weight(thresholds_, y_, step.y1));
   }
-  [[nodiscard]] static double limit(const Job&) { return Kernel::real_limit; }
 
-  /// |h| of the next attempt, as `RungeKuttaStep::accept` and `RungeKuttaStep::reject` choose it.
-  P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) {
+  P accept(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) {
+    for (std::size_t i = 0; i < job_.all; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
     const P rtol(job_.rtol), length = absolute(step.h);
     const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
     const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
@@ -137,14 +118,11 @@ class LanePair {
     const P factor = choose(retries, P(runge_kutta::halved), runge_kutta::cut(root, T.floor));
     return choose(accepted, grown, larger(hmin, length * factor));
   }
-  void commit(const M& accepted) {
-    for (std::size_t i = 0; i < job_.all; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
-  }
 
   /// Evaluations of f: at the start, then in each attempt those of all stages but the first; the last one only in
   /// accepted steps where it has no part in the error estimate; and those of the extension in steps that were looked
   /// into.
-  [[nodiscard]] std::int64_t evaluations(std::int64_t steps, std::int64_t failed, std::int64_t looked) const {
+  [[nodiscard]] std::int64_t evaluations(std::int64_t steps, std::int64_t failed, std::int64_t looked) const override {
     constexpr auto all = static_cast<std::int64_t>(last), extra = static_cast<std::int64_t>(T.all_stages - T.stages);
     return 1 + looked * extra + (steps + failed) * all - (T.last_in_error() ? 0 : failed);
   }

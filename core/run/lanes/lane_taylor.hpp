@@ -6,14 +6,14 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <string_view>
 #include <utility>
 
 #include "aim.hpp"
 #include "compensated.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/taylor_kernel.hpp"
-#include "run/lanes/lane_output.hpp"
+#include "output/polynomial.hpp"
+#include "run/lanes/lane_method.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
@@ -23,25 +23,24 @@ namespace invariode::lanes::INVARIODE_LANES {
 /// Taylor series in W lanes. Its rows are the unit of the expansion at the point reached, and the remainder of y.
 /// Where coefficients are not finite the step is odd: single runs choose another unit.
 template <int W>
-class LaneTaylor {
+class LaneTaylor final : public LaneMethod<W> {
   using P = Pack<W>;
   using M = Mask<W>;
 
  public:
-  static constexpr int width = W;
   static constexpr bool may_miss_jumps = false;
-  static constexpr int fewest_lanes = 1;  // series in a whole register take no longer than one alone
-  static constexpr std::string_view name = "taylor";
 
-  LaneTaylor(const Job& job, const Rows& rows, P* now, P* ready, Host& host)
-      : job_(job),
+  /// One lane is enough: series in a whole register take no longer than one alone.
+  LaneTaylor(const Job& job, const LaneRows<W>& rows, Host& host)
+      : LaneMethod<W>({job.order, power_series<P>, taylor::real_limits[job.order], 1}),
+        job_(job),
         size_((job.order + 1) * job.n),
         exponent_(1.0 / (static_cast<double>(job.order) + 1)),
         factor_(std::exp((std::log(job.rtol) - taylor::margin) / (static_cast<double>(job.order) - 1))),
-        now_(now),
-        unit_(now + rows.memory),
-        ready_unit_(ready + rows.memory),
-        p_(now + rows.parameters),
+        now_(rows.now),
+        unit_(now_ + rows.of.memory),
+        ready_unit_(rows.ready + rows.of.memory),
+        p_(now_ + rows.of.parameters),
         current_(take<W>(host, size_)),
         next_(take<W>(host, size_)),
         ready_(take<W>(host, size_)),
@@ -51,11 +50,7 @@ class LaneTaylor {
         lost_(take<W>(host, job.n)),
         slope_(take<W>(host, job.n)) {}
 
-  [[nodiscard]] static std::size_t degree(const Job& job) { return job.order; }
-  static constexpr auto evaluate_extension = power_series<P>;
-
-  /// |h| of the first steps, as `Taylor::start` chooses it. Sets where f or its series is not defined.
-  P start(const P& t0, const P* y, const P* p, M& undefined, M& /*rests*/) {
+  P start(const P& t0, const P* y, const P* p, M& undefined, M& /*rests*/) override {
     evaluate(job_.f, t0, y, f_, p);
     undefined = not_finite(f_, job_.n);
     const auto weight = weight_of<W>(job_, y, y);
@@ -69,13 +64,10 @@ class LaneTaylor {
     set_slope(ready_, *ready_unit_);
     return first(P(1) / reach(ready_, *ready_unit_));
   }
-  /// y′ at the starts.
-  [[nodiscard]] const P* slope_at_start() const { return slope_; }
-  /// The memory of a trajectory that was made ready, or is in another lane, beside its rows.
-  void adopt(int lane, int from) { copy(current_, lane, ready_, from); }
-  void keep_defined(int lane, int from) { copy(current_, lane, current_, from); }
+  [[nodiscard]] const P* slope_at_start() const override { return slope_; }
+  void adopt(int lane, int from) override { copy(current_, lane, ready_, from); }
+  void keep_defined(int lane, int from) override { copy(current_, lane, current_, from); }
 
-  /// The candidates and their errors. `odd`: where something is not finite.
   P attempt(const LaneStep<W>& at, P* candidate, M& odd) {
     const P *y = now_ + Rows::y, *remainder = unit_ + 1;
     const P size = absolute(at.h), per_unit = P(1) / *unit_;
@@ -109,7 +101,6 @@ class LaneTaylor {
     return exponent_ * size * P(tested) * error.value();
   }
 
-  /// Evaluates the rest at the ends of steps. Returns where that is not defined.
   M finish(const LaneStep<W>& step) {
     M undefined = no_lane<W>();
     if (projects()) {
@@ -118,34 +109,47 @@ class LaneTaylor {
     }
     return undefined;
   }
-  /// y′ there.
-  [[nodiscard]] const P* slope() {
+  const P* slope() override {
     set_slope(next_, next_unit_);
     return slope_;
   }
 
-  /// Estimated errors of the candidates, whose slopes are asked for afterwards.
-  const P* errors(const P& length) {
+  const P* errors(const P& length) override {
     for (std::size_t i = 0; i < job_.n; ++i) slope_[i] = exponent_ * length * slope_[i];
     return slope_;
   }
 
-  /// Coefficients of the extension.
-  M extend(const LaneStep<W>& step, P* coefficients) {
+  M extend(const LaneStep<W>& step, P* coefficients) override {
     taylor::scale_coefficients(current_, job_.n, job_.order, step.purified / *unit_, coefficients);
     return no_lane<W>();
   }
 
-  /// |h λ| as a quotient, and the limit of the formula.
-  std::array<P, 2> stability(const LaneStep<W>& /*step*/, const P* /*candidate*/) {
+  std::array<P, 2> stability(const LaneStep<W>& /*step*/, const P* /*candidate*/) override {
     const P before = taylor::norm(current_ + (job_.order - 1) * job_.n, job_.n, inverse_weight_);
     const P last = taylor::norm(current_ + job_.order * job_.n, job_.n, inverse_weight_);
     return {static_cast<double>(job_.order) * (absolute(length_) / *unit_) * last, before};
   }
-  [[nodiscard]] static double limit(const Job& job) { return taylor::real_limits[job.order]; }
 
-  /// |h| of the next attempt, as `Taylor::accept` and `Taylor::reject` choose it.
-  P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) {
+  P accept(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) {
+    const P h = next(accepted, step, error, hmin, retries);
+    P* remainder = unit_ + 1;
+    for (std::size_t i = 0; i < job_.n; ++i) remainder[i] = choose(accepted, lost_[i], remainder[i]);
+    if (any(~accepted)) replace(~accepted, next_, current_, size_);
+    *unit_ = choose(accepted, next_unit_, *unit_);
+    std::swap(current_, next_);
+    return h;
+  }
+
+  /// Expansions, one in each attempt, and f at the start; with a projection f in each attempt, and expansions in steps.
+  [[nodiscard]] std::int64_t evaluations(std::int64_t steps, std::int64_t failed,
+                                         std::int64_t /*looked*/) const override {
+    return 2 + steps + failed + (projects() ? steps : 0);
+  }
+
+ private:
+  [[nodiscard]] bool projects() const { return job_.invariant != nullptr; }
+  [[nodiscard]] const P* last_rows(const P* c) const { return c + (job_.order - 1) * job_.n; }
+  P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) const {
     const P size = absolute(step.h), longest = choose(retries, size, taylor::largest_growth * size);
     const P grown = taylor::with_exact_square(smaller(reach(next_, next_unit_), longest));
     if (!any(~accepted)) return grown;
@@ -156,22 +160,6 @@ class LaneTaylor {
     });
     return choose(accepted, grown, larger(hmin, taylor::with_exact_square(size * factor)));
   }
-  void commit(const M& accepted) {
-    P* remainder = unit_ + 1;
-    for (std::size_t i = 0; i < job_.n; ++i) remainder[i] = choose(accepted, lost_[i], remainder[i]);
-    if (any(~accepted)) replace(~accepted, next_, current_, size_);
-    *unit_ = choose(accepted, next_unit_, *unit_);
-    std::swap(current_, next_);
-  }
-
-  /// Expansions, one in each attempt, and f at the start; with a projection f in each attempt, and expansions in steps.
-  [[nodiscard]] std::int64_t evaluations(std::int64_t steps, std::int64_t failed, std::int64_t /*looked*/) const {
-    return 2 + steps + failed + (projects() ? steps : 0);
-  }
-
- private:
-  [[nodiscard]] bool projects() const { return job_.invariant != nullptr; }
-  [[nodiscard]] const P* last_rows(const P* c) const { return c + (job_.order - 1) * job_.n; }
   void copy(P* to, int lane, const P* source, int from) const {
     for (std::size_t r = 0; r < size_; ++r) to[r].lanes()[lane] = source[r].lanes()[from];
   }

@@ -47,6 +47,11 @@ struct LaneStep {
   const Pack<W>*y0, *y1, *p, *reached_y;
 };
 
+/// Writes values at θ of the extension of a method, a polynomial with these coefficients.
+template <int W>
+using LaneExtension = void(const Pack<W>* coefficients, std::size_t size, std::size_t n, const Pack<W>& theta,
+                           Pack<W>* out);
+
 template <int W>
 Pack<W>* take(Host& host, std::size_t rows) {
   return static_cast<Pack<W>*>(host.allocate(rows * sizeof(Pack<W>)));
