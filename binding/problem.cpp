@@ -145,6 +145,12 @@ Lapack read_lapack(const nb::object& capsules) {
   take("zgetrs", lapack.complex.solve);
   take("zgbtrf", lapack.complex.factor_band);
   take("zgbtrs", lapack.complex.solve_band);
+  take("dlaswp", lapack.real.exchange);
+  take("zlaswp", lapack.complex.exchange);
+  take("dtrsm", lapack.real.solve_triangle);
+  take("ztrsm", lapack.complex.solve_triangle);
+  take("dgemm", lapack.real.multiply);
+  take("zgemm", lapack.complex.multiply);
   return lapack;
 }
 

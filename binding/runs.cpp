@@ -267,6 +267,7 @@ struct StopRequest {
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
                   const nb::object& kept, double every, const nb::object& remarks, bool remember = true) {
   DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every), Remarks(remarks));
+  run.integration().watch_by([] { return holding_interpreter([] { return PyErr_CheckSignals() == 0; }); });
   self.bound.forget_overflows();
   const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
   if (!finished || run.integration().state() == State::interrupted || self.bound.raise_overflow(run.integration()) ||

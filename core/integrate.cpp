@@ -197,7 +197,7 @@ State Integration::advance() {
       if (!ended(explain_failure(Cause::not_finite))) state_ = State::step_failed;
       return state_;
     }
-    switch (attempt()) {
+    switch (attempt_or_give_up()) {
       case Verdict::ended: return state_;
       case Verdict::accepted: return finish_step();
       case Verdict::rejected: break;
@@ -208,6 +208,29 @@ State Integration::advance() {
       return state_;
     }
   }
+}
+
+/// An attempt, unless long linear algebra within it finds that the run is to end: it is repeated where the run goes on.
+Integration::Verdict Integration::attempt_or_give_up() {
+  attempting_ = true;
+  Verdict verdict = Verdict::ended;
+  try {
+    verdict = attempt();
+  } catch (const Interruption&) {
+    in_step_ = state_ == State::running;
+    if (in_step_) look_at_limits();
+  }
+  attempting_ = false;
+  return verdict;
+}
+
+void Integration::poll() {
+  if (!attempting_) return;
+  if (watch_ && !watch_())
+    state_ = State::interrupted;
+  else if (!limits_.requested() && !limits_.out_of_time())
+    return;
+  throw Interruption();
 }
 
 Integration::Course Integration::begin_step() {

@@ -69,6 +69,11 @@ class Integration {
 
   /// Ends the run after the first accepted step that finds the request true. The request belongs to the caller.
   void stop_on(const std::atomic<bool>& request) { limits_.stop_on(request); }
+  /// Has `watch` called within long linear algebra. If it returns false, the run ends as if a user function had raised.
+  void watch_by(std::function<bool()> watch) { watch_ = std::move(watch); }
+  /// Gives up an attempt, by throwing `Interruption`, if the run is to end: for `Lapack::poll`. The start of a run and
+  /// what it does at jumps is never given up.
+  void poll();
 
   State start(const double* y0);
   /// Instead of `start`: goes on from the memory that `state` has read, as the run would have that wrote it. `anew`:
@@ -155,6 +160,7 @@ class Integration {
   Course begin_step();
   Course meet_bounds();
   Verdict attempt();
+  Verdict attempt_or_give_up();
   Step::Attempt propose();
   Verdict test(const Step::Attempt& proposal);
   Verdict pass_jump(const double* candidate);
@@ -248,7 +254,9 @@ class Integration {
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached
   bool in_step_ = false;                 // a limit was reached between two attempts
-  bool anew_ = false;                    // the memory that was read is not enough: the method starts again
+  bool attempting_ = false;
+  std::function<bool()> watch_;  // empty: nobody does
+  bool anew_ = false;            // the memory that was read is not enough: the method starts again
 };
 
 }  // namespace invariode

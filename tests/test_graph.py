@@ -7,6 +7,8 @@ import math
 import pickle
 from collections import OrderedDict
 from functools import partial
+from mmap import PAGESIZE
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -496,3 +498,17 @@ def test_kept_code_is_limited_in_bytes(monkeypatch):
             node = node.graph.elementary("sin", node)
         sizes.append(machine.machine_code([node], objects.CodeForm()).size)
     assert sizes[1] > sizes[0] + 100 * 1000
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_compiling_keeps_no_memory_but_the_code():
+    """The optimiser of a module of one instruction takes less than 10 kB for good."""
+
+    def optimise(times):
+        for _ in range(times):
+            module = machine.llvm.parse_assembly("define double @graph(double %x) { ret double %x }")
+            machine._optimise(module, objects.target_machine(), 3, loop_vectorization=False)
+        return int(Path("/proc/self/statm").read_text().split()[1]) * PAGESIZE
+
+    before = optimise(20)
+    assert optimise(100) - before < 100 * 10_000

@@ -342,3 +342,21 @@ def test_progress_is_reported_to_a_function(monkeypatch):
 
     with pytest.raises(ArithmeticError, match="from the function"):
         iv.solve_ivp(circle, (0, 1), [1.0, 0.0], progress=broken)
+
+
+@pytest.mark.parametrize("method", ["ode15s", "radau"])
+def test_a_factorisation_is_given_up_where_the_time_is_over_and_the_run_goes_on_with_that_attempt(method):
+    """The time is over from the start: the first factorisation of the call ends at its first block of columns."""
+    n = 513  # eliminated by LAPACK
+    rates, u = -np.linspace(1, 100, n), np.random.default_rng(0).normal(size=(2, n)) / n
+    problem = iv.Problem(
+        lambda t, y: rates * y + u[0] * (u[1] @ y), (0, 1), np.ones(n), jac=np.diag(rates) + np.outer(*u)
+    )
+    whole = problem.solve(method, max_steps=6)
+    sol = problem.solve(method, limits=iv.Limits(time=1e-9))
+    assert (sol.status, sol.stats.steps, sol.stats.nlu) == (-3, 0, 0)
+    assert "The limit of 1e-09 s is over" in sol.message
+    sol = sol.extend(1, limits=iv.Limits(steps=2)).extend(1, limits=iv.Limits(time=1e-9))
+    sol = sol.extend(1, max_steps=6 - sol.stats.steps, limits=None)
+    assert dict(sol.stats) == dict(whole.stats)
+    np.testing.assert_array_equal(sol.y, whole.y)

@@ -498,3 +498,30 @@ def test_all_functions_of_mathml():
     names = [f"v{i}" for i in range(len(cases))]
     found = sbml.load(model("", values, initial=initial)).simulate(0, 1, 2, names).array[0]
     np.testing.assert_allclose(found, [*cases.values()], rtol=1e-14)
+
+
+ANTIMONY = """
+function first_order(x, k) k*x; end
+model decay(S)
+  S -> ; first_order(S, k); k = 0.3;
+end
+model main()
+  A: decay(X); X = 5;
+  at time > 2: X = 5;
+end
+"""
+
+
+def test_a_model_in_antimony_is_read_with_its_functions_submodels_and_events(tmp_path):
+    """From text, and from a file that imports another: y = 5 exp(-0.3 t), set to 5 again at t = 2."""
+    pytest.importorskip("antimony")
+    parts, main = ANTIMONY.split("model main")
+    (tmp_path / "parts.ant").write_text(parts)
+    (tmp_path / "whole.ant").write_text(f'import "parts.ant"\nmodel main{main}')
+    for source in (ANTIMONY, tmp_path / "whole.ant", str(tmp_path / "whole.ant")):
+        table = sbml.load(source).simulate(0, 4, 9, selections=["time", "X"], rtol=1e-9, atol=1e-9)
+        t = np.array(table["time"])
+        exact = 5 * np.exp(-0.3 * np.where(t > 2, t - 2, t))
+        np.testing.assert_allclose(np.array(table["X"])[t != 2], exact[t != 2], rtol=1e-7)
+    with pytest.raises(ValueError, match="line 1:.*syntax error"):
+        sbml.load("S1 -> S2; k*S1*(\n")

@@ -5,6 +5,7 @@
 #include <complex>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -88,7 +89,10 @@ class MatrixFunction {
   void* context_ = nullptr;
 };
 
-/// LAPACK's routines for LU factors of real or complex matrices.
+/// Thrown within long linear algebra where the run is to end at once (`Lapack::poll`): what was being computed is lost.
+struct Interruption {};
+
+/// LAPACK's routines for LU factors of real or complex matrices, with the BLAS of elimination in blocks.
 template <class Scalar>
 struct LapackOf {
   using Factor = void(int* m, int* n, Scalar* a, int* lda, int* pivots, int* info);
@@ -96,16 +100,26 @@ struct LapackOf {
   using FactorBand = void(int* m, int* n, int* kl, int* ku, Scalar* ab, int* ldab, int* pivots, int* info);
   using SolveBand = void(char* trans, int* n, int* kl, int* ku, int* nrhs, Scalar* ab, int* ldab, int* pivots,
                          Scalar* b, int* ldb, int* info);
-  Factor* factor = nullptr;           ///< dgetrf, zgetrf
-  Solve* solve = nullptr;             ///< dgetrs, zgetrs
-  FactorBand* factor_band = nullptr;  ///< dgbtrf, zgbtrf
-  SolveBand* solve_band = nullptr;    ///< dgbtrs, zgbtrs
+  using Exchange = void(int* n, Scalar* a, int* lda, int* first, int* last, int* pivots, int* step);
+  using SolveTriangle = void(char* side, char* part, char* trans, char* diagonal, int* m, int* n, Scalar* alpha,
+                             Scalar* a, int* lda, Scalar* b, int* ldb);
+  using Multiply = void(char* trans_a, char* trans_b, int* m, int* n, int* k, Scalar* alpha, Scalar* a, int* lda,
+                        Scalar* b, int* ldb, Scalar* beta, Scalar* c, int* ldc);
+  Factor* factor = nullptr;                 ///< dgetrf, zgetrf
+  Solve* solve = nullptr;                   ///< dgetrs, zgetrs
+  FactorBand* factor_band = nullptr;        ///< dgbtrf, zgbtrf
+  SolveBand* solve_band = nullptr;          ///< dgbtrs, zgbtrs
+  Exchange* exchange = nullptr;             ///< dlaswp, zlaswp
+  SolveTriangle* solve_triangle = nullptr;  ///< dtrsm, ztrsm
+  Multiply* multiply = nullptr;             ///< dgemm, zgemm
 };
 
 /// Both, which the binding takes from the copy that SciPy ships.
 struct Lapack {
   LapackOf<double> real;
   LapackOf<std::complex<double>> complex;
+  /// Called several times in each long factorisation: throws `Interruption` if the run is to end. Empty: it never is.
+  std::function<void()> poll;
 
   [[nodiscard]] const LapackOf<double>& of(double) const { return real; }
   [[nodiscard]] const LapackOf<std::complex<double>>& of(std::complex<double>) const { return complex; }

@@ -383,10 +383,11 @@ Outcome Newton::prepare(double c, double t1) {
   if (keeps_factors_ && c != last_c_) convergence_.forget();
   last_c_ = c;
   const auto factor = [&] {
-    count_factorization();
     convergence_.forget();
     sensitivity_convergence_.forget();
-    return lu_->factor(mass_matrix(), c, jacobian());
+    const bool regular = lu_->factor(mass_matrix(), c, jacobian());
+    count_factorization();  // unless it was given up
+    return regular;
   };
   return AgingJacobian::prepare(c, t1, factor, keeps_factors_ ? tolerated_change : 0);
 }

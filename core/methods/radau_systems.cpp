@@ -77,8 +77,9 @@ Outcome RadauSystems::prepare(double t1, Convergence& convergence) {
   }
   return AgingJacobian::prepare(c, t1, [&] {
     convergence.forget();
-    for (std::size_t k = 0; k <= formula_->pairs.size(); ++k) count_factorization();
-    return factorize();
+    const bool regular = factorize();
+    for (std::size_t k = 0; k <= formula_->pairs.size(); ++k) count_factorization();  // unless they were given up
+    return regular;
   });
 }
 

@@ -58,8 +58,9 @@ Outcome Rosenbrock::linearize() {
   }
   ft_known_ = true;
   return solver_.prepare(signed_h_ * d, t1_, [this] {
-    solver_.count_factorization();
-    return lu_->factor(solver_.mass_matrix(), signed_h_ * d, solver_.jacobian());
+    const bool regular = lu_->factor(solver_.mass_matrix(), signed_h_ * d, solver_.jacobian());
+    solver_.count_factorization();  // unless it was given up
+    return regular;
   });
 }
 

@@ -108,15 +108,16 @@ void Run::copy_linear_terms() {
   else
     jacobian_.emplace(*solver_.jacobian());
   mass_ = problem().linear->mass;
+  lapack_ = problem().linear->lapack;
+  if (lapack_) lapack_->poll = [this] { integration_->poll(); };
 }
 
 LinearAlgebra Run::linear_algebra() {
   if (!jacobian_) return {};
-  const std::optional<Lapack>& lapack = solver_.problem().linear->lapack;
   const std::optional<KrylovTerms>& krylov = problem().linear->krylov;
   return {.jacobian = &*jacobian_,
           .mass = mass_ ? &*mass_ : nullptr,
-          .lapack = lapack ? &*lapack : nullptr,
+          .lapack = lapack_ ? &*lapack_ : nullptr,
           .krylov = krylov ? &*krylov : nullptr,
           .state = state_equations_ ? &*state_equations_ : nullptr};
 }
@@ -140,8 +141,7 @@ void Run::keep_within_bounds() {
 /// y' of f, as far as it follows from M alone; nothing without M.
 std::optional<DifferentialRate> Run::rate() const {
   if (!mass_) return {};
-  const std::optional<Lapack>& lapack = solver_.problem().linear->lapack;
-  return DifferentialRate(*mass_, lapack ? &*lapack : nullptr);
+  return DifferentialRate(*mass_, lapack_ ? &*lapack_ : nullptr);
 }
 
 /// y' as a function, by which invariants are tested.

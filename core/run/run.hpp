@@ -157,6 +157,7 @@ class Run {
   // Of its own, since evaluating them changes them.
   std::optional<Jacobian> jacobian_;
   std::optional<Mass> mass_;
+  std::optional<Lapack> lapack_;  // with the poll of this run
 
   std::optional<BoundedSlope> bounded_slope_;
   Callback bounded_f_;

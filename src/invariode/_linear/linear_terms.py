@@ -503,8 +503,8 @@ def _whole(storage: _Storage, values: Any) -> sp.csc_array:
 @functools.cache
 def _lapack() -> dict[str, Any]:
     """LAPACK as SciPy ships it. The core asks for it where it does not eliminate by itself."""
-    from scipy.linalg import cython_lapack
+    from scipy.linalg import cython_blas, cython_lapack
 
-    routines = ("getrf", "getrs", "gbtrf", "gbtrs")
-    capi: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    routines = ("getrf", "getrs", "gbtrf", "gbtrs", "laswp", "trsm", "gemm")
+    capi: dict[str, Any] = {**cython_lapack.__pyx_capi__, **cython_blas.__pyx_capi__}
     return {kind + name: capi[kind + name] for kind in "dz" for name in routines}

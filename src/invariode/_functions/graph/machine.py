@@ -56,7 +56,11 @@ def _optimise(module: Any, target: Any, level: int, loop_vectorization: bool) ->
     options.loop_vectorization, options.slp_vectorization = loop_vectorization, False
     options.loop_unrolling = options.loop_interleaving = False
     passes = llvm.create_pass_builder(target, options)
-    passes.getModulePassManager().run(module, passes)
+    manager = passes.getModulePassManager()
+    manager.run(module, passes)
+    dispose = getattr(llvm.ffi.lib, "LLVMPY_DisposeNewModulePassManger", None)
+    if dispose and "_dispose" not in vars(type(manager)):  # llvmlite 0.50 never does: 57 kB for each function
+        dispose(manager)
 
 
 class Writer:
