@@ -523,5 +523,5 @@ def test_a_model_in_antimony_is_read_with_its_functions_submodels_and_events(tmp
         t = np.array(table["time"])
         exact = 5 * np.exp(-0.3 * np.where(t > 2, t - 2, t))
         np.testing.assert_allclose(np.array(table["X"])[t != 2], exact[t != 2], rtol=1e-7)
-    with pytest.raises(ValueError, match="line 1:.*syntax error"):
+    with pytest.raises(ValueError, match=r"line 1:.*syntax error"):
         sbml.load("S1 -> S2; k*S1*(\n")
