@@ -134,8 +134,8 @@ class TestWhatGoesWrong:
             ((T, LINE_DATA, LINE), {"observe": "z"}, "no component 'z'"),
             ((T, LINE_DATA, LINE), {"sigma": 0}, "sigma of y must be positive"),
             ((T, LINE_DATA, LINE), {"sigma": [1, 2]}, r"sigma must be a number or have shape \(1,\)"),
-            ((T, LINE_DATA, LINE), {"sigma": {"x": 1}}, "sigma names 'x'.*: there are y"),
-            ((T, LINE_DATA, LINE), {"sigma": {}}, "sigma is missing for y"),
+            ((T, LINE_DATA, LINE), {"sigma": {"x": 1}}, "sigma names 'x'.*: the measured quantities are y"),
+            ((T, LINE_DATA, LINE), {"sigma": {}}, "sigma is missing for 'y': it names nothing"),
             ((T, LINE_DATA, LINE), {"sigma": "s"}, "sigma names 's', which is not among the parameters"),
             ((T, LINE_DATA, {**LINE, "s": iv.Parameter(-1.0)}), {"sigma": "s"}, "s is a noise level"),
             ((T, -LINE_DATA, LINE), {"noise": "lognormal"}, "needs positive data"),
@@ -402,7 +402,7 @@ def test_tables_say_what_is_missing_or_is_no_number():
     def fitted(data, t=None):
         return iv.objective(problem, t, data, {"a": (0, 5)}, sigma=0.05)
 
-    with pytest.raises(ValueError, match="no column t or time, but prey, and its index only counts the rows"):
+    with pytest.raises(ValueError, match="no column t or time, but prey, and its index has no name"):
         fitted(pd.DataFrame({"prey": columns["prey"]}))
     with pytest.raises(ValueError, match=r"the column 'ID' is no component, .* if it is no measurement, leave it out"):
         fitted(pd.DataFrame({**columns, "ID": 1}))

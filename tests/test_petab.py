@@ -177,6 +177,9 @@ def test_wrong_tables_are_errors_that_name_the_place(tmp_path):
         ("measurements.tsv", "a\tbefore", "aa\tbefore", "observable 'aa', which is not defined"),
         ("measurements.tsv", "before\tafter", "befor\tafter", "condition 'befor', .* did you mean 'before'"),
         ("measurements.tsv", "scale\ts", "scal\ts", "parameter 'scal', .* did you mean 'scale'"),
+        ("parameters.tsv", "k2\t", "kk2\t", "'kk2' is estimated, and neither the model .* did you mean 'k2'"),
+        ("parameters.tsv", "2\t1", "2\t2", "row 3: estimate must be 0 or 1, got '2'"),
+        ("parameters.tsv", "0.8\t1", "\t1", "'k1' has no nominalValue"),
         ("problem.yaml", "observable_files", "observables", "no 'observable_files'"),
     ]
     for i, (name, old, new, why) in enumerate(wrong):
@@ -213,7 +216,7 @@ def test_values_by_name_and_folders(tmp_path):
     problem = petab.load(written(tmp_path))
     by_name = dict(zip(problem.names, problem._values(problem.nominal), strict=True))
     assert problem.log_likelihood(by_name) == problem.log_likelihood()
-    with pytest.raises(ValueError, match=r"k1, .* missing"):
+    with pytest.raises(ValueError, match=r"missing for 'k1'.* k1, k2"):
         problem.log_likelihood({})
     with pytest.raises(IsADirectoryError, match=r"problem\.yaml"):
         petab.load(tmp_path)
@@ -261,8 +264,10 @@ def test_failed_runs_are_minus_infinity(tmp_path):
     )  # fmt: skip
     observables = "observableId\tobservableFormula\tnoiseFormula\nb\tx\t1\n"
     measurements = "observableId\tsimulationConditionId\tmeasurement\ttime\nb\tbefore\t1\t2\n"
+    parameters = "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\n"
+    parameters += "k1\tlog10\t0.01\t100\t0.8\t1\nk_after\tlin\t0\t10\t2\t1\n"
     changes = {"model.xml": text, "observables.tsv": observables, "measurements.tsv": measurements}
-    problem = petab.load(written(tmp_path, **changes))
+    problem = petab.load(written(tmp_path, **changes, **{"parameters.tsv": parameters}))
     found = problem.objective()(problem.nominal)
     assert found.log_likelihood == -np.inf
     assert np.isnan(found.gradient).all()

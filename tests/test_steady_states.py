@@ -231,7 +231,13 @@ def test_a_count_has_no_derivative():
 
 
 def test_what_has_no_steady_state_says_so():
-    found = iv.steady_state(iv.Problem(lambda t, y: [1.0 + 0 * y[0]], (0, 1), [0.0]))
+    growing = iv.Problem(lambda t, y: [1.0 + 0 * y[0]], (0, 1), [0.0])
+    with pytest.warns(iv.FailureWarning, match="no steady state was found from"):
+        found = iv.steady_state(growing)
+    with pytest.raises(iv.SolveError, match="still moves"):
+        iv.steady_state(growing, on_failure="raise")
+    with pytest.warns(iv.FailureWarning):
+        iv.steady_state(iv.Problem(lambda t, y: [y[0]], (0, 1), [1.0]))
     assert not found.success
     assert "still moves" in found.message
     assert "not reached" in repr(found)
@@ -241,6 +247,20 @@ def test_what_has_no_steady_state_says_so():
         iv.steady_state(lambda t, y: y)
     with pytest.raises(ValueError, match="totals must be"):
         iv.steady_state(PROBLEMS["enzyme"], totals="all")
+
+
+def test_a_start_that_leads_to_an_unstable_state_finds_it():
+    """From the symmetric start of a toggle switch the solution stays symmetric, and from an unstable root it stays."""
+
+    def toggle(t, y):
+        return [4 / (1 + y[1] ** 2) - y[0], 4 / (1 + y[0] ** 2) - y[1]]
+
+    u = 1.378796700129  # u + u³ = 4
+    for start in ([1.0, 1.0], [u, u]):
+        found = iv.steady_state(iv.Problem(toggle, (0, 1), start))
+        assert (found.success, found.stable) == (True, False)
+        assert found.y == pytest.approx([u, u], rel=1e-11)
+    assert iv.steady_state(iv.Problem(toggle, (0, 1), [1.1, 1.0])).stable
 
 
 def test_actions_of_breakpoints_do_not_count():

@@ -8,7 +8,7 @@ import os
 import reprlib
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._core import all_finite, plain_times
-from .suggestions import meant
+from .labelled import named
+from .suggestions import first_few, meant
 
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
@@ -374,15 +375,23 @@ def _first_other(array: np.ndarray[Any, Any], value: object) -> str:
         return "dates or durations: as numbers these are (value - start).dt.total_seconds() / 3600, in hours"
     listed = value if isinstance(value, (list, tuple)) else array.tolist()
     for i, one in enumerate(listed if array.ndim == 1 and array.dtype.kind in "OUS" else ()):
-        if not isinstance(one, (int, float, complex)):
+        if not isinstance(one, (int, float, complex)) and not _reads_as_number(one):
             return f"{shown(one)} at {i}"
     return shown(value)
 
 
+def _reads_as_number(value: object) -> bool:
+    """Return whether NumPy makes a number of this entry of a column, such as of digits in text."""
+    try:
+        return isinstance(float(value), float)  # type: ignore[arg-type]  # what has no float() is told apart here
+    except (TypeError, ValueError):
+        return False
+
+
 def state(y0: ArrayLike, name: str = "y0") -> Array:
     """The initial state as a new array of shape (n,)."""
-    if isinstance(y0, dict):
-        raise TypeError(f"{name} is a list, {list(y0.values())}; the names {list(y0)} are labels= of a Problem")
+    if (found := named(name, y0)) is not None:
+        raise TypeError(f"{name} must be a list or an array, got values by name for {first_few([*found])}")
     y = as_array(name, y0)
     if y.ndim != 1:
         form = "a list or an array of numbers, for one component [1.0]" if y.ndim == 0 else "numpy.ravel makes it so"
@@ -485,7 +494,7 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
     require_no_unit("args", args)
-    if isinstance(args, Mapping):
+    if named("args", args) is not None:
         raise TypeError(
             f"args are the values one by one, in a tuple, got {shown(args)}: numbers by name are "
             "Problem(parameters=...), with f(t, y, p); one dict as an argument is args=(d,)"
@@ -496,11 +505,6 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
             f"Supplied 'args' cannot be unpacked: give a tuple of the extra arguments, for one args=({shown(args)},)"
         )
     return tuple(listed)
-
-
-def first_few(listed: Sequence[str], most: int = 6) -> str:
-    """Return a list for a message: the first of them, and how many more there are."""
-    return ", ".join(listed[:most]) + (f", and {len(listed) - most} more" if len(listed) > most else "")
 
 
 def default_labels(size: int) -> list[str]:

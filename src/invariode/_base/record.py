@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from .arguments import number, shown
+from .labelled import named, require_names
 from .suggestions import meant
 
 
@@ -52,18 +53,14 @@ class Record(tuple[Any, ...]):
         """Names with values."""
         return zip(self.names.names, self, strict=True)
 
-    def changed(self, given: Mapping[str, Any]) -> Record:
-        """Return the record with other values of some parameters.
+    def changed(self, given: Any) -> Record:
+        """Return the record with other values of some parameters, given by name.
 
-        Raises ValueError: A name is not one of its names.
+        Raises TypeError, ValueError: They have no names, or a name is not one of its names.
         """
-        values = [*self]
+        values, given = [*self], record_of(given)
+        require_names("parameters", given.keys(), self.names.names, "parameters of the problem", complete=False)
         for name, value in given.items():
-            if name not in self.names.places:
-                listed = ", ".join(self.names.names)
-                raise ValueError(
-                    f"there is no parameter {name!r}{meant(str(name), self.names.names)}: there are {listed}"
-                )
             values[self.names.places[name]] = number(f"parameter {name}", value)
         return Record(self.names, values)
 
@@ -109,6 +106,7 @@ def record_of(given: Any) -> Record:
     """
     if isinstance(given, Record):
         return given
-    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+    nameless = isinstance(given, Mapping) and any(not isinstance(one, str) for one in given)
+    if nameless or (found := named("parameters", given)) is None:
         raise TypeError(f'parameters must be a dict of numbers by name, such as {{"k1": 0.1}}, got {shown(given)}')
-    return Record(RecordNames(given), [number(f"parameter {name}", value) for name, value in given.items()])
+    return Record(RecordNames(found), [number(f"parameter {name}", value) for name, value in found.items()])

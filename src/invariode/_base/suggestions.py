@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 _Class = TypeVar("_Class", bound=type)
@@ -52,6 +52,11 @@ def absent(module: str, name: str, public: Iterable[str], modules: Iterable[str]
         theirs = [one for one in public if one in integrate.__all__ and not one.endswith("Warning")]
         return f"{text}: it is scipy.integrate.{name}. Of SciPy's functions {module} has {', '.join(theirs)}"
     return f"{text}{meant(name, public)}"
+
+
+def first_few(listed: Sequence[str], most: int = 6) -> str:
+    """Return a list for a message: the first of them, and how many more there are."""
+    return ", ".join(listed[:most]) + (f", and {len(listed) - most} more" if len(listed) > most else "")
 
 
 def meant(given: object, known: Iterable[str]) -> str:

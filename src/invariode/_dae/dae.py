@@ -18,7 +18,6 @@ from .._base.arguments import (
     choice,
     distinct_labels,
     extra_arguments,
-    first_few,
     function,
     interval,
     number,
@@ -27,7 +26,7 @@ from .._base.arguments import (
     state,
     warn,
 )
-from .._base.suggestions import meant, naming_arguments
+from .._base.suggestions import first_few, meant, naming_arguments
 from .._base.types import EventsLike, MethodName, OnFailure, Span
 from .._functions.compiled import CompiledFunction, Shape
 from .._functions.graph.function import GraphFunction, TracedFunction

@@ -21,6 +21,7 @@ from .._base.arguments import (
     real_numbers,
     shown,
 )
+from .._base.labelled import named
 from .._base.progress import bar
 from .._base.record import Record
 from .._base.types import MethodName, OnInterrupt, Progress
@@ -174,7 +175,7 @@ def _source(problem: Problem, wanted: Wanted) -> Rows:
 def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
     """Return the initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows;
     those of the problem for what is not given."""
-    states = problem.y0 if y0 is None else numbers("y0", y0)
+    states = problem.y0 if y0 is None else numbers("y0", problem.start_by_name(y0))
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
     if states.shape[-1] != len(problem.y0) and states.size:
@@ -207,26 +208,27 @@ def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any
 def _named(problem: Problem, args: Any) -> Any:
     """Return args that are given by name, columns or rows of them or a table, as rows of arguments; of a problem with
     parameters, any rows as records."""
-    if hasattr(args, "columns") and hasattr(args, "index") and all(isinstance(name, str) for name in args.columns):
-        args = {name: args[name].to_numpy() for name in args.columns}
-    by_name = isinstance(args, Mapping) or (isinstance(args, list) and args and isinstance(args[0], Mapping))
-    if args is None or isinstance(args, tuple) or (problem.parameters is None and not by_name):
-        return args
-    if isinstance(args, Mapping):
-        columns = {name: real_numbers(f"args of {name}", one) for name, one in args.items()}
+    given = named("args", args)
+    if given is not None:
+        columns = {name: real_numbers(f"args of {name}", one) for name, one in given.items()}
         sizes = {one.shape for one in columns.values()}
         if not sizes - {()}:
-            return problem.arguments(args)
+            return problem.arguments(given)
         if len(sizes - {()}) > 1 or max(map(len, sizes)) > 1:
             raise ValueError(f"columns of args must be of one length, got shapes {sorted(sizes)}")
         (size,) = max(sizes, key=len)
         every = [np.broadcast_to(one, size).tolist() for one in columns.values()]
         return [problem.arguments(dict(zip(columns, row, strict=True))) for row in zip(*every, strict=True)]
+    by_name = isinstance(args, list) and any(named("a row of args", row) is not None for row in args[:1])
+    if args is None or isinstance(args, tuple) or (problem.parameters is None and not by_name):
+        return args
     rows = args if isinstance(args, list) else as_array("args", args).tolist()
     names = [*(problem.parameters or ())]
 
     def record(row: Any) -> Any:
-        if isinstance(row, Mapping) or (isinstance(row, tuple) and len(row) == 1 and isinstance(row[0], Record)):
+        if named("a row of args", row) is not None or (
+            isinstance(row, tuple) and len(row) == 1 and isinstance(row[0], Record)
+        ):
             return problem.arguments(row)
         values = items(row)
         if values is None or len(values) != len(names):

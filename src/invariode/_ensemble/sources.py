@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
@@ -102,13 +102,13 @@ class StreamedRows(Rows):
         def collected() -> Iterator[tuple[Array, Any]]:
             if single:
                 extras = [() if args is None else args for _, args in single]
-                yield checked(np.array([y0 for y0, _ in single]), extras if any(map(len, extras)) else ())
+                yield checked([y0 for y0, _ in single], extras if any(map(len, extras)) else ())
                 single.clear()
 
         for item in rows:
             if not isinstance(item, tuple) or len(item) != 2:
                 raise TypeError(f"an iterator of an ensemble must yield pairs (y0, args), got {shown(item)}")
-            if np.ndim(item[0]) == 1:
+            if np.ndim(item[0]) == 1 or isinstance(item[0], Mapping):
                 single.append(item)
                 if len(single) == BATCH:
                     yield from collected()

@@ -15,7 +15,6 @@ from .._base.arguments import (
     as_array,
     choice,
     extra_arguments,
-    first_few,
     function,
     interval,
     shown,
@@ -24,7 +23,7 @@ from .._base.arguments import (
 )
 from .._base.failures import InvariantError
 from .._base.package import public
-from .._base.suggestions import meant, naming_arguments
+from .._base.suggestions import first_few, meant, naming_arguments
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._plan.call_errors import require_called

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, call_name, extra_arguments, interval, items, number, reals, shown
+from .._base.labelled import named
 from .._base.types import Span
 from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
 from .._functions.derivatives import Point, derivative_of
@@ -154,7 +155,7 @@ def to_delays(delays: Any, history: Any, problem: Any) -> Delays | None:
         for j, one in enumerate(listed)
     )
     given = tuple(one if isinstance(one, str) else positive(f"delays[{j}]", one) for j, one in enumerate(listed))
-    constant = None if is_function(history) else _constant(history, y0)
+    constant = None if is_function(history) else _constant(problem.by_component("history", history), y0)
     known = Delays(given, names, history, constant)
     known.values(args, y0)
     return known
@@ -208,7 +209,7 @@ def start_of(y0: Any, history: Any, t_span: Span, args: Any) -> Any:
     if y0 is not None or history is None:
         return y0
     if not is_function(history):
-        return np.atleast_1d(np.asarray(history))
+        return history if named("history", history) else np.atleast_1d(np.asarray(history))
     at_start = StartOfHistory(history, interval(t_span)[0])
     extra = extra_arguments(args)
     return at_start if depends_on_args(history, extra) else at_start(*extra)

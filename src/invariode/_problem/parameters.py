@@ -273,6 +273,16 @@ def names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
     return own + plain[len(own) :]
 
 
+def names_of_last_arguments(fun: Any, size: int) -> list[str]:
+    """Return the names of the last `size` arguments of f, as f calls them."""
+    try:
+        count = len(_positional(fun.fun if isinstance(fun, CompiledFunction) else fun)[0])
+    except (TypeError, ValueError):  # machine code, or a formula
+        count = 0
+    inplace = isinstance(fun, CompiledFunction) and fun.inplace
+    return names_of_arguments(fun, size, max(2, count - size - inplace))
+
+
 def _positional(fun: Any) -> tuple[list[str], bool]:
     """Return the names of the positional parameters of a function, and whether it takes more of them."""
     if type(fun) is FunctionType and not fun.__dict__:  # nothing states another signature, which takes longer to find

@@ -30,6 +30,7 @@ from .._base.arguments import (
     warn_of_state_first,
 )
 from .._base.forks import cached_property
+from .._base.labelled import by_name, named, require_names
 from .._base.notebook import html_of_problem
 from .._base.record import Record, record_of
 from .._base.types import BreakpointsLike, EventsLike, Function, MethodName, Span
@@ -56,7 +57,7 @@ from .options import (
     table_of,
     unknown_option,
 )
-from .parameters import ParameterName, names_of_arguments, with_named
+from .parameters import ParameterName, names_of_arguments, names_of_last_arguments, with_named
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
 from .start import follow_start
@@ -97,8 +98,9 @@ class Problem:
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
         or one of its `limits` ends it.
     y0 : array_like of shape (n,) or callable
-        Initial state, real or complex; or a function ``y0(*args)`` that returns it. Then the initial state follows the
-        arguments: in `replace`, ensembles and fits, and in sensitivities.
+        Initial state, real or complex. A dict or Series of pandas goes by the names in `labels`, and without `labels`
+        gives the components its own. Or a function ``y0(*args)`` that returns it: then the initial state follows the
+        arguments, in `replace`, ensembles and fits, and in sensitivities.
     {describing}
     parameters : dict of str and float, optional
         Numbers by any name, instead of `args`: f and all other functions of the problem are called as ``f(t, y, p)``
@@ -200,8 +202,10 @@ class Problem:
     ) -> None:
         if unknown or by_position:
             raise _no_such_argument(unknown, by_position)
-        args = _args_or(parameters, args)
+        args = _args_or(fun, parameters, args)
         y0 = start_of(y0, history, t_span, args)
+        if labels is not None:
+            y0 = by_name("y0", y0, labels, "components")
         state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
         described = self.__dict__
         described |= self.plain(_filled(fun, inplace, delays is not None), t_span, state, args).__dict__
@@ -254,8 +258,10 @@ class Problem:
             if extra:
                 require_no_unit("args", extra)
         else:
+            if (by_label := named("y0", y0)) is not None:
+                y0 = [*by_label.values()]
             span, start = interval(t_span), state(y0)
-            extra = extra_arguments(args)
+            extra = extra_arguments(_args_by_name(fun, args))
             start.setflags(write=False)
         called, second_order = fun, False
         if type(fun) is FunctionType and fun.__name__ != LAMBDIFIED:  # the common case
@@ -267,6 +273,8 @@ class Problem:
             extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
         problem = cls.__new__(cls)
         problem.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra, second_order=second_order)
+        if plain is None and by_label is not None:  # names of components that have no others
+            problem.__dict__["_labels"] = distinct_labels([*by_label], len(start))
         return problem
 
     @property
@@ -296,13 +304,25 @@ class Problem:
         return None if record is None else dict(record.items())
 
     def arguments(self, given: Any) -> Any:
-        """The arguments that were given in place of `args`: a dict changes some of them, by name."""
-        if not isinstance(given, Mapping):
+        """The arguments that were given in place of `args`: labelled values change some of them, by name."""
+        changes = named("args", given)
+        if changes is None:
             return given
         record = _record_in(self.args)
         if record is not None:
-            return (record.changed(given),)
-        return with_named(self.fun, self.args, self._labels, given, first=2 + len(self.before_args))
+            return (record.changed(changes),)
+        return with_named(self.fun, self.args, self._labels, changes, first=2 + len(self.before_args))
+
+    def by_component(self, what: str, given: Any, now: Array | None = None) -> Any:
+        """Labelled values in the order of the components; those without labels as they are. `now`: values of the
+        components that have no label; None: each must have one."""
+        if type(given) in (float, np.ndarray):  # the common cases
+            return given
+        return by_name(what, given, self.labels, "components", now)
+
+    def start_by_name(self, given: Any) -> Any:
+        """The initial state that was given in place of y0: labelled values change some components, by name."""
+        return self.by_component("y0", given, self.y0 if self.y0_of_args is None else None)
 
     @property
     def inplace(self) -> bool:
@@ -357,8 +377,8 @@ class Problem:
         ----------
         **changes
             Arguments of `Problem` by name, `fun`, `t_span` and `y0` included. `parameters` changes the values of those
-            that it names, if the problem has parameters; so does `args`, given as a dict by the names that f has for
-            its arguments.
+            that it names, if the problem has parameters; so do `args`, as a dict or Series by the names that f has for
+            its arguments, and `y0`, by `labels`.
 
         Raises
         ------
@@ -403,8 +423,10 @@ class Problem:
                 raise TypeError('the problem has args, which change by name with replace(args={"name": value})')
             changes["parameters"] = parameters if record is None else dict(record.changed(parameters).items())
             now["args"] = ()
-        elif isinstance(changes.get("args"), Mapping):
+        elif "args" in changes and "fun" not in changes:
             changes["args"] = self.arguments(changes["args"])
+        if "y0" in changes and "labels" not in changes:
+            changes["y0"] = self.start_by_name(changes["y0"])
         return type(self)(**{**now, **changes})
 
     def of_one_run(self) -> Self:
@@ -532,9 +554,10 @@ class Problem:
         Parameters
         ----------
         y0 : array_like of shape (N, n) or (n,), or iterator, optional
-            Initial states, one row per trajectory, or one for all. Default: the problem's. An iterator yields pairs
-            ``(y0, args)`` of one trajectory, with a tuple of args, or of several, with rows; N need not be known, nor
-            fit in memory.
+            Initial states, one row per trajectory, or one for all; by name, of `labels`: a DataFrame, a dict of columns
+            or the like, where components without a name keep the problem's values. Default: the problem's. An iterator
+            yields pairs ``(y0, args)`` of one trajectory, with a tuple of args, or of several, with rows; N need not be
+            known, nor fit in memory.
         method : str, default 'ode45'
             As in `solve`.
         args : tuple, or array or list of shape (N, k), or dict, optional
@@ -613,10 +636,21 @@ def _no_such_argument(unknown: Iterable[str], by_position: Sequence[Any]) -> Typ
     )
 
 
-def _args_or(parameters: Any, args: Iterable[Any] | None) -> Iterable[Any] | None:
+def _args_by_name(fun: Any, args: Iterable[Any] | None) -> Iterable[Any] | None:
+    """Return labelled arguments in the order in which f takes them, as its last ones."""
+    given = named("args", args)
+    if given is None:
+        return args
+    known = names_of_last_arguments(fun, len(given))
+    instead = "; numbers by any name are Problem(parameters=...), with f(t, y, p); a dict as an argument is args=(d,)"
+    require_names("args", given, known, "last arguments of fun", complete=True, instead=instead)
+    return tuple(given[name] for name in known)
+
+
+def _args_or(fun: Any, parameters: Any, args: Iterable[Any] | None) -> Iterable[Any] | None:
     """The arguments of f: a record of the parameters, if there are any."""
     if parameters is None:
-        return args
+        return _args_by_name(fun, args)
     if args is not None and items(args) != []:
         raise ValueError("a problem has args or parameters: put the numbers of args among the parameters")
     return (record_of(parameters),)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, flag, items, numbers, real_numbers, shown
+from .._base.labelled import named
 from .._base.suggestions import meant, naming_arguments
 from .parameters import Y0, ParameterName, parameter_names
 
@@ -80,6 +81,8 @@ class Sensitivities:
     error_test: bool = True
 
     def __post_init__(self) -> None:
+        if (scale := named("scale of Sensitivities", self.scale)) is not None:
+            object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "error_test", flag("error_test of Sensitivities", self.error_test))
         if self.dfdp is not None and not callable(self.dfdp):
             raise TypeError(f"dfdp of Sensitivities must be a function dfdp(t, y, *args), got {shown(self.dfdp)}")

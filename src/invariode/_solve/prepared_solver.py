@@ -89,6 +89,8 @@ class PreparedSolver:
             args = extra_arguments(self.problem.arguments(args))
         if args is not None:
             require_no_unit("args", args)
+        if y0 is not None:
+            y0 = self.problem.start_by_name(y0)
         shared = self._shared
         prepared, problem, course = shared
         if dy0dp is not None and problem.sensitivities is None:

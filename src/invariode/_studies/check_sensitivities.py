@@ -102,7 +102,8 @@ def check_sensitivities(
     problem._require_real("check_sensitivities")
     names = problem.parameter_names()
     own = [one.name for one in names if one.kind == "args"]
-    at = Point(problem.t_span[0] if t is None else number("t", t), problem.y0 if y is None else state(y))
+    point = problem.y0 if y is None else state(problem.by_component("y", y), "y")
+    at = Point(problem.t_span[0] if t is None else number("t", t), point)
     n = len(problem.y0)
     fun, given = given_derivatives(problem, names)
     computed = derivative_of(fun, (n, n), at=at, args=problem.args, names=names, called="fun")

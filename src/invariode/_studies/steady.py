@@ -10,18 +10,19 @@ space of sampled Jacobians has false members, which move the state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from .._base.arguments import Array, positive, quietly, real_numbers, shown
+from .._base.arguments import Array, choice, positive, quietly, real_numbers, shown, warn
+from .._base.failures import FailureWarning, SolveError
+from .._base.labelled import named, require_names
 from .._base.matrices import as_dense
 from .._base.package import public
 from .._base.rational import as_rows
-from .._base.suggestions import meant
-from .._base.types import MethodName
+from .._base.types import MethodName, OnFailure
 from .._functions.derivatives import Derivative, Point, derivative_of, has_llvm
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import in_order
@@ -162,7 +163,12 @@ class SteadyState:
 
 @public
 def steady_state(
-    problem: Problem, method: MethodName | None = None, *, totals: Totals = "auto", tol: float = 1e-10
+    problem: Problem,
+    method: MethodName | None = None,
+    *,
+    totals: Totals = "auto",
+    tol: float = 1e-10,
+    on_failure: OnFailure = "warn",
 ) -> SteadyState:
     """Return the steady state to which the solution of a problem goes: f(t0, y) = 0 with the totals of y0.
 
@@ -182,6 +188,9 @@ def steady_state(
         are conserved.
     tol : float, default 1e-10
         Newton's method ends with a step below this part of each component.
+    on_failure : {"warn", "raise", "return"}, default "warn"
+        If no steady state is reached: return the last state with a `FailureWarning`, raise `SolveError`, or only return
+        it. Its `success` is False.
 
     Returns
     -------
@@ -189,6 +198,8 @@ def steady_state(
 
     Raises
     ------
+    SolveError
+        No steady state was reached, and `on_failure` is "raise".
     TypeError, ValueError
         The problem has a mass matrix that is a function, or complex states; totals that f does not conserve.
 
@@ -213,6 +224,7 @@ def steady_state(
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"steady_state needs an invariode.Problem, got {shown(problem)}")
+    choice("on_failure", on_failure, get_args(OnFailure))
     problem.require_no_delays("steady_state")
     names = problem.parameter_names()
     S0 = None if problem.sensitivities is None else problem.sensitivities.start(names, problem.args, len(problem.y0))
@@ -221,9 +233,12 @@ def steady_state(
     W, labels = states.totals, [one.name for one in names]
     residual = np.abs(found.f).max(initial=0.0)
     if isinstance(found, NotFound):
-        return SteadyState(
-            found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None
-        )  # fmt: skip
+        failed = SteadyState(found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None)
+        if on_failure == "raise":
+            raise SolveError(found.reason, failed)
+        if on_failure == "warn":
+            warn(found.reason, FailureWarning)
+        return failed
     message = "The solution goes to this state." if found.stable else "The state is unstable; the solution stays there."
     if any(point.action is not None for point in problem.breakpoints):
         message += " Actions in the problem's breakpoints, such as doses, do not count."
@@ -317,15 +332,15 @@ class SteadyStates:
         return rows
 
     def _row(self, given: Any, labels: list[str]) -> Array:
-        if not isinstance(given, Mapping):
+        by_label = named("a row of totals", given)
+        if by_label is None:
             row = real_numbers("a row of totals", given)
             if row.shape != (self._n,):
                 raise ValueError(f"a row of totals has {self._n} coefficients, got {shown(given)}")
             return row
         row = np.zeros(self._n)
-        for name, x in given.items():
-            if name not in labels:
-                raise ValueError(f"totals name {name!r}{meant(str(name), labels)}: components are {', '.join(labels)}")
+        require_names("a row of totals", by_label, labels, "components", complete=False)
+        for name, x in by_label.items():
             row[labels.index(name)] = x
         return row
 
@@ -442,7 +457,7 @@ class _Approach:
         self._next = 1 / rate if rate > 0 and np.isfinite(rate) else 0.0
         self._end = _LONGEST * (self._next or np.inf)
         if not self.f.any():
-            self._try(0.0, self._y0, self.f)
+            self._try(0.0, self._y0, unstable=True)
             if self.found is not None:
                 return
         atol = _ATOL * (np.abs(self._y0).max(initial=0.0) or 1.0)
@@ -461,18 +476,19 @@ class _Approach:
         if self._next > T:
             return False
         if self._end < T:
+            self._try(T, np.array(y), unstable=True)  # special initial values lead to an unstable state, and stay there
             self.reason = f"after t = {t:.6g} the solution still moves"
             return True
         f = self._states.value(y, self._args)
         if self._states._mass is None and not (T * np.abs(f) <= _NEAR * sizes_of(y, self._y0)).all():
             return False
-        self._try(T, np.array(y), f)
+        self._try(T, np.array(y))
         self._next = _LATER * T
         return self.found is not None
 
-    def _try(self, T: float, y: Array, f: Array) -> None:
-        """Newton's method from a state of the run; what it finds is accepted if it is near, and stable, or the state
-        itself."""
+    def _try(self, T: float, y: Array, *, unstable: bool = False) -> None:
+        """Newton's method from a state of the run; what it finds is accepted if it is near, and stable unless unstable
+        states count: the solution passes by these, except where it starts at one or has stayed there."""
         states, near, D = self._states, y, sizes_of(y, self._y0)
         W = states.totals if states._mass is None else states.totals @ states._mass
         step = np.full(len(y), np.inf)
@@ -494,8 +510,9 @@ class _Approach:
         f, J = states.linear(y, self._args)
         if not (np.isfinite(f).all() and np.isfinite(J).all()):
             return
-        if not is_stable(states.rates(J, ~self._still)) and (T > 0 or self.f.any()):
-            return  # the solution passes by: a state where it starts is where it stays
+        at_rest = (np.abs(f) <= states._tol * (np.abs(J) @ sizes_of(y, self._y0))).all()
+        if not (at_rest if unstable else is_stable(states.rates(J, ~self._still))):
+            return
         self.found = y, f, J, T
 
 

@@ -11,8 +11,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, number, real_numbers
+from .._base.arguments import Array, real_numbers
 from .._base.forks import cached_property
+from .._base.labelled import in_order, named
 from .._base.types import MethodName
 from .._studies.fit.experiment import Experiment, Failed
 from .._studies.fit.likelihood import FittedModel
@@ -131,7 +132,7 @@ class Problem:
     @cached_property
     def _fit(self) -> FittedModel:
         """The experiments with parameters that start at the nominal values."""
-        wanted = {one.name: Parameter(start=one.nominal) for one in self._rows}
+        wanted = {one.name: Parameter(start=None if math.isnan(one.nominal) else one.nominal) for one in self._rows}
         method = self._parts[0].experiment.method or "ode15s"
         return FittedModel(self.experiments, wanted, True, method, {})
 
@@ -156,7 +157,7 @@ class Problem:
         sigma : ndarray, (N,)
             The noise there.
         """
-        free, fit = self._values(self.nominal if x is None else x), self._fit
+        free, fit = self._values(self._or_nominal(x)), self._fit
         found = []
         for e, (part, simulation) in enumerate(zip(self._parts, fit.simulations, strict=True)):
             ran = simulation.run(fit.space.local(e, free).values, slopes=False)
@@ -175,7 +176,7 @@ class Problem:
 
     def log_likelihood(self, x: Point | None = None) -> float:
         """Return the log-likelihood at x, by default at the nominal parameters."""
-        return self.objective().value(self.nominal if x is None else x)
+        return self.objective().value(self._or_nominal(x))
 
     def chi2(self, x: Point | None = None) -> float:
         """Return the sum of squares of the normalised residuals."""
@@ -212,12 +213,18 @@ class Problem:
 
     # Evaluation
 
+    def _or_nominal(self, x: Point | None) -> Point:
+        """Return x, or the nominal point, which must have a value of each parameter."""
+        if x is None and np.isnan(self.nominal).any():
+            name = self.names[int(np.argmax(np.isnan(self.nominal)))]
+            raise ValueError(f"the parameter {name!r} has no nominalValue: pass x, the values of all parameters")
+        return self.nominal if x is None else x
+
     def _values(self, x: Point) -> Array:
         """Return the estimated parameters on the linear scale. A dict has them by name, on that scale already."""
-        if isinstance(x, Mapping):
-            if missing := [name for name in self.names if name not in x]:
-                raise ValueError(f"x must name all estimated parameters: {', '.join(missing)} missing")
-            return np.array([number(name, x[name]) for name in self.names])
+        by_label = named("x", x)
+        if by_label is not None:
+            return real_numbers("x", in_order("x", by_label, self.names, "estimated parameters"))
         given = real_numbers("x", x)
         if given.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} estimated parameters, got shape {given.shape}")

@@ -9,6 +9,7 @@ experiment.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -33,6 +34,9 @@ from ..sbml.model import Model
 from .problem_files import Measurement, Tables
 
 LN10 = math.log(10.0)
+
+#: A name in a formula.
+_WORD = re.compile(r"[A-Za-z_]\w*")
 
 
 class Period(NamedTuple):
@@ -63,6 +67,10 @@ class Experiments:
                     f"condition {condition!r} sets {unknown[0]!r}, which is neither in the model nor a parameter"
                     f"{meant(unknown[0], known)}"
                 )
+            for name, value in changes.items():
+                if isinstance(value, str) and value not in tables.parameters:
+                    raise ValueError(f"condition {condition!r} sets {name!r} to {value!r}, which is no parameter")
+        self._require_used({*e.symbols})
         base = np.array(e.values)
         for name in e._given & {*e._index}:  # given symbols have their own unit, not that of the file
             base[e._index[name]] = self._in_own_unit(name)
@@ -73,6 +81,21 @@ class Experiments:
         #: Symbols without a number, to which every condition has to give one.
         self._missing = {*np.flatnonzero(np.isnan(values)).tolist()}
         self._p = np.nan_to_num(values, nan=1.0)
+
+    def _require_used(self, symbols: set[str]) -> None:
+        """Raise an error for an estimated parameter on which nothing depends: it is misspelt, most likely."""
+        tables = self._tables
+        values: set[Any] = {value for changes in tables.conditions.values() for value in changes.values()}
+        for one in tables.measurements:
+            values |= {*one.observable_parameters, *one.noise_parameters}
+        formulas = [text for one in tables.observables.values() for text in (one.formula, one.noise)]
+        here = {*symbols, *values, *(word for text in formulas for word in _WORD.findall(text))}
+        for name, row in tables.parameters.items():
+            if row.estimated and name not in here:
+                raise ValueError(
+                    f"the parameter {name!r} is estimated, and neither the model nor a formula, a condition or a datum "
+                    f"has it{meant(name, symbols)}"
+                )
 
     def _in_own_unit(self, name: str) -> float:
         e = self._equations
@@ -148,9 +171,6 @@ class Experiments:
         found: dict[str, float | str] = {}
         for place, value in sets.items():
             if isinstance(value, str):
-                if value not in rows:
-                    name = next(name for name, other in given.items() if other == value)
-                    raise ValueError(f"condition {condition!r} sets {name!r} to {value!r}, which is no parameter")
                 value = value if rows[value].estimated else rows[value].nominal
             found[f"args[0][{place}]"] = value
         needed = self._of_rates | (self._of_start if starts else set())

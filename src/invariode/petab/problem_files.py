@@ -260,7 +260,10 @@ def _prior(row: _Fields, kind: str, parameters: str) -> tuple[str, tuple[float, 
 
 
 def _parameter(row: _Fields) -> ParameterRow:
-    estimated = str(row.get("estimate", "1")).strip().lower().split(".")[0] in ("1", "true")
+    estimate = str(row.get("estimate", "1")).strip().lower().removesuffix(".0")
+    if estimate not in ("0", "1", "true", "false"):
+        raise ValueError(f"{row.where}: estimate must be 0 or 1, got {row['estimate']!r}")
+    estimated = estimate in ("1", "true")
     scale = _scale(row.get("parameterScale"))
     lower, upper = row.number("lowerBound", -math.inf), row.number("upperBound", math.inf)
     if estimated and (lower > upper or (scale != "lin" and -math.inf < lower < 0)):

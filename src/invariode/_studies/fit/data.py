@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array, real_numbers, shown
+from ..._base.labelled import is_table as has_columns
 
 #: The name of the dimension of time in labelled arrays, which is that of `Solution.to_xarray`.
 _TIME = "t"
@@ -30,7 +31,7 @@ def is_table(value: Any) -> bool:
     return (
         isinstance(value, Mapping)
         or hasattr(value, "data_vars")
-        or (hasattr(value, "columns") and hasattr(value, "index"))
+        or has_columns(value)
         or (hasattr(value, "dims") and hasattr(value, "coords") and getattr(value, "ndim", 0) == 2)
     )
 
@@ -42,18 +43,14 @@ def read(t: Any, data: Any, m: int) -> Data:
     """
     if isinstance(data, Mapping) and not hasattr(data, "dims"):
         return _of_columns(t, data)
-    if hasattr(data, "columns") and hasattr(data, "index"):
-        columns = {name: data[name] for name in data.columns}
-        own = t is None and _column_of_times(columns) is None
-        if own and _row_numbers(data):
-            raise ValueError(
-                f"the table has no column t or time, but {', '.join(map(str, columns))}, and its index only counts the "
-                f"rows: name the column of times, such as t={str([*columns][-1])!r}"
-            )
-        return _of_columns(data.index.to_numpy() if own else t, columns)
+    if has_columns(data):
+        columns = _columns(data)
+        if (t is None and column_of_times(columns) is None) or (t == data.index.name if isinstance(t, str) else False):
+            t = _index_of_times(data.index, columns)
+        return _of_columns(t, columns)
     if hasattr(data, "data_vars"):
         if "y" not in data.data_vars:
-            return _of_columns(data[_TIME].values if t is None else t, dict(data.data_vars))
+            return _of_columns(_times_of(data) if t is None else t, dict(data.data_vars))
         data = data["y"]
     if hasattr(data, "dims") and hasattr(data, "coords"):
         return _labelled(t, data)
@@ -63,7 +60,7 @@ def read(t: Any, data: Any, m: int) -> Data:
     values = real_numbers("data", in_order(t, data, "data"))
     if values.ndim == 1:
         values = values[None]
-    return Data(times, _checked(_oriented(values, len(times), m)), None)
+    return Data(times, checked(_oriented(values, len(times), m)), None)
 
 
 def in_order(t: Any, values: Any, what: str) -> Any:
@@ -78,8 +75,8 @@ def in_order(t: Any, values: Any, what: str) -> Any:
     """
     if isinstance(values, Mapping) and not hasattr(values, "dims"):
         return {name: in_order(t, one, f"{what} of {name}") for name, one in values.items()}
-    if hasattr(values, "columns") and hasattr(values, "index"):
-        return {name: in_order(t, values[name], f"{what} of {name}") for name in values.columns}
+    if has_columns(values):
+        return {name: in_order(t, one, f"{what} of {name}") for name, one in _columns(values).items()}
     labels = _labels(values)
     if labels is None:
         return values
@@ -90,8 +87,9 @@ def in_order(t: Any, values: Any, what: str) -> Any:
             return values
         if labels.dtype.kind not in "biuf" or wanted.dtype.kind not in "biuf":
             return values  # names of rows say nothing about time
+    array = np.asarray(values.values if hasattr(values, "values") else values)
     if labels.shape == wanted.shape and bool((labels == wanted).all()):
-        return values
+        return array if array.ndim == 1 else values
     order, place = np.argsort(labels, kind="stable"), np.argsort(wanted, kind="stable")
     if labels.shape != wanted.shape or not bool((labels[order] == wanted[place]).all()):
         index = "the index of t" if own else "t"
@@ -103,7 +101,6 @@ def in_order(t: Any, values: Any, what: str) -> Any:
         raise ValueError(f"{what} and t have labels that repeat themselves, in another order: {_few(labels)}")
     source = np.empty(len(order), dtype=int)
     source[place] = order
-    array = np.asarray(values.values if hasattr(values, "values") else values)
     return array[..., source]
 
 
@@ -119,6 +116,42 @@ def _row_numbers(values: Any) -> bool:
     """Return whether an index only counts rows from 0, as in a table without an index of its own."""
     index = values.index
     return type(index).__name__ == "RangeIndex" and index.start == 0 and index.step == 1
+
+
+def _columns(table: Any) -> dict[Any, Any]:
+    """Return the columns of a table by name.
+
+    Raises ValueError: Two have one name.
+    """
+    if len(twice := table.columns[table.columns.duplicated()]):
+        raise ValueError(f"the table has two columns {twice[0]!r}: leave one out")
+    return {name: table[name] for name in table.columns}
+
+
+def _index_of_times(index: Any, columns: Iterable[Any]) -> Array:
+    """Return the index of a table as times: if it has a name, or if its labels are no integers or texts, which say
+    which rows of another table these are.
+
+    Raises ValueError: It has no name, and such labels.
+    """
+    if index.name is not None or index.dtype.kind in "fmM":
+        return np.asarray(index)
+    raise ValueError(
+        f"the table has no column t or time, but {', '.join(map(str, columns))}, and its index has no name and "
+        f"may count rows: name the column of times, such as t={str([*columns][-1])!r}; if the index holds them, "
+        "table.rename_axis('t')"
+    )
+
+
+def _times_of(labelled: Any) -> Array:
+    """Return the coordinate of times of an array or Dataset of xarray.
+
+    Raises ValueError: There is none.
+    """
+    name = column_of_times(labelled.coords)
+    if name is None:
+        raise ValueError(f"labelled data need a coordinate t or time, and have {', '.join(map(str, labelled.coords))}")
+    return np.asarray(labelled[name].values)
 
 
 def _few(labels: Array) -> str:
@@ -138,14 +171,14 @@ def _times(t: Any) -> Array:
     return times
 
 
-def _column_of_times(names: Iterable[Any]) -> str | None:
+def column_of_times(names: Iterable[Any]) -> str | None:
     """Return the name of the column of times, the shortest if several look like one."""
     return min((name for name in names if isinstance(name, str) and _COLUMN.fullmatch(name)), key=len, default=None)
 
 
 def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
     """Return a column for each quantity."""
-    t = _column_of_times(columns) if t is None else t
+    t = column_of_times(columns) if t is None else t
     if isinstance(t, str):
         if t not in columns:
             raise ValueError(f"t names the column {t!r}, and the data have {', '.join(map(str, columns))}")
@@ -159,11 +192,13 @@ def _of_columns(t: Any, columns: Mapping[Any, Any]) -> Data:
     for name, row in rows.items():
         if row.shape != times.shape:
             raise ValueError(f"data of {name} must have one value for each of the {len(times)} times, got {row.shape}")
-    return Data(times, _checked(np.array([*rows.values()])), [*rows])
+    return Data(times, checked(np.array([*rows.values()])), [*rows])
 
 
 def _labelled(t: Any, data: Any) -> Data:
     """Return a labelled array, with its dimensions in any order."""
+    if _TIME not in data.dims and (name := column_of_times(data.dims)) is not None:
+        data = data.rename({name: _TIME})
     if _TIME not in data.dims or data.ndim > 2:
         raise ValueError(f"a labelled array of data has the dimensions {_TIME!r} and another one, got {data.dims}")
     other = [one for one in data.dims if one != _TIME]
@@ -174,7 +209,7 @@ def _labelled(t: Any, data: Any) -> Data:
     values = np.asarray(rows, dtype=float).reshape(-1, data.sizes[_TIME])
     if values.shape[1] != len(times):
         raise ValueError(f"data have {values.shape[1]} times, and t has {len(times)}")
-    return Data(times, _checked(values), names)
+    return Data(times, checked(values), names)
 
 
 def _oriented(values: Array, count: int, m: int) -> Array:
@@ -197,7 +232,8 @@ def _oriented(values: Array, count: int, m: int) -> Array:
     raise ValueError(f"data must have shape {expected}, got {values.shape}")
 
 
-def _checked(values: Array) -> Array:
+def checked(values: Array) -> Array:
+    """Return values of the data, finite or NaN, not NaN throughout."""
     if np.isinf(values).any():
         raise ValueError("data must be finite, or NaN where nothing was measured")
     if np.isnan(values).all():

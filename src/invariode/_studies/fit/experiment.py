@@ -13,15 +13,17 @@ from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, call_name, choice, items, number, real_numbers, shown
 from ..._base.forks import cached_property
+from ..._base.labelled import is_table as has_columns
+from ..._base.labelled import named, require_names
 from ..._base.package import public
-from ..._base.suggestions import meant
+from ..._base.suggestions import first_few, meant
 from ..._base.types import MethodName
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of, with_values
 from ..._problem.problem import Problem
 from ..._problem.start import of_t_and_y
-from .data import Data, in_order, is_table, read
+from .data import Data, checked, column_of_times, in_order, is_table, read
 
 
 class Failed(NamedTuple):
@@ -54,9 +56,9 @@ class Experiment:
         The problem, with the conditions of this experiment: y0, args, t_span, inputs, events.
     t : array_like of shape (n_t,), str, or None
         The times of the data, in any order, within the problem's t_span; times may be repeated. Infinity: the steady
-        state to which the run leads. None: the column "t" or "time" of a table, otherwise the index of a DataFrame, or
-        the coordinate `t` of a labelled array. A str: the name of the column of times. A table may stand here alone:
-        ``Experiment(problem, table)``.
+        state to which the run leads. None: the column "t" or "time" of a table, otherwise the index of a DataFrame if
+        it has a name or is not of integers, or the coordinate "t" or "time" of a labelled array. A str: the name of the
+        column of times. A table may stand here alone: ``Experiment(problem, table)``.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
         The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
         shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
@@ -64,9 +66,10 @@ class Experiment:
         `event_times`. Values that carry labels of time (the index of pandas, the coordinate `t` of xarray) are matched
         with `t` by these labels, and labels that are other times are an error; so is `sigma`.
     observe : callable, str, int, or list of these, optional
-        The measured quantities: components, by default all; or a function ``observe(t, y, *args)`` that returns a
-        number or an array of shape (m,). Its keyword-only arguments, such as scales and offsets, are parameters of the
-        fit too: ``def observe(t, y, k, *, scale=1.0)``.
+        The measured quantities: components, by default all, or those that `data` has columns for, of which these are
+        compared; or a function ``observe(t, y, *args)`` that returns a number or an array of shape (m,). Its
+        keyword-only arguments, such as scales and offsets, are parameters of the fit too: ``def observe(t, y, k, *,
+        scale=1.0)``.
     sigma : float, str, array_like, dict or callable, optional
         The standard deviation of the data: one for all, one for each quantity (m,), or one for each data point
         (m, n_t). The name of a parameter is a noise level, which is fitted. A list or a dict has one entry for each
@@ -165,7 +168,7 @@ class Experiment:
         self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
         self.noise = _noises(noise, len(self.data.values))
         self.events = _event_series(problem, event_times)
-        self.sigma = None if self.sigma_function is not None else in_order(_order(t, self.data), sigma, "sigma")
+        self.sigma = None if self.sigma_function is not None else self._in_order(t, data, sigma)
         self.event_sigma = event_sigma
         self._dynamic: dict[str, tuple[ParameterName, ...]] = {}
         self._within_span()
@@ -181,13 +184,31 @@ class Experiment:
             raise TypeError("an experiment needs data, or event_times")
 
     def _matched(self, data: Data) -> Data:
-        """Match the data with the observed quantities; column names select components."""
-        observation = self.observation
-        if observation.function is None and data.names is not None:
-            self.observation = observation = observation.chosen(data.names)
+        """Match the data with the observed quantities: columns with components by name, and only the observed ones if
+        `observe` selects some."""
+        observation, names = self.observation, data.names
+        if observation.function is None and names is not None:
+            self.observation, wanted = observation.chosen(names)
+            return Data(data.t, checked(data.values[[names.index(one) for one in wanted]]), wanted)
         if observation.size != len(data.values):
-            raise ValueError(f"data have {len(data.values)} quantities, and {observation.size} are observed")
+            listed = "" if names is None else f", {first_few(names)}"
+            raise ValueError(
+                f"data have {len(data.values)} quantities{listed}, and {observation.size} are observed: leave out "
+                "columns that are no measurements, as in t='time', data=table[['time', 'DV']]"
+            )
         return data
+
+    def _in_order(self, t: Any, data: Any, sigma: Any) -> Any:
+        """Return `sigma` in the order of the times, by its labels and those of the times where these came with any;
+        labels that are names of quantities stay."""
+        labels = getattr(sigma, "index", None)
+        if np.ndim(sigma) == 1 and labels is not None and not callable(labels) and {*labels} & {*self.names}:
+            return sigma
+        if has_columns(data):
+            name = column_of_times(data.columns) if t is None else t
+            t = data[name] if isinstance(name, str) and name in data.columns else t
+        times = t if hasattr(t, "index") and not isinstance(t, (str, list, tuple)) else self.data.t
+        return in_order(times, sigma, "sigma")
 
     def _within_span(self) -> None:
         t0, tf = self.problem.t_span
@@ -209,9 +230,13 @@ class Experiment:
             if self.sigma_function is not None:
                 found = found._replace(sigma=np.ones(len(there)), formula=True)
             yield found
+        of_events = named("event_sigma", self.event_sigma)
+        if of_events is not None:
+            events = [self.problem.events[place].__name__ for place in self.events]
+            require_names("event_sigma", of_events, events, "measured events", complete=False)
         for k, (place, times) in enumerate(self.events.items()):
             name = self.problem.events[place].__name__
-            sigma = self.event_sigma.get(name) if isinstance(self.event_sigma, Mapping) else self.event_sigma
+            sigma = self.event_sigma if of_events is None else of_events.get(name)
             there = np.flatnonzero(~np.isnan(times))
             yield _made(name, rows + k, there, times, sigma, False, "event_sigma")
 
@@ -377,6 +402,7 @@ class Observation:
 
     - `function`: ``observe(t, y, *args, **extras)``
     - `components`: without a function
+    - `selected`: whether `observe` says which
     - `size`: the number of quantities
     - `extras`: the keyword-only arguments of the function with their defaults
     """
@@ -385,7 +411,7 @@ class Observation:
         self._problem = problem
         self.function: Any = None
         self.extras: dict[str, float | None] = {}
-        self.components = list(range(len(problem.y0)))
+        self.components, self.selected = list(range(len(problem.y0))), observe is not None
         if callable(observe) or is_native(observe):
             self.function = _python_function(observe, "observe")
             self.extras = _extras(self.function)
@@ -393,20 +419,32 @@ class Observation:
             self.components = _components(problem, observe, "to observe")
             if not self.components:
                 raise TypeError(f"observe must be a function, or labels or indices of components, got {shown(observe)}")
+            if len({*self.components}) < len(self.components):
+                raise ValueError(f"observe names a component twice: {shown(observe)}")
         self.size = len(self.components) if self.function is None else self._count()
 
-    def chosen(self, names: Sequence[str]) -> Observation:
-        """Return the components with these labels; if as many were selected by `observe`, those are unchanged."""
-        if self.size == len(names) and self.components != list(range(len(self._problem.y0))):
-            return self
-        unknown = [name for name in names if name not in self._problem.labels]
+    def chosen(self, names: Sequence[str]) -> tuple[Observation, list[str]]:
+        """Return the observed ones of the components with these labels, and their labels; a single column of another
+        name is the only observed component."""
+        labels = self._problem.labels
+        unknown = [name for name in names if name not in labels]
+        if self.selected and self.size == len(names) == len(unknown) == 1:
+            return self, list(names)
+        if self.selected and not unknown:
+            observed = [labels[i] for i in self.components]
+            if missing := [one for one in observed if one not in names]:
+                raise ValueError(
+                    f"observe names {missing[0]!r}, and the columns of data are {first_few([*names])}: without "
+                    "observe= each column is compared with the component of its name"
+                )
+            return self, observed
         if unknown and len(unknown) < len(names):
             raise ValueError(
                 f"the column {unknown[0]!r} is no component, which are {', '.join(self._problem.labels)}"
                 f"{meant(unknown[0], self._problem.labels)}; if it has the times, pass t={unknown[0]!r}; if it is "
                 "no measurement, leave it out"
             )
-        return Observation(self._problem, list(names))
+        return Observation(self._problem, list(names)), list(names)
 
     def names(self, size: int) -> list[str]:
         """Return names of the quantities."""
@@ -477,22 +515,15 @@ def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognorma
     return Series(name, row, there, values[there], each, None, lognormal)
 
 
-def _order(t: Any, data: Data) -> Any:
-    """Return the times of the data, with their index where they came with one."""
-    return t if hasattr(t, "index") and not isinstance(t, (str, list, tuple)) else data.t
-
-
 def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
     """Return `sigma` for each quantity."""
     m, count = data.values.shape
     if sigma is None or isinstance(sigma, str):
         return [sigma] * m
-    if isinstance(sigma, Mapping):
-        if unknown := [one for one in sigma if one not in names]:
-            raise ValueError(f"sigma names {unknown[0]!r}{meant(unknown[0], names)}: there are {', '.join(names)}")
-        if missing := [one for one in names if one not in sigma]:
-            raise ValueError(f"sigma is missing for {missing[0]}: give it for all quantities")
-        return [sigma[name] for name in names]
+    by_label = named("sigma", sigma, names)
+    if by_label is not None:
+        require_names("sigma", by_label, names, "measured quantities", complete=True)
+        return [by_label[name] for name in names]
     listed = items(sigma)
     if listed is None:
         return [sigma] * m

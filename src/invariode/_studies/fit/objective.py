@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, real_numbers
+from ..._base.labelled import by_name
 from ..._base.package import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
@@ -21,9 +22,9 @@ from .search import start_points
 class Objective:
     """The log-likelihood of data as a function of the parameters, as returned by `objective`.
 
-    ``objective(x)`` is the value at x of shape (k,), -inf outside the bounds and where the run fails;
-    ``objective.gradient(x)`` is the gradient, and ``objective.both(x)`` returns the value and the gradient. The last
-    point is cached: value and gradient at one point take one run.
+    ``objective(x)`` is the value at x of shape (k,), or a dict or Series by name, -inf outside the bounds and where
+    the run fails; ``objective.gradient(x)`` is the gradient, and ``objective.both(x)`` returns the value and the
+    gradient. The last point is cached: value and gradient at one point take one run.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class Objective:
 
     def both(self, x: ArrayLike) -> tuple[float, Array]:
         """Return value and gradient."""
-        free = real_numbers("x", x)
+        free = real_numbers("x", by_name("x", x, self.names, "parameters"))
         if free.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} parameters {', '.join(self.names)}, got {free.shape}")
         nothing = -np.inf, np.full(len(free), np.nan)
