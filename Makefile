@@ -9,8 +9,8 @@ NATIVE := build/native
 SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -type f) \
   $(shell find src -name '*.py' -o -name '*.pyi' -o -name '*.jinja' -o -name '*.json')
 CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
-# What `make stubs` makes, and `make lint` compares.
-STUBS := _core.pyi _base/method_names.pyi _problem/accepted.pyi _solve/ode_functions.pyi scipy.pyi
+# What `make stubs` makes, and `make lint` compares. The stub of the binding is made by each build.
+STUBS := _base/method_names.pyi _problem/accepted.pyi _solve/ode_functions.pyi scipy.pyi
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
 CTEST := $(BIN)/ctest --output-on-failure -j 2 --timeout 600
 WHEEL := build/wheel
@@ -142,12 +142,13 @@ endef
 lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
 	$(BIN)/mypy
 	$(BIN)/mypy --config-file tests/typing/mypy.ini tests/typing
 	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 	$(call tidy,"--checks=-clang-analyzer-*")
-	mkdir -p build/_base build/_problem build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
+	mkdir -p build/_base build/_problem build/_solve
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
 
@@ -159,8 +160,7 @@ format: $(VENV)/.installed-lint
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format -i $(CXX_FILES)
 
-stubs: $(VENV)/.installed-lint  ## regenerate the stubs, of the binding and of what the registry of methods defines
-	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
+stubs: $(VENV)/.installed-lint  ## regenerate the stubs of what the registry of methods and the table of options define
 	$(BIN)/python .ci/stubs.py src/invariode
 
 bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchmarks
