@@ -160,8 +160,8 @@ def test_rooms_import_downwards_only_and_the_map_has_their_files():
 
 
 #: What stands in one file alone: how a plan runs again, who prepares plans, what keeps the latest of them, what a
-#: problem is, weights of the error test, the course of a plan, which nothing takes apart by position, derivatives of
-#: functions and increments for them.
+#: problem is, weights of the error test, the course of a plan, derivatives of functions, the order of the ways to them
+#: and increments for them, matrices of users, archives. No record is made by position, and no former format is read.
 ONLY_IN = {
     r"\.integrate_anew\(": {"_run/prepared.py"},
     r"\bPrepared\(": {"_run/prepared.py", "_solve/prepared_solver.py"},
@@ -177,6 +177,13 @@ ONLY_IN = {
     r"^class (\w+Spec|\w+Terms|CoreProblem)\b": {"_problem/core_problem.py"},
     r"(Settings|Plan|Course)\._make\(": set(),
     r"^def derivative_of\b|^class Derivative\b": {"_functions/derivatives.py"},
+    r"^def way_of\b|def _mended\b|\b_Sides\(": {"_functions/derivatives.py"},
+    r"\bway_of\(": {"_functions/derivatives.py", "_linear/linear_terms.py", "_laws/bound.py"},
+    r"^def as_matrix\b": {"_base/matrices.py"},
+    r"\bOnCourse\(": {"_run/prepared.py", "_solve/prepared_solver.py"},
+    r"\b[A-Z]\w*\._make\(|_origin: Any\b": set(),
+    r"\bsavez\(": {"_base/files.py", "_base/formats.py"},
+    r"earlier version|former (version|format)": set(),
     r"\b(TINY|INCREMENT|NOT_COMPLEX)\b": {"_functions/increments.py", "_functions/derivatives.py"},
     r"^def (compared|takes_complex|somewhere|sizes)\b": {"_functions/increments.py"},
     r"__signature__ = .*Problem|Problem\.__init__\.__qualname__": set(),

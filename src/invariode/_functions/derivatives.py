@@ -116,6 +116,25 @@ def _matrix(
     return as_matrix(name, found, shape, banded=bands is not None, at=t)
 
 
+def way_of(
+    chosen: str | None, given: Any, *, traced: Callable[[], Any], at_complex: Callable[[], Any] = lambda: None
+) -> tuple[str, Any]:
+    """Return how a derivative is formed, and by what: the first that is available of "given", the user's derivative,
+    "traced", "complex step", and "differences", which are formed by nothing else.
+
+    - `chosen`: the user's word for a way; "differences", "2-point" and "3-point" leave out those before them
+    - `given`: the user's derivative, or None
+    - `traced`, `at_complex`: return what the derivative is formed by, or None if this way is not available
+    """
+    if given is not None:
+        return "given", given
+    if chosen is None or chosen not in ("differences", "2-point", "3-point"):
+        for how, make in (("traced", traced), ("complex step", at_complex)):
+            if (source := make()) is not None:
+                return how, source
+    return "differences", None
+
+
 class Point(NamedTuple):
     """Point (t, y) at which F is defined."""
 

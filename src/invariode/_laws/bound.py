@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,7 @@ from .._functions.compiled import (
     native_parameters,
     to_native,
 )
-from .._functions.derivatives import derived_unnoticed
+from .._functions.derivatives import derived_unnoticed, way_of
 from .._functions.graph.derived import derived
 from .._functions.increments import complex_steps_fit
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, layout_of
@@ -300,10 +300,9 @@ def bind(
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
         if one.names is not None and len(one.names) not in (1, m):
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
-        kind, size, rows, spent = _by_expressions(one, m, t, y, args, p)
-        evaluations += spent
-        kind, spent = _formed(one, kind, name, fun, m, (t, y, args, p), threshold)
-        evaluations += spent
+        choice = _JacobianChoice(one, name, fun, m, (t, y, args, p, threshold))
+        kind, size, rows = choice.made()
+        evaluations += choice.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, size, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
@@ -324,38 +323,71 @@ def bind(
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
 
 
-def _formed(
-    one: Invariants,
-    kind: Any,
-    name: str,
-    fun: Any,
-    m: int,
-    at: tuple[float, Array, tuple[Any, ...], ArgumentLayout],
-    threshold: float | Array,
-) -> tuple[Any, int]:
-    """Return how the Jacobian of an invariant is formed, and the evaluations of g that the choice took."""
-    (t, y, args, p), native = at, is_native(one.fun)
-    if kind not in (None, "complex-step"):
-        return kind, 0
-    is_complex = np.iscomplexobj(y)
-    code = complex_form(fun) if native and not is_complex else None
-    at_complex = one.fun if not native else None if code is None else as_python(fun, m, code)
-    match kind, at_complex:
-        case "complex-step", _ if is_complex:
+#: Point (t, y), arguments, these for native functions, and the `threshold` of `bind`.
+_Start: TypeAlias = tuple[float, Array, tuple[Any, ...], ArgumentLayout, float | Array]
+
+
+class _JacobianChoice:
+    """The choice of how the Jacobian of an invariant is formed. `evaluations`: of g, that it took."""
+
+    def __init__(self, one: Invariants, name: str, fun: Any, m: int, start: _Start) -> None:
+        self._one, self._name, self._fun, self._m, self._start = one, name, fun, m, start
+        self.evaluations = 0
+
+    def made(self) -> tuple[Any, int, tuple[Sequence[int], Sequence[int]]]:
+        """Return the Jacobian, or its way in words, the number of its values, and the pattern of its rows."""
+        one, m, (t, y, args, _, _) = self._one, self._m, self._start
+        chosen: Any = one.jac if isinstance(one.jac, str) else None
+        how, made = way_of(chosen, None if chosen else one.jac, traced=self._traced, at_complex=self._at_complex)
+        if how == "given" and not is_native(made) and len(y) >= MANY_COLUMNS and y.dtype.kind != "c":
+            sparse = sparse_jacobian(made, f"jac of {call_name(one.fun, 'g')}", t, y, args, m)
+            if sparse is not None:
+                return sparse, len(sparse.pattern[1]), sparse.pattern
+        if how != "traced":
+            made = made or chosen or "3-point", m * reals(y), (_FULL, _FULL)
+        jacobian, size, rows = made
+        return jacobian, size, rows
+
+    def _traced(self) -> Any:
+        """Return the exact Jacobian, if the expressions of g are known or follow from a trace; with the number of its
+        values, and the pattern of its rows."""
+        one, m, (t, y, args, p, _) = self._one, self._m, self._start
+        n, python = len(y), not is_native(one.fun)
+        if one.jac is not None or y.dtype.kind == "c":
+            return None
+        exact = derived(one.fun, n, m, p)
+        traced = traced_jacobian(one.fun, m, t, y, args) if python and one._in_core(n) is None else None
+        if traced is not None:
+            exact, self.evaluations = derived_unnoticed(one.fun, n, m, args), 2
+            if not args and takes_no_more(one.fun):
+                traced = None  # machine code is as good as a function that takes arguments
+        if exact is None:
+            return None
+        if n >= MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
+            rows = exact.row_pattern
+            return exact.by_rows() if traced is None else traced.by_rows(rows), exact.entries, rows
+        return exact.dense() if traced is None else traced, m * n, (_FULL, _FULL)
+
+    def _at_complex(self) -> Any:
+        """Return the name of complex steps, if g takes complex y and they give its derivative."""
+        one, name, (t, y, args, p, threshold) = self._one, self._name, self._start
+        native, is_complex = is_native(one.fun), np.iscomplexobj(y)
+        if is_complex and one.jac is not None:
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        case "complex-step", None:
+        code = complex_form(self._fun) if native and not is_complex else None
+        at_complex = one.fun if not native else None if code is None else as_python(self._fun, self._m, code)
+        if at_complex is None and one.jac is not None:
             raise ValueError(
                 f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
                 "invariode.compile that numba compiles for complex y"
             )
-        case "complex-step", _:
-            return kind, 0
-        case None, None:
-            return "3-point", 0
-    assert at_complex is not None
-    values = partial(_values_at, at_complex, t, (p.numbers,) if native else args)
-    fits, spent = complex_steps_fit(values, y, threshold)
-    return "complex-step or 3-point" if fits else "3-point", 0 if native else spent
+        if at_complex is None or one.jac is not None:
+            return one.jac
+        fits, spent = complex_steps_fit(
+            partial(_values_at, at_complex, t, (p.numbers,) if native else args), y, threshold
+        )
+        self.evaluations += 0 if native else spent
+        return "complex-step or 3-point" if fits else None
 
 
 def values_at_start(
@@ -380,33 +412,6 @@ def values_at_start(
                 return None
         values.append(found if one.value is None else np.broadcast_to(one.value, (spec.m,)))
     return np.concatenate(values) if evaluations == bound.evaluations else None
-
-
-def _by_expressions(
-    one: Invariants, m: int, t: float, y: Array, args: tuple[Any, ...], p: ArgumentLayout
-) -> tuple[Any, int, tuple[Sequence[int], Sequence[int]], int]:
-    """Return the Jacobian of an invariant as it is given, or exact if the expressions of g are known or follow from a
-    trace; with the number of its values, the pattern of its rows, and the evaluations of g that this took."""
-    n, spent = reals(y), 0
-    kind, exact, traced = one.jac, None, None
-    if kind is None and y.dtype.kind != "c":
-        exact = derived(one.fun, n, m, p)
-    if kind is None and not is_native(one.fun) and one._in_core(n) is None:
-        traced = traced_jacobian(one.fun, m, t, y, args)
-    if traced is not None:
-        exact, spent = derived_unnoticed(one.fun, n, m, args), 2
-        if not args and takes_no_more(one.fun):
-            traced = None  # machine code is as good as a function that takes arguments
-    if callable(kind) and not is_native(kind) and n >= MANY_COLUMNS and y.dtype.kind != "c":
-        sparse = sparse_jacobian(kind, f"jac of {call_name(one.fun, 'g')}", t, y, args, m)
-        if sparse is not None:
-            return sparse, len(sparse.pattern[1]), sparse.pattern, spent
-    if exact is None:
-        return kind, m * n, (_FULL, _FULL), spent
-    if n >= MANY_COLUMNS and exact.entries <= _FEW_ENTRIES * m * n:
-        rows = exact.row_pattern
-        return exact.by_rows() if traced is None else traced.by_rows(rows), exact.entries, rows, spent
-    return exact.dense() if traced is None else traced, m * n, (_FULL, _FULL), spent
 
 
 def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:

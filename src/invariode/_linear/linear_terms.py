@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, warn
 from .._base.matrices import as_dense, as_matrix, compressed, is_sparse
 from .._functions.compiled import NativeWithInputs, is_native, to_native
+from .._functions.derivatives import way_of
 from .._functions.graph.derived import Derived, derived, native
 from .._functions.increments import compiled_at_complex, python_at_complex
 from .._functions.layout import ArgumentLayout
@@ -178,8 +179,13 @@ def _jacobian(given: Matrices, start: FunctionAtStart) -> _Jacobian:
     bands = given.bands
     if is_native(given.jac):
         return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
-    if given.jac is None or isinstance(given.jac, str):
-        return _computed(given, bands, start)
+    chosen = given.jac if isinstance(given.jac, str) else None
+    known, at_complex = None if chosen else given.jac, partial(_complex_steps, chosen, start)
+    how, source = way_of(chosen, known, traced=lambda: start.exact, at_complex=at_complex)
+    if how == "traced":
+        return _exact_jacobian(given, bands, start, source)
+    if how != "given":
+        return _computed(given, bands, start, source)
     if given.jac_sparsity is not None:
         warn("jac_sparsity has no effect together with jac")
 
@@ -196,14 +202,13 @@ def _jacobian(given: Matrices, start: FunctionAtStart) -> _Jacobian:
     return _Jacobian(held, "constant", held.values("jac", given.jac))
 
 
-def _computed(given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart) -> _Jacobian:
-    """Return a Jacobian computed from f, by complex steps or finite differences, in a structure that is given or
-    found."""
+def _computed(
+    given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart, at_complex: Any | None
+) -> _Jacobian:
+    """Return a Jacobian computed from f, by complex steps if f for complex y is there, else by finite differences, in a
+    structure that is given or found."""
     y0, found, pattern = start.y, 0, None
     storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
-    exact = start.exact
-    if exact is not None and given.jac != "differences":
-        return _exact_jacobian(given, bands, start, exact)
     if bands is not None:
         held = storage("banded", lower=bands[0], upper=bands[1])
     elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
@@ -219,7 +224,6 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: FunctionAtS
             f"a dense Jacobian of {len(y0)} components takes {size:.1f} GiB: give jac_sparsity, or "
             "jac=Banded(lower, upper), to say which entries are zero"
         )
-    at_complex = _complex_steps(given.jac, start)
     if at_complex is None:
         return _Jacobian(held, "differences", pattern, found)
     return _Jacobian(held, "complex-step", (at_complex, pattern), found)
@@ -270,7 +274,7 @@ def _rate(given: Matrices, start: FunctionAtStart) -> Any:
 
 def _complex_steps(jac: str | None, start: FunctionAtStart) -> Any:
     """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
-    if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
+    if jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default):
         return None
     if np.iscomplexobj(start.y):
         raise ValueError(
