@@ -74,10 +74,12 @@ def dealt(count: int | None = None, /, **lists: Iterable[object]) -> pytest.Mark
 
 
 class hidden:  # noqa: N801  # it reads like a function
-    """A Python function as an object, which runs do not trace in passing: they meet its switching times unprepared."""
+    """A Python function as an object, which runs do not trace in passing, as it calls a function that is not
+    known to have no effect: they meet its switching times unprepared."""
 
     def __init__(self, fun):
         self.fun = fun
 
     def __call__(self, *args):
+        assert callable(self.fun)
         return self.fun(*args)

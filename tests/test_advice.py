@@ -212,10 +212,39 @@ def test_functions_with_the_state_before_time_are_noticed():
     for fun in (lambda x, t: -x, lambda state, time: -state):
         with pytest.warns(UserWarning, match=r"is called as fun\(t, y\): swap them, or use odeint"):
             iv.solve_ivp(fun, (0, 1), [1.0])
-    with pytest.warns(UserWarning, match=r"the action of event has the parameters \(y, t\)"):
+    with pytest.warns(UserWarning, match=r"action has the parameters \(y, t\)"):
         iv.Event(lambda t, y: y[0], action=lambda y, t: y)
     for fun in (lambda t, T: -T, lambda time, t: -t, lambda s, theta: -theta):
         iv.solve_ivp(fun, (0, 1), [1.0], events=fun)
+
+
+def test_exchanged_arguments_are_noticed_by_their_names():
+    """One rule for all functions that users give: forces, residuals, Jacobians, invariants, second-order equations."""
+    system = iv.MechanicalSystem
+    calls = [
+        (r"force has the parameters \(q, v, t\) and is called as force\(t, q, v\)", lambda f: system([1], f), 0),
+        ("force", lambda f: system([1], f), 1),
+        ("force", lambda f: system([1], f), 2),
+        ("energy", lambda f: system([1], lambda t, q, v: [0], energy=f), 1),
+        ("constraints", lambda f: system([1], lambda t, q, v: [0], constraints=f), 4),
+        ("mass", lambda f: system(f, lambda t, q, v: [0]), 4),
+        (r"F has the parameters \(t, yp, y\) and is called as F\(t, y, yp\)", lambda f: iv.Dae(f, 0, [1.0]), 3),
+        ("jac", lambda f: iv.Problem(lambda t, y: -y, (0, 1), [1.0], jac=f), 4),
+        ("the invariant", iv.Invariants, 4),
+        ("fun", iv.SecondOrder, 4),
+    ]
+    functions = [
+        lambda q, v, t: [v[0]],
+        lambda t, v, q: [v[0]],
+        lambda t, qdot, q: [q[0]],
+        lambda t, yp, y: [y[0] - yp[0]],
+        lambda q, t: [q[0]],
+    ]
+    for name, call, k in calls:
+        with pytest.warns(UserWarning, match=name):
+            call(functions[k])
+    for force in (lambda t, q, v: [q[0]], lambda t, x, xdot: [x[0]], lambda time, y, w: [y[0]], lambda s, a, b: [a[0]]):
+        system([1], force)
 
 
 def test_misspelt_options_of_events_are_named():

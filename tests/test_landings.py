@@ -5,8 +5,12 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+import sys
 import types
 import warnings
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,6 +18,7 @@ from scipy.interpolate import CubicSpline
 
 import invariode as iv
 from cases import FAMILIES, SERIES, dealt, families, families_and_series, hidden
+from invariode._base.record import record_of
 from invariode._functions.graph.plain import may_switch, plain_graph
 from invariode._functions.layout import layout_of
 from invariode._sensitivity.landings import schedule_of
@@ -145,8 +150,31 @@ COUNT = 0
 
 def test_functions_whose_tracing_could_be_noticed_are_not_traced():
     """Such functions write to what is not theirs, call what is not known, or read what may have effects."""
-    seen, table, settings = [0], {}, types.SimpleNamespace(period=2.0)
+    seen, table, settings = [0], {}, types.SimpleNamespace(last=2.0)
     array = np.zeros(3)
+
+    class Recorder:
+        def __init__(self):
+            self.times, self.last = [], 3.0
+
+        def seen(self, t):
+            self.times.append(t)
+            return t
+
+        @property
+        def counted(self):
+            self.times[:] = [*self.times, 1]
+            return 3.0
+
+    class Aware(Recorder):
+        def __getattribute__(self, name):
+            seen.append(name)
+            return object.__getattribute__(self, name)
+
+    class Sized(dict):
+        pass
+
+    recorder, aware, sized = Recorder(), Aware(), Sized(a=3.0)
 
     def counting(t, y):
         seen[0] += 1
@@ -179,8 +207,25 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
         mine += 1
         return [1.0 if t < 3 else 0.0]
 
-    def of_attributes(t, y):
-        return [1.0 if t % settings.period < 1 else 0.0]
+    def of_objects(t, y):
+        return [1.0 if recorder.seen(t) < 3 else 0.0]
+
+    def of_properties(t, y):
+        return [1.0 if t < recorder.counted else 0.0]
+
+    def of_aware_objects(t, y):
+        return [1.0 if t < aware.last else 0.0]
+
+    def of_a_derived_dict(t, y):
+        return [1.0 if t < sized["a"] else 0.0]
+
+    def of_a_call(t, y):
+        recorder.times.append(t)
+        return [1.0 if t < 3 else 0.0]
+
+    def writing(t, y):
+        np.copyto(array, 1.0)
+        return [1.0 if t < 3 else 0.0]
 
     def setting(t, y):
         settings.last = t
@@ -197,12 +242,166 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
         return counting(t, y)
 
     for fun in (
-        *(counting, nonlocal_one, global_one, remembering, appending, filling, aliased, of_attributes, setting),
-        *(printing, random_one, calling),
+        *(counting, nonlocal_one, global_one, remembering, appending, filling, aliased, setting, printing, random_one),
+        *(calling, of_objects, of_properties, of_aware_objects, of_a_derived_dict, of_a_call, writing),
     ):
-        before = copy.deepcopy((seen, table, vars(settings), array.tolist(), COUNT))
+        before = copy.deepcopy((seen, table, vars(settings), array.tolist(), COUNT, recorder.times))
         assert not may_switch(fun) or plain_graph(fun, 1, layout_of(())) is None
-        assert before == (seen, table, vars(settings), array.tolist(), COUNT)
+        assert before == (seen, table, vars(settings), array.tolist(), COUNT, recorder.times)
+
+
+FROM, TO = 40.0, 40.5
+
+
+def between(t, times):
+    return 1.0 if times[0] <= t < times[1] else 0.0
+
+
+class Held:
+    """Times as attributes of an object, one of them as a property; what it does besides cannot be traced."""
+
+    from_ = FROM
+
+    def __init__(self):
+        self.length, self.stream, self.parts = TO - FROM, sys.stdout, {"times": np.array([FROM, TO])}
+
+    @property
+    def to(self):
+        return self.from_ + self.length
+
+    def pulse(self, t):
+        return 1.0 if self.from_ <= t < self.to else 0.0
+
+    def of_table(self, t):
+        return between(t, self.parts["times"])
+
+    def __call__(self, t):
+        return self.pulse(t)
+
+    def show(self):
+        try:
+            print(self, file=self.stream)
+        finally:
+            self.stream.flush()
+
+
+class Space:
+    low, high = FROM, TO
+
+
+@dataclass(slots=True)
+class Slotted:
+    low: float
+    high: float
+
+
+class Named(NamedTuple):
+    low: float
+    high: float
+
+
+def ways():
+    """A pulse by all ways of holding its times: a function of t and further arguments, and these arguments."""
+    held, table, simple = Held(), {"times": [FROM, TO]}, types.SimpleNamespace(low=FROM, high=TO, at=np.array([FROM]))
+    by_name = {"record": record_of({"low": FROM, "high": TO}), "tuple": Named(FROM, TO), "slots": Slotted(FROM, TO)}
+    by_name |= {"namespace": simple, "class": Space}
+    pair, given = (held.pulse, held), {"times": (FROM, TO)}
+    yield "numbers", lambda t, a, b: 1.0 if a <= t < b else 0.0, (FROM, TO)
+    yield "a dict", lambda t: between(t, table["times"]), ()
+    yield "a dict among args", lambda t, of: between(t, of["times"]), (table,)
+    yield "a tuple of functions", lambda t, of=pair: of[0](t) * of[1](t), ()
+    yield "a dict of keywords", lambda t: between(t, **given), ()
+    yield "a method", held.pulse, ()
+    yield "an array of an object", held.of_table, ()
+    yield "an object that is called", held, ()
+    yield "an array of a namespace", lambda t: 1.0 if simple.at[0] <= t < simple.at[0] + 0.5 else 0.0, ()
+    yield "a partial function", partial(between, times=(FROM, TO)), ()
+    yield "a table", iv.Input([0.0, FROM, TO], [0.0, 1.0, 0.0]), ()
+    for name, one in by_name.items():
+        yield f"attributes: {name}", lambda t, of=one: 1.0 if of.low <= t < of.high else 0.0, ()
+        yield f"attributes among args: {name}", lambda t, of: 1.0 if of.low <= t < of.high else 0.0, (one,)
+
+
+#: Solutions at 100 of y' = u, by each function that takes u, and what they are for a pulse of length 1/2 at 40.
+FACES = {
+    "solve_ivp": (lambda f, g, args, m: iv.solve_ivp(f, (0, 100), [0.0], m, args=args).y[0, -1], 0.5),
+    "partial": (lambda f, g, args, m: iv.solve_ivp(partial(f), (0, 100), [0.0], m, args=args).y[0, -1], 0.5),
+    "compile": (lambda f, g, args, m: iv.solve_ivp(iv.compile(f), (0, 100), [0.0], m, args=args).y[0, -1], 0.5),
+    "prepare": (lambda f, g, args, m: iv.Problem(f, (0, 100), [0.0], args=args).prepare(m)().y[0, -1], 0.5),
+    "ensemble": (
+        lambda f, g, args, m: iv.solve_ensemble(f, (0, 100), [[0.0], [1.0]], m, args=args, workers=1).y_end[0, 0],
+        0.5,
+    ),
+    "odeint": (lambda f, g, args, m: iv.odeint(lambda y, t, *p: f(t, y, *p), [0.0], [0, 100.0], args)[-1, 0], 0.5),
+    "ode": (
+        lambda f, g, args, m: (
+            iv.ode(f).set_integrator("dop853").set_f_params(*args).set_initial_value([0.0], 0.0).integrate(100.0)[0]
+        ),
+        0.5,
+    ),
+    "delays": (
+        lambda f, g, args, m: iv.solve_ivp(
+            lambda t, y, z, *p: f(t, y, *p), (0, 100), [0.0], m, args=args, delays=9, history=0
+        ).y[0, -1],
+        0.5,
+    ),
+    "inputs": (
+        lambda f, g, args, m: (
+            iv.Problem(
+                lambda t, y, u, *p: [u * f(t, y, *p)[0]], (0, 100), [0.0], args=args, inputs=iv.Input([0], [2.0])
+            )
+            .solve(m)
+            .y[0, -1]
+        ),
+        1.0,
+    ),
+    "SecondOrder": (
+        lambda f, g, args, m: iv.solve_ivp(iv.SecondOrder(f), (0, 100), [0.0, 0], m, args=args).y[1, -1],
+        0.5,
+    ),
+    "rkn86": (
+        lambda f, g, args, m: iv.solve_ivp(iv.SecondOrder(f), (0, 100), [0, 0.0], "rkn86", args=args).y[1, -1],
+        0.5,
+    ),
+    "force": (
+        lambda f, g, args, m: iv.MechanicalSystem([1], g, args=args).problem((0, 100), [0], [0]).solve(m).y[1, -1],
+        0.5,
+    ),
+    "mass": (
+        lambda f, g, args, m: (
+            iv.MechanicalSystem(lambda t, q, *p: [[1 + f(t, q, *p)[0]]], lambda t, q, v, *p: [1.0], args=args)
+            .problem((0, 100), [0], [0])
+            .solve(m)
+            .y[1, -1]
+        ),
+        99.75,
+    ),
+    "kinematics": (
+        lambda f, g, args, m: (
+            iv.MechanicalSystem([1], lambda t, q, v, *p: [0.0], kinematics=g, args=args)
+            .problem((0, 100), [0], [0])
+            .solve(m)
+            .y[0, -1]
+        ),
+        0.5,
+    ),
+}
+
+
+def test_a_switch_in_time_is_a_landing_by_whatever_function_it_enters():
+    """A pulse of any function that a run calls as f is seen, wherever the function holds its times."""
+    lost = []
+    for i, (way, u, args) in enumerate(ways()):
+        for k, (face, (solve, right)) in enumerate(FACES.items()):
+            found = solve(
+                lambda t, y, *p, u=u: [u(t, *p)],
+                lambda t, q, v, *p, u=u: [u(t, *p)],
+                args,
+                ("ode45", "radau")[(i + k) % 2],
+            )
+            if not abs(found - right) <= 2e-6 * right:
+                lost.append((way, face, found))
+    assert not lost
 
 
 def test_a_function_is_traced_for_what_it_uses_when_it_runs():

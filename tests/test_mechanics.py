@@ -696,3 +696,14 @@ def test_forces_at_times_are_those_of_the_continuous_solution():
         system.multipliers(system.problem((0, 3), [1, 0], [0, 0]).solve(), t=0.5)
     with pytest.raises(TypeError, match="sol must be a solution"):
         system.multipliers(sol.sol(0.5))
+
+
+def test_forces_of_joints_are_those_of_the_run_alone():
+    """Extrapolated states have no forces: times outside the run are an error, as for ``sol(t, extrapolate=False)``."""
+    system = iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1], lambda t, q: [np.hypot(*q) - 1])
+    sol = system.problem((0, 1), [1, 0], [0, 0]).solve("dop853", dense_output=True)
+    for compute in (system.multipliers, system.reactions):
+        assert np.allclose(compute(sol, t=[0.0, 1.0]), compute(sol)[:, [0, -1]], atol=1e-12)
+        for t in (-1e-3, 1.001, [0.5, 2.0]):
+            with pytest.raises(ValueError, match="outside the solution's interval, 0 to 1: extend the run"):
+                compute(sol, t=t)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
+from functools import lru_cache
 from types import FunctionType
 from typing import Any, NamedTuple, TypeGuard, TypeVar, cast
 
@@ -85,15 +86,33 @@ def quietly() -> Iterator[None]:
         _quiet.reset(token)
 
 
-#: Names of time as the second parameter of a function of (y, t), which is called as one of (t, y).
-_TIME_SECOND = frozenset({("t",), ("time",)})
+#: Names of the places of arguments that other names have too.
+_ALIKE = {"time": "t"}
+#: Names of the derivative of what {0} is.
+_RATES = ("{0}p", "d{0}", "{0}dot", "{0}_dot", "{0}prime", "d{0}dt")
 
 
-def warn_of_state_first(name: str, fun: FunctionType, instead: str = "") -> None:
-    """Warn of a Python function whose parameters are (y, t), by whatever name of y, and which is called with (t, y)."""
-    names = fun.__code__.co_varnames
-    if names[1:2] in _TIME_SECOND and names[:1] not in _TIME_SECOND and fun.__code__.co_argcount > 1:
-        warn(f"{name} has the parameters ({names[0]}, {names[1]}) and is called as {name}(t, y): swap them{instead}")
+def warn_of_order(name: str, fun: FunctionType, signature: str, instead: str = "") -> None:
+    """Warn of a Python function whose parameters are those of a signature, such as "F(t, y, yp)", in another order, as
+    their names show. Of functions of time and a state, by whatever name of the state, only the place of t counts."""
+    expected = _places(signature)
+    code = fun.__code__
+    given = code.co_varnames[: min(code.co_argcount, len(expected))]
+    if given == expected:
+        return
+    names = tuple(_ALIKE.get(one, one) for one in given)
+    counted = expected if len(expected) > 2 else ("t",)
+    places = [expected.index(one) if one in counted else i for i, one in enumerate(names)]
+    exchanged = any(place < len(names) and names[place] != names[i] for i, place in enumerate(places))
+    if exchanged or (len(names) > 2 and any(names[1] == one.format(names[2]) for one in _RATES)):
+        called = signature if not name.isidentifier() else name + signature[signature.index("(") :]
+        warn(f"{name} has the parameters ({', '.join(given)}) and is called as {called}: swap them{instead}")
+
+
+@lru_cache(maxsize=64)
+def _places(signature: str) -> tuple[str, ...]:
+    """Return the names of the arguments of a signature, without further ones."""
+    return tuple(one for one in signature[signature.index("(") + 1 : -1].split(", ") if not one.startswith("*"))
 
 
 def call_name(fun: object, default: str) -> str:
@@ -145,9 +164,13 @@ class _Shown(reprlib.Repr):
 shown = _Shown().repr
 
 
-def function(name: str, value: object, signature: str) -> Any:
+def function(name: str, value: object, signature: str, instead: str = "") -> Any:
+    """Return a function as given, with a warning if its parameters have another order than its signature; `instead`: as
+    in `warn_of_order`."""
     if not callable(value):
         raise TypeError(f"{name} must be a function {signature}, got {shown(value)}")
+    if isinstance(value, FunctionType):
+        warn_of_order(name, value, signature, instead)
     return value
 
 

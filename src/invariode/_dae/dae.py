@@ -212,13 +212,14 @@ class Dae:
         equations: Sequence[str] | None = None,
         order: Literal[1, 2] = 1,
     ) -> None:
-        self.F = function("F", F, "F(t, y, yp)")
         self.t0, self.order = number("t0", t0), _order(order)
+        signature = "F(t, y, yp)" if self.order == 1 else "F(t, y, yp, ypp)"
+        self.F = function("F", F, signature)
         self.y0 = _real_state("y0", y0)
         n = len(self.y0)
         self.yp0 = None if yp0 is None else _real_state("yp0", yp0, n)
         self.args = extra_arguments(args)
-        require_called("F", F, "F(t, y, yp)" if self.order == 1 else "F(t, y, yp, ypp)", self.args)
+        require_called("F", F, signature, self.args)
         self.name = call_name(F, "dae")
         self.names = [f"y[{j}]" for j in range(n)] if names is None else distinct_labels(names, n)
         self.equations = [f"F[{i}]" for i in range(n)] if equations is None else _names(equations, n)

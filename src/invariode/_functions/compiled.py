@@ -69,6 +69,15 @@ class Watch(Protocol):
         """Return whether the run must stop."""
 
 
+class Part(NamedTuple):
+    """A user's function of (t, x, *args), or of (t, q, v, *args) with x = (q, v), that another function is made of."""
+
+    function: Any
+    n: int  # components of x
+    second: int  # components of v; 0: it takes x
+    size: int  # number of its values
+
+
 class CoreFunction:
     """A function of (t, y, *args) that the core itself evaluates: callable from Python; the core takes `for_core`."""
 
@@ -78,6 +87,8 @@ class CoreFunction:
     derivatives: Mapping[str, str] = MappingProxyType({})
     #: The user's functions that it calls.
     functions: Sequence[Any] = ()
+    #: Those of them that Python can call and on which its values depend.
+    parts: Sequence[Part] = ()
     #: The number of leading components of y that are positions, whose velocities follow; 0 if y has no positions.
     positions = 0
 

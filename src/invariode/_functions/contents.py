@@ -11,7 +11,7 @@ import inspect
 import sys
 from collections.abc import Iterator
 from functools import partial
-from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ import numpy as np
 ATOMS = (type(None), bool, int, float, complex, str, bytes, np.generic, CodeType)
 #: Values that cannot change: if the object is the same, so is its content.
 _IMMUTABLE = (*ATOMS, ModuleType, type, BuiltinFunctionType, np.ufunc)
+
+#: Functions of these packages are not copied.
+_OTHERS = ("numpy", "scipy", "numba", "matplotlib", "pandas", "sympy", "builtins", "math", "cmath")
 
 
 class _Opaque:
@@ -183,3 +186,20 @@ class Captured:
             if content(now) != (content(value) if before is None else before):
                 return True
         return False
+
+
+def is_of_others(module: str | None) -> bool:
+    """Return whether a module belongs to a package whose functions are not copied."""
+    return (module or "").partition(".")[0] in _OTHERS
+
+
+def is_copied(kind: type) -> bool:
+    """Return whether copies of functions use copies of objects of this type, with all of their attributes."""
+    has_slots = any(vars(one).get("__slots__") for one in kind.__mro__[:-1])
+    return kind is SimpleNamespace or (has_own_code(kind) and not has_slots)
+
+
+def has_own_code(kind: type) -> bool:
+    return isinstance(getattr(kind, "__dict__", {}).get("__init__", None), FunctionType) or any(
+        isinstance(found, FunctionType) for one in kind.__mro__[:-1] for found in vars(one).values()
+    )

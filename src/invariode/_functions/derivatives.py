@@ -548,7 +548,7 @@ def derived_unnoticed(fun: Any, n: int, m: int, args: tuple[Any, ...]) -> Derive
     be traced so."""
     from .graph.plain import plain_graph  # imported when a function may be traced
 
-    graph = plain_graph(fun, n, layout_of(args).fixed(TRUTHS), size=m)
+    graph = plain_graph(fun, n, layout_of(args).fixed(TRUTHS), size=m, of_objects=False)
     if graph is None:
         return None
     if graph.exact is None:

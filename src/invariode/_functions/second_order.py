@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, shown
+from .._base.arguments import Array, call_name, shown, warn_of_order
 from .compiled import CompiledFunction, CoreFunction, as_python, is_native, native_parameters, to_native
 from .forms import FirstOrderForm
 from .layout import ArgumentLayout
@@ -48,6 +49,8 @@ class SecondOrder(CoreFunction):
         self.fun: Any = fun.fun if isinstance(fun, SecondOrder) else fun
         if not callable(self.fun) and not is_native(self.fun):
             raise TypeError(f"SecondOrder takes a function f(t, q), got {shown(fun)}")
+        if type(self.fun) is FunctionType:
+            warn_of_order("fun", self.fun, "f(t, q)")
         self.__name__ = call_name(self.fun, "f")
         self.functions = [self.fun]
         if not is_native(self.fun) or isinstance(self.fun, CompiledFunction):

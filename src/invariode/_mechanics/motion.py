@@ -13,7 +13,15 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import Array
 from .._base.matrices import compressed
-from .._functions.compiled import Callback, CompiledFunction, CoreFunction, is_native, native_parameters, to_native
+from .._functions.compiled import (
+    Callback,
+    CompiledFunction,
+    CoreFunction,
+    Part,
+    is_native,
+    native_parameters,
+    to_native,
+)
 from .._functions.graph.function import TracedFunction
 from .._functions.increments import somewhere
 from .._functions.layout import ArgumentLayout
@@ -216,6 +224,13 @@ class Motion:
         """Return the slope or an invariant for tracing; None: it depends on machine code, or on sparse matrices."""
         return self._graphs.of(part, self.kept)
 
+    @property
+    def parts(self) -> list[Part]:
+        """The user's functions that Python can call."""
+        sizes = (self.n_q, 0), (self.n_q + self.n_v, self.n_v)
+        given = self._graphs.functions.values()
+        return [Part(one.function, *sizes[one.of_v], one.size) for one in given if one.may_be_traced]
+
     def _parameters(self, args: tuple[Any, ...]) -> ArgumentLayout:
         return native_parameters(args, self._called)
 
@@ -397,6 +412,10 @@ class MotionFunction(CoreFunction):
     @property
     def native(self) -> bool:  # type: ignore[override]  # a constant for others
         return self._motion.native
+
+    @property
+    def parts(self) -> list[Part]:  # type: ignore[override]  # a constant for others
+        return self._motion.parts
 
     @property
     def positions(self) -> int:  # type: ignore[override]  # a constant for others

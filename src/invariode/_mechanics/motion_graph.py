@@ -168,7 +168,7 @@ class GraphsOfMotion:
 
     def __init__(self, n_q: int, n_v: int, functions: dict[str, OfState], mass: Array | None = None) -> None:
         self._n_q, self._n_v, self._mass = n_q, n_v, mass
-        self._functions = {name: one for name, one in functions.items() if one.size}
+        self.functions = {name: one for name, one in functions.items() if one.size}
         self._made: dict[tuple[str, bytes], OnTraces] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -176,7 +176,7 @@ class GraphsOfMotion:
 
     def of(self, part: str, kept: Array) -> OnTraces | None:
         """Return a part with the constraints that are `kept`; None: it cannot be traced, or is too large."""
-        functions = {name: one for name, one in self._functions.items() if name in _PARTS[part]}
+        functions = {name: one for name, one in self.functions.items() if name in _PARTS[part]}
         if part == "slope":
             without_mass = self._mass is None and "mass" not in functions
             if without_mass or self._n_v + np.count_nonzero(kept) > MOST_UNKNOWNS:

@@ -372,7 +372,7 @@ class MechanicalSystem(HasPoints):
         if t is not None and getattr(sol, "sol", None) is None:
             raise ValueError("t needs a continuous solution: solve with dense_output=True, or these times as t_eval")
         times = sol.t if t is None else np.atleast_1d(np.asarray(t, dtype=float))
-        states = sol.y if t is None else sol.sol(times)  # type: ignore[attr-defined]  # just tested
+        states = sol.y if t is None else sol.sol(times, extrapolate=False)  # type: ignore[attr-defined]  # just tested
         points = [MotionPoint(float(at), y[:n], y[n:], used) for at, y in zip(times, np.asarray(states).T, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]

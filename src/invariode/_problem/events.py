@@ -19,7 +19,7 @@ from .._base.arguments import (
     positive_integer,
     shown,
     warn,
-    warn_of_state_first,
+    warn_of_order,
 )
 from .._base.suggestions import naming_arguments, nearest
 from .._base.types import EventFunction, EventsLike, Function
@@ -128,9 +128,8 @@ class Event:
         self.at_jumps = flag("at_jumps", at_jumps)
         self.__name__ = call_name(fun, "event") if name is None else _name(name)
         terminal_count(self), direction_sign(self)
-        for called, one in ((self.__name__, fun), (f"the action of {self.__name__}", action)):
-            if type(one) is FunctionType:
-                warn_of_state_first(called, one)
+        if type(fun) is FunctionType:
+            warn_of_order(self.__name__, fun, "g(t, y)")
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any
 
 import numpy as np
 
-from .._base.arguments import Array, either, shown
+from .._base.arguments import Array, either, shown, warn_of_order
 from .._base.matrices import as_matrix
 from .._functions.compiled import is_native
 from .grouped import JACOBIANS, Banded, bandwidth
@@ -64,6 +65,8 @@ def to_matrices(jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, 
         bands = bandwidth(names[0], lower, n), bandwidth(names[1], upper, n)
     if bands is not None and jac_sparsity is not None:
         raise ValueError("give either jac_sparsity or lband and uband (or Banded), not both")
+    if type(jac) is FunctionType:
+        warn_of_order("jac", jac, "jac(t, y)")
     if isinstance(jac, str):
         _word("jac", jac, JACOBIANS, "a function, a matrix, ")
     elif _is_constant(jac):

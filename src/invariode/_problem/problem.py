@@ -27,7 +27,7 @@ from .._base.arguments import (
     require_no_unit,
     shown,
     state,
-    warn_of_state_first,
+    warn_of_order,
 )
 from .._base.forks import cached_property
 from .._base.labelled import by_name, named, require_names
@@ -265,7 +265,7 @@ class Problem:
             start.setflags(write=False)
         called, second_order = fun, False
         if type(fun) is FunctionType and fun.__name__ != LAMBDIFIED:  # the common case
-            warn_of_state_first("fun", fun, ", or use odeint")
+            warn_of_order("fun", fun, "f(t, y)", ", or use odeint")
         elif type(fun) is not StateFirst:
             called = _as_called(fun, start)
             second_order = states_second_order(called) and _is_second_order(False, called, start)

@@ -471,7 +471,7 @@ class DenseSolution:
             if outside.size:
                 raise ValueError(
                     f"t = {outside[0]:.10g} is outside the solution's interval, {self.t_min:.10g} to "
-                    f"{self.t_max:.10g}: extend the run, sol.extend(t), or leave out extrapolate=False"
+                    f"{self.t_max:.10g}: extend the run, sol.extend(t)"
                 )
         g = self._invariants
         rows = g.evaluate(self._dense, np.atleast_1d(times))

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array, reals, warn
-from .._functions.compiled import CompiledFunction
+from .._functions.compiled import CompiledFunction, Part
+from .._functions.forms import Filling
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
@@ -89,6 +90,8 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     from .._functions.graph.switching_times import timed
 
     n = reals(problem.y0)
+    if parts := getattr(problem.fun, "parts", ()):
+        return [one for part in parts for one in _of_part(part, problem)]
     fun = problem.slope.fun if not isinstance(problem.fun, SecondOrder) else problem.fun
     inside = getattr(fun, "fun", fun) if problem.inputs else fun
     if n and problem.delays is None and isinstance(inside, OnGraph):
@@ -104,6 +107,22 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     if problem.delays is not None:
         return timed(of_past(made.outputs, problem.delays.count * n, n))
     return made.timed if not problem.inputs else timed(*_fed(made.outputs, problem))
+
+
+def _of_part(part: Part, problem: Problem) -> list[Crossing]:
+    """The conditions of a function of which f is made that depend on t alone."""
+    from .._functions.graph.plain import may_switch, plain_graph
+    from .._functions.graph.switching_times import timed
+
+    fun, n, second, size = part
+    if isinstance(fun, OnGraph):
+        found = derived(fun, n, size, _arguments(problem), second)
+        return [] if found is None else timed(*_fed(found.outputs, problem))
+    python = _python_of(fun)
+    if python is None or not may_switch(python, problem.args):
+        return []
+    made = plain_graph(python, n, _arguments(problem, fun), size=size, second=second)
+    return [] if made is None else timed(*_fed(made.outputs, problem))
 
 
 def of_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
@@ -124,30 +143,37 @@ def _of_invariants(problem: Problem) -> list[Crossing]:
 
 
 def _python(problem: Problem) -> Any:
-    """Return f as a Python function; None: it is machine code, or fills an array."""
+    """Return f as a Python function; None: it is machine code."""
     fun = problem.fun
     if isinstance(fun, SecondOrder):
         return None if fun.native else fun.first_order
+    return _python_of(fun)
+
+
+def _python_of(fun: Any) -> Any:
     if isinstance(fun, CompiledFunction):
-        return None if fun.inplace else fun.fun
+        return Filling(fun.fun) if fun.inplace else fun.fun
     return fun
+
+
+def _arguments(problem: Problem, fun: Any = None) -> ArgumentLayout:
+    """Return the arguments of a function of a problem after t and y, of which inputs and delayed values are the
+    first."""
+    first = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
+    if problem.delays is not None:
+        first.append(Numbers(np.ones((problem.delays.count, reals(problem.y0))), varying=True))
+    args = ArgumentLayout((*first, *layout_of(problem.args).entries))
+    of_numba = isinstance(fun, CompiledFunction) and not isinstance(fun, OnGraph)
+    return args.whole() if of_numba else args  # of all numbers in one array
 
 
 def graph_of_python(problem: Problem) -> PlainGraph | None:
     """Return the graph of a Python f, of which inputs and delayed values are the first parameters; None: it has
     none."""
-    fun, n = _python(problem), reals(problem.y0)
     from .._functions.graph.plain import plain_graph
 
-    inputs = [Numbers(np.ones(one.values.shape[1:]), varying=True) for one in problem.inputs]
-    if problem.delays is not None:
-        inputs.append(Numbers(np.ones((problem.delays.count, n)), varying=True))
-    args = ArgumentLayout((*inputs, *layout_of(problem.args).entries))
-    if isinstance(problem.fun, CompiledFunction) and not isinstance(
-        problem.fun, OnGraph
-    ):  # numba's, of all numbers in one array
-        args = args.whole()
-    return plain_graph(fun, n, args, is_complex=problem.y0.dtype.kind == "c")
+    fun, n = _python(problem), reals(problem.y0)
+    return plain_graph(fun, n, _arguments(problem, problem.fun), is_complex=problem.y0.dtype.kind == "c")
 
 
 def _fed(outputs: Sequence[Node], problem: Problem) -> tuple[list[Node], list[Node]]:

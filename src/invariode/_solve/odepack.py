@@ -390,10 +390,7 @@ def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None)
         if not tfirst:
             raise TypeError(f"{name} is machine code, which takes t first: give tfirst=True")
         return fun
-    function(name, fun, "f(t, y)" if tfirst else "f(y, t)")
-    parameters = getattr(getattr(fun, "__code__", None), "co_varnames", ())[:2]
-    if parameters == ("t", "y") and not tfirst:
-        warn(f"{name} has the parameters (t, y), and odeint calls it as {name}(y, t): pass tfirst=True")
+    function(name, fun, "f(t, y)" if tfirst else "f(y, t)", "" if tfirst else ", or pass tfirst=True")
     if calls is None and tfirst:
         return fun
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ..compiled import CompiledFunction
+from ..contents import has_own_code, is_of_others
 from .complexes import pair
 from .nodes import ELEMENTARY, Node, TraceError
 from .selections import MOST_CODES, helpers, selecting
@@ -30,8 +32,6 @@ from .traced import (
     wrapped,
 )
 
-#: Functions of these packages are not copied.
-_OTHERS = ("numpy", "scipy", "numba", "matplotlib", "pandas", "sympy", "builtins", "math", "cmath")
 #: Larger arrays from outside stay arrays of floats.
 _MOST_CONSTANTS = 10_000
 #: What a traced function must not do.
@@ -106,11 +106,17 @@ class Copies:
             return self._constants(value)
         if type(value) in _READ_ONLY:
             return self._collection(value)
-        module = (getattr(value, "__module__", None) or "").partition(".")[0]
-        if isinstance(value, (np.ufunc, types.BuiltinFunctionType)) or module == "numpy":
-            return self._of_library(value, module)
+        if type(value) is tuple:
+            return tuple(map(self.of, value))
+        if type(value) is types.SimpleNamespace:
+            return types.SimpleNamespace(**{name: self._unless_used(one) for name, one in vars(value).items()})
+        if isinstance(value, CompiledFunction) and not value.inplace:
+            return self.of(value.fun)
+        module = getattr(value, "__module__", None)
+        if isinstance(value, (np.ufunc, types.BuiltinFunctionType)) or (module or "").partition(".")[0] == "numpy":
+            return self._of_library(value, module or "")
         if isinstance(value, types.FunctionType):
-            return value if module in _OTHERS else self._function(value)
+            return value if is_of_others(module) else self._function(value)
         if isinstance(value, types.MethodType):
             return types.MethodType(self.of(value.__func__), self.of(value.__self__))
         if isinstance(value, functools.partial):
@@ -118,9 +124,21 @@ class Copies:
             return functools.partial(self.of(value.func), *map(self.of, value.args), **keywords)
         if hasattr(value, "py_func"):
             return self.of(value.py_func)  # numba's
-        if not isinstance(value, type) and module not in _OTHERS and _has_own_code(type(value)):
+        if isinstance(value, (staticmethod, classmethod)):
+            return type(value)(self.of(value.__func__))
+        if isinstance(value, property):
+            return property(self.of(value.fget))
+        if not isinstance(value, type) and not is_of_others(module) and has_own_code(type(value)):
             return self._object(value)
         return value
+
+    def _unless_used(self, value: Any) -> Any:
+        """Return the copy of a value that the function need not use: a function that cannot be copied must not be
+        called."""
+        try:
+            return self.of(value)
+        except TraceError as error:
+            return _refuses(str(error))
 
     def _constants(self, value: Any) -> Any:
         """An array of floats from outside, whose methods then take traced values."""
@@ -190,21 +208,20 @@ class Copies:
         for one in reversed(kind.__mro__[:-1]):
             for name, found in vars(one).items():
                 own = not name.startswith("__") or name in ("__call__", "__getattr__", "__getitem__")
-                if own and isinstance(found, types.FunctionType):
-                    methods[name] = self.of(found)
+                if own and isinstance(found, _OF_CLASSES):
+                    methods[name] = self._unless_used(found)
         try:
             copy: Any = object.__new__(type(kind.__name__, (kind,), methods))
             self._made[id(value)] = copy
-            vars(copy).update({name: self.of(one) for name, one in vars(value).items()})
-        except TypeError:  # slots, or a type that is made in another way
+            vars(copy).update({name: self._unless_used(one) for name, one in vars(value).items()})
+        except (TypeError, AttributeError):  # slots, or a type that is made in another way, such as an enumeration
+            self._made[id(value)] = value
             return value
         return copy
 
 
-def _has_own_code(kind: type) -> bool:
-    return isinstance(getattr(kind, "__dict__", {}).get("__init__", None), types.FunctionType) or any(
-        isinstance(found, types.FunctionType) for one in kind.__mro__[:-1] for found in vars(one).values()
-    )
+#: What classes contain that is copied with their objects.
+_OF_CLASSES = (types.FunctionType, staticmethod, classmethod, property, np.ndarray, list, dict, set)
 
 
 def _is_full(cell: Any) -> bool:
@@ -249,8 +266,8 @@ class _NumPy:
             self.r_ = _Joined(run)
 
     def __getattr__(self, name: str) -> Any:
-        value = getattr(self._module, name)
-        if name == "random" or name.startswith("fft"):
+        value, allowed = getattr(self._module, name), self._run.numpy
+        if name == "random" or name.startswith("fft") or (allowed is not None and name not in allowed):
             raise TraceError(f"numpy.{name}")
         if (isinstance(value, (types.ModuleType, type)) and name not in ("float64",)) or not callable(value):
             return value

@@ -2,7 +2,8 @@
 
 A function is traced if its code does something that may switch, and nothing but arithmetic, comparisons, loops and
 calls of NumPy, `math` and functions of the same kind, on numbers and arrays. It has no effect then, and what it reads
-is read. All limits are counts: the same function is traced, or not, everywhere.
+is read. It may hold its numbers in lists, dicts, records and attributes of objects, and may itself be a method, an
+object that is called, or a partial function. All limits are counts: the same function is traced, or not, everywhere.
 """
 
 from __future__ import annotations
@@ -11,17 +12,21 @@ import builtins
 import dis
 import inspect
 import math
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from abc import ABCMeta
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from types import CodeType, FunctionType, ModuleType
+from functools import partial
+from types import CodeType, FunctionType, MemberDescriptorType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.forks import cached_property
 from ..._base.latest import Latest
+from ..._base.record import Record
 from ..._core import StateFirst
-from ..contents import nested
+from ..compiled import CompiledFunction
+from ..contents import is_copied, is_of_others, nested
 from ..forms import Filling, FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
 from .nodes import Node, TraceError
@@ -43,7 +48,8 @@ _ALLOWED = (
     *("LOAD_METHOD", "BINARY_", "STORE_SUBSCR", "STORE_SLICE", "BUILD_TUPLE", "BUILD_LIST", "BUILD_SLICE"),
     *("LIST_EXTEND", "LIST_APPEND", "LIST_TO_TUPLE", "COMPARE_OP", "IS_OP", "CONTAINS_OP", "UNARY_", "TO_BOOL", "JUMP"),
     *("POP_JUMP", "GET_ITER", "FOR_ITER", "END_FOR", "POP_ITER", "UNPACK_SEQUENCE", "EXTENDED_ARG", "MAKE_FUNCTION"),
-    *("SET_FUNCTION_ATTRIBUTE", "NOT_TAKEN", "CALL_INTRINSIC_1"),
+    *("SET_FUNCTION_ATTRIBUTE", "NOT_TAKEN", "CALL_INTRINSIC_1", "BUILD_MAP", "BUILD_CONST_KEY_MAP", "MAP_ADD"),
+    *("DICT_MERGE", "DICT_UPDATE"),
 )
 #: Of generator expressions, besides.
 _OF_GENERATORS = ("RETURN_GENERATOR", "YIELD_VALUE", "RERAISE")
@@ -70,8 +76,19 @@ _NUMPY |= {"stack", "hstack", "vstack", "column_stack", "append", "diff", "roll"
 _NUMPY |= {"linalg", "norm", "solve", "float64", "pi", "e", "inf", "nan", "newaxis", "atleast_1d", "ravel", "reshape"}
 _NUMPY |= {"transpose", "cumsum", "any", "all", "max", "min", "amax", "amin", "sinc", "average", "trace", "einsum"}
 _ARRAYS = {"T", "shape", "size", "ndim", "copy", "flatten", "real", "imag", "item", "tolist", "astype", "matmul", "r_"}
-_ATTRIBUTES = _NUMPY | _ARRAYS | {name for name in vars(np) if isinstance(getattr(np, name, None), np.ufunc)}
-_ATTRIBUTES |= {name for name in vars(math) if not name.startswith("_")}
+_ATTRIBUTES = frozenset(
+    _NUMPY
+    | _ARRAYS
+    | {name for name in vars(np) if isinstance(getattr(np, name, None), np.ufunc)}
+    | {name for name in vars(math) if not name.startswith("_")}
+)
+#: The flag of types that are defined in Python.
+_IN_PYTHON = 1 << 9
+#: Methods of objects that code may call without naming them, of which there may be copies.
+_UNNAMED = ("__call__", "__getattr__", "__getitem__")
+#: Methods that the code of functions that are traced does not call.
+_IDLE = {"__init__", "__post_init__", "__repr__", "__str__", "__eq__", "__hash__", "__setattr__", "__delattr__"}
+_IDLE |= {"__reduce__", "__getstate__", "__setstate__", "__replace__"}
 #: Names of functions that switch.
 _SWITCHING = {"floor", "ceil", "trunc", "rint", "round", "fmod", "mod", "remainder", "divmod", "floor_divide", "abs"}
 _SWITCHING |= {"fabs", "absolute", "min", "max", "minimum", "maximum", "fmin", "fmax", "clip", "where", "heaviside"}
@@ -86,6 +103,7 @@ class _CodeSummary(NamedTuple):
     plain: bool  # nothing that could be noticed
     switches: bool
     outside: tuple[str, ...]  # names of what it uses: globals, and variables of functions around it
+    attributes: frozenset[str]  # attributes that it uses, besides those of numbers and arrays
     reads: frozenset[int]  # which of its arguments it reads, by their places; those of *args count as read
 
 
@@ -96,28 +114,27 @@ _known: Latest[CodeType, _CodeSummary] = Latest(1024)
 def may_switch(fun: Any, args: Sequence[Any] = ()) -> bool:
     """Return whether a Python function, one that it calls, or a table in its `args` has anything that may switch with
     t, and its code no observable effects. This takes less than a microsecond for a function that is known."""
-    function = fun if type(fun) is FunctionType and not fun.__dict__ else _function_of(fun)
-    if function is None:
+    called = fun if type(fun) is FunctionType and not fun.__dict__ else _called(fun)
+    known = _known.get(called.__code__) if type(called) is FunctionType and not called.__defaults__ else None
+    nothing_inside = known is not None and not (known.switches or known.outside or called.__kwdefaults__)
+    if (nothing_inside or not _may_switch(called, set())) and not (
+        args and any(type(one) is not float and _may_switch(one, set()) for one in args)
+    ):
         return False
-    known = _known.get(function.__code__)
-    nothing_inside = known is not None and not (known.switches or known.outside)
-    if (nothing_inside or not _may_switch(function, ())) and not (args and any(map(_is_table, args))):
-        return False
+    if type(called) is not FunctionType:
+        return True
     time = 1 if isinstance(getattr(fun, AS_TRACED, fun), StateFirst) else 0
-    return time in _code_of(function.__code__).reads or time >= function.__code__.co_argcount
+    return time in _code_of(called.__code__).reads or time >= called.__code__.co_argcount
 
 
 def only_calculates(fun: Any) -> bool:
     """Return whether a Python function does nothing but calculate with numbers and arrays, so that a call has no effect
     and cannot end the process. Functions of which this is not known, such as methods and machine code, do not count."""
-    function = _function_of(fun)
-    if function is None:
-        return False
+    called = _called(fun)
     try:
-        _contents(function, ())
+        return type(called) is FunctionType and not _contents([called])[1]
     except _NoticedError:
         return False
-    return True
 
 
 class PlainGraph:
@@ -142,7 +159,14 @@ _graphs: Latest[Hashable, PlainGraph | None] = Latest()
 
 
 def plain_graph(
-    fun: Any, n: int, args: ArgumentLayout, *, size: int | None = None, is_complex: bool = False
+    fun: Any,
+    n: int,
+    args: ArgumentLayout,
+    *,
+    size: int | None = None,
+    second: int = 0,
+    is_complex: bool = False,
+    of_objects: bool = True,
 ) -> PlainGraph | None:
     """The values of a Python function of (t, y, *args) as a graph, found without an effect that could be noticed.
 
@@ -150,26 +174,28 @@ def plain_graph(
     - `n`: the reals that make up y
     - `args`: its further arguments
     - `size`: the number of its values. Default: n.
-    - `is_complex`: as in `trace`
+    - `second`, `is_complex`: as in `trace`
+    - `of_objects`: it may be one of objects, whose attributes may change while it is used
 
     Returns PlainGraph or None: None: it cannot be traced, or not within the limits, or tracing could be noticed.
     """
-    function = _function_of(fun)
-    if function is None or n > MOST_COMPONENTS:
+    if n > MOST_COMPONENTS:
         return None
     try:
-        contents = _contents(function, ()), _contents_of_arguments(args.entries)
+        contents = _contents([_called(fun), *_constants(args.entries)])
     except _NoticedError:
         return None
+    if not of_objects and (contents[1] or type(_called(fun)) is not FunctionType):
+        return None
     size = n if size is None else size
-    key = (*contents, type(fun), n, size, args.fixed(TRUTHS), is_complex)
+    key = (contents, type(fun), n, size, second, args.fixed(TRUTHS), is_complex)
     if key not in _graphs:
-        _graphs[key] = made = _traced(fun, n, args, size, is_complex=is_complex)
+        _graphs[key] = made = _traced(fun, n, args, size, second, is_complex=is_complex)
         return made
     return _graphs.get(key)
 
 
-def _traced(fun: Any, n: int, args: ArgumentLayout, size: int, *, is_complex: bool) -> PlainGraph | None:
+def _traced(fun: Any, n: int, args: ArgumentLayout, size: int, second: int, *, is_complex: bool) -> PlainGraph | None:
     from .trace import IN_PASSING, trace  # imported when a function is traced
 
     fun = getattr(fun, AS_TRACED, fun)
@@ -180,7 +206,8 @@ def _traced(fun: Any, n: int, args: ArgumentLayout, size: int, *, is_complex: bo
         fun = fun.__wrapped__
     try:
         with np.errstate(all="ignore"):
-            outputs = trace(fun, n, args, inplace=n * fills, is_complex=is_complex, limits=IN_PASSING).outputs
+            limits, inplace = IN_PASSING._replace(numpy=_ATTRIBUTES), size * fills
+            outputs = trace(fun, n, args, second=second, inplace=inplace, is_complex=is_complex, limits=limits).outputs
     except (TraceError, RecursionError):
         return None
     return PlainGraph(outputs) if len(outputs) == size else None
@@ -190,36 +217,96 @@ def _time_first(fun: Any) -> Callable[..., Any]:
     return lambda t, y, *args: fun(y, t, *args)
 
 
-def _function_of(fun: Any) -> FunctionType | None:
-    """The Python function that is called."""
+def _called(fun: Any) -> Any:
+    """Return the user's function that is called."""
     fun = getattr(fun, AS_TRACED, fun)
     if isinstance(fun, (StateFirst, Filling)):
         fun = fun.__wrapped__
-    if isinstance(fun, FirstOrderForm):
-        fun = fun.fun
-    return fun if type(fun) is FunctionType else None
+    return fun.fun if isinstance(fun, FirstOrderForm) else fun
 
 
-def _may_switch(function: FunctionType, around: tuple[CodeType, ...]) -> bool:
-    code = _code_of(function.__code__)
-    if not code.plain or function.__code__ in around:
-        return False
-    if code.switches:
+def _may_switch(value: Any, around: set[int]) -> bool:
+    """Return whether a function, or one that is reached through a value, may switch; `around`: what is being looked
+    at."""
+    kind = type(value)
+    if kind is FunctionType:
+        code = _code_of(value.__code__)
+        if not code.plain or code.switches:
+            return code.plain
+        if not (code.outside or value.__defaults__ or value.__kwdefaults__):
+            return False
+        inside: Iterable[Any] = _outside(value, code)
+    elif kind in _HOLDERS:
+        inside = _HOLDERS[kind](value)
+    elif _is_table(value):
         return True
-    if not code.outside:
+    elif issubclass(kind, CompiledFunction):
+        inside = [value.fun]
+    elif _is_plain_object(kind):
+        inside = [one for _, one in _attributes(value, {name for part in kind.__mro__ for name in vars(part)})]
+        inside += getattr(value, "__dict__", {}).values()
+    else:
         return False
-    for one in _outside(function, code):
-        if type(one) is FunctionType and _may_switch(one, (*around, function.__code__)):
-            return True
-        if _is_table(one):
-            return True
-    return False
+    if id(value) in around:
+        return False
+    around.add(id(value))
+    return any(_may_switch(one, around) for one in inside)
+
+
+#: What holds other values, and how these are found.
+_HOLDERS: dict[type, Callable[[Any], Iterable[Any]]] = {
+    list: iter,
+    tuple: iter,
+    dict: dict.values,
+    partial: lambda value: [value.func, *value.args, *value.keywords.values()],
+    MethodType: lambda value: [value.__func__, value.__self__],
+    property: lambda value: [value.fget],
+    staticmethod: lambda value: [value.__func__],
+    classmethod: lambda value: [value.__func__],
+}
+
+
+def _is_plain_object(kind: type) -> bool:
+    """Return whether objects of this type do nothing when code reads an attribute or calls a method, besides what the
+    code of that method does."""
+    if kind is SimpleNamespace:
+        return True
+    for part in kind.__mro__[:-1]:
+        if type(part) not in (type, ABCMeta) or not part.__flags__ & _IN_PYTHON or is_of_others(part.__module__):
+            return False
+        for name, one in vars(part).items():
+            unseen = name.startswith("__") and name not in _IDLE and name not in _UNNAMED
+            if unseen and isinstance(one, (FunctionType, classmethod)):
+                return False
+    return True
+
+
+def _is_namespace(kind: type) -> bool:
+    """Return whether a class, of which objects are made without code, may be read like an object."""
+    return _is_plain_object(kind) and not any(
+        "__init__" in vars(one) or "__new__" in vars(one) for one in kind.__mro__[:-1]
+    )
+
+
+def _attributes(value: Any, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
+    """Iterate over the attributes of a plain object, or a namespace, that have one of these names; methods are
+    functions."""
+    of_class = isinstance(value, type)
+    own = {} if of_class else getattr(value, "__dict__", {})
+    for name in names:
+        if name in own:
+            yield name, own[name]
+            continue
+        places = (value if of_class else type(value)).__mro__[:-1]
+        found = next((vars(one)[name] for one in places if name in vars(one)), None)
+        if isinstance(found, MemberDescriptorType):  # of __slots__
+            yield name, getattr(value, name, None)
+        elif found is not None:
+            yield name, found
 
 
 def _is_table(value: Any) -> bool:
-    if type(value) is float:
-        return False
-    return isinstance(value, PolynomialTable) or type(value).__module__.startswith("scipy.interpolate")
+    return issubclass(type(value), PolynomialTable) or type(value).__module__.startswith("scipy.interpolate")
 
 
 def _code_of(code: CodeType) -> _CodeSummary:
@@ -228,13 +315,14 @@ def _code_of(code: CodeType) -> _CodeSummary:
         codes = [*nested(code)]
         plain = all(_is_plain(one, code) for one in codes)
         names = dict.fromkeys(name for one in codes for name in _names(one, code)) if plain else {}
-        known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), _read(codes))
+        attributes = frozenset(name for one in codes for name in _attributes_in(one)) - _ATTRIBUTES
+        known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), attributes, _read(codes))
         _known[code] = known
     return known
 
 
 def _is_plain(code: CodeType, whole: CodeType) -> bool:
-    """Return whether code changes only variables of the whole function, and uses attributes of numbers and arrays."""
+    """Return whether code changes only variables of the whole function."""
     is_generator = code.co_flags & (inspect.CO_GENERATOR | inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR)
     if is_generator and code.co_name != "<genexpr>":
         return False
@@ -243,8 +331,6 @@ def _is_plain(code: CodeType, whole: CodeType) -> bool:
         return False
     for one in dis.get_instructions(code):
         if not one.opname.startswith(allowed):
-            return False
-        if one.opname in ("LOAD_ATTR", "LOAD_METHOD") and one.argval not in _ATTRIBUTES:
             return False
         if one.opname == "STORE_DEREF" and one.argval in whole.co_freevars:
             return False
@@ -265,6 +351,10 @@ def _read(codes: Sequence[CodeType]) -> frozenset[int]:
     named = {one.argval for code in codes for one in dis.get_instructions(code) if one.opname.startswith("LOAD_")}
     named |= {name for one in named if isinstance(one, tuple) for name in one}  # two of them at once, from 3.13 on
     return frozenset(i for i, name in enumerate(codes[0].co_varnames[: codes[0].co_argcount]) if name in named)
+
+
+def _attributes_in(code: CodeType) -> Iterator[str]:
+    return (one.argval for one in dis.get_instructions(code) if one.opname in ("LOAD_ATTR", "LOAD_METHOD"))
 
 
 def _names(code: CodeType, whole: CodeType) -> Iterator[str]:
@@ -290,37 +380,83 @@ class _NoticedError(Exception):
     """Something is used that tracing could change, or whose use could be noticed."""
 
 
-def _contents(function: FunctionType, around: tuple[CodeType, ...]) -> Hashable:
-    """The code of a function with all that it uses: equal for functions that have equal graphs.
+def _contents(values: Sequence[Any]) -> tuple[Hashable, frozenset[str]]:
+    """Return the code of functions with all that it uses, equal for functions that have equal graphs, and the names of
+    the attributes that it uses.
 
-    Raises _NoticedError: Tracing the function could be noticed.
+    Raises _NoticedError: Tracing a function could be noticed.
     """
-    if function.__code__ in around:
-        return function
-    code = _code_of(function.__code__)
-    if not code.plain:
+    names: frozenset[str] = frozenset()
+    while True:  # until no method that is called uses further attributes
+        used = _UsedValues(names)
+        contents = tuple(map(used.of, values))
+        if used.names == names:
+            return contents, names
+        names = frozenset(used.names)
+
+
+class _UsedValues:
+    """A walk through values that code uses: the copies that are traced cannot change these.
+
+    - `known`: names of the attributes that code may read of objects
+
+    Attributes:
+    - `names`: names of those that the code which has been found uses
+    """
+
+    def __init__(self, known: frozenset[str]) -> None:
+        self._known, self.names = sorted({*known, *_UNNAMED}), set(known)
+        self._seen: dict[int, int] = {}
+
+    def of(self, value: Any) -> Hashable:
+        """Return the contents of a value."""
+        kind = type(value)
+        if value is None or issubclass(kind, _NUMBERS):
+            return kind, repr(value)
+        if kind is np.ndarray and value.dtype.kind == "f" and value.size <= _MOST_NUMBERS:
+            return kind, value.dtype.str, value.shape, value.tobytes()
+        if id(value) in self._seen:
+            return "again", self._seen[id(value)]
+        self._seen[id(value)] = len(self._seen)
+        if kind is type and _is_namespace(value):
+            return value, tuple((name, _number(one)) for name, one in _attributes(value, self._known))
+        if kind is FunctionType and not value.__module__.startswith("numpy"):
+            return self._function(value)
+        if kind in _HOLDERS and (not hasattr(value, "__len__") or len(value) <= _MOST_NUMBERS):
+            names = tuple(map(self.of, value)) if kind is dict else tuple(value.keywords) if kind is partial else ()
+            return kind, names, tuple(map(self.of, _HOLDERS[kind](value)))
+        in_python = kind.__flags__ & _IN_PYTHON
+        if not in_python and _is_of_library(value):
+            return id(value)
+        if issubclass(kind, Record) or (issubclass(kind, tuple) and hasattr(kind, "_fields")):
+            names = value.keys() if kind is Record else kind._fields
+            return kind, tuple(names), tuple(map(_number, value))
+        if issubclass(kind, CompiledFunction) and not value.inplace:
+            return kind, self.of(value.fun)
+        table = issubclass(kind, PolynomialTable)
+        if not table and _is_plain_object(kind):
+            part = self.of if is_copied(kind) else _number
+            return kind, tuple((name, part(one)) for name, one in _attributes(value, self._known))
+        if in_python and not table and not is_of_others(kind.__module__):
+            raise _NoticedError  # before anything asks the object for an attribute
+        if is_table(value) and not isinstance(value, type):
+            return object()  # whose contents are not compared
+        if _is_of_library(value):
+            return id(value)
         raise _NoticedError
-    around = (*around, function.__code__)
-    return (function.__code__, *(_contents_of(one, around) for one in _outside(function, code)))
+
+    def _function(self, function: FunctionType) -> Hashable:
+        code = _code_of(function.__code__)
+        if not code.plain:
+            raise _NoticedError
+        self.names |= code.attributes
+        return (function.__code__, *map(self.of, _outside(function, code)))
 
 
-def _contents_of(value: Any, around: tuple[CodeType, ...]) -> Hashable:
-    """A value that code uses: the copies that are traced cannot change it."""
-    kind = type(value)
+def _number(value: Any) -> Hashable:
+    """Return the contents of a number, which needs no copy."""
     if value is None or isinstance(value, _NUMBERS):
-        return kind, repr(value)
-    if kind is tuple and all(one is None or isinstance(one, _NUMBERS) for one in value):
-        return kind, repr(value)
-    if kind is list and len(value) <= _MOST_NUMBERS:
-        return (kind, *(_contents_of(one, around) for one in value))
-    if kind is np.ndarray and value.dtype.kind == "f" and value.size <= _MOST_NUMBERS:
-        return kind, value.dtype.str, value.shape, value.tobytes()
-    if kind is FunctionType and not value.__module__.startswith("numpy"):
-        return _contents(value, around)
-    if _is_of_library(value):
-        return id(value)
-    if is_table(value) and not isinstance(value, type):
-        return object()  # whose contents are not compared
+        return type(value), repr(value)
     raise _NoticedError
 
 
@@ -337,12 +473,10 @@ def _is_of_library(value: Any) -> bool:
 _NUMBERS = (bool, int, float, str, np.bool_, np.integer, np.floating)
 
 
-def _contents_of_arguments(entries: Sequence[Entry]) -> Hashable:
-    """Return a key of all entries of arguments that are not numbers."""
-    found: list[Hashable] = []
+def _constants(entries: Sequence[Entry]) -> Iterator[Any]:
+    """Iterate over the arguments that are not numbers."""
     for one in entries:
         if isinstance(one, Listed):
-            found.append(_contents_of_arguments(one.entries))
+            yield from _constants(one.entries)
         elif not isinstance(one, Numbers):
-            found.append(_contents_of(one.value, ()))
-    return tuple(found)
+            yield one.value

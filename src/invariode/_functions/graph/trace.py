@@ -30,13 +30,15 @@ from .traced import (
 class TraceLimits(NamedTuple):
     """Limits of tracing: paths through branches on values, decisions on one of them, nodes of the graph, and operations
     on all paths together. Nodes and operations are counted where a decision is taken, nodes also `anywhere`. None
-    depends on the clock, so that the same function is always compiled by the same compiler."""
+    depends on the clock, so that the same function is always compiled by the same compiler. `numpy`: the names in NumPy
+    that may be used; None: all."""
 
     paths: int = 512
     decisions: int = 60
     nodes: int = 200_000
     operations: int = 400_000  # about 5 s
     anywhere: bool = False
+    numpy: frozenset[str] | None = None
 
 
 #: For what a run does in passing: beyond these counts it does without.
@@ -123,7 +125,7 @@ class _Tracing:
     ) -> None:
         self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
         self._inplace, self._limits, self._is_complex = inplace, limits, is_complex
-        self._number = condition if conditions else number
+        self._number, self.numpy = condition if conditions else number, limits.numpy
         self._graph = Graph(limits.nodes if limits.anywhere else None)
         self._copies = Copies(self, selections)
         self._fun = self._copies.of(fun)
