@@ -420,7 +420,7 @@ class _UsedValues:
         self._seen[id(value)] = len(self._seen)
         if kind is type and _is_namespace(value):
             return value, tuple((name, _number(one)) for name, one in _attributes(value, self._known))
-        if kind is FunctionType and not value.__module__.startswith("numpy"):
+        if kind is FunctionType and not (value.__module__ or "").startswith("numpy"):  # None: of exec
             return self._function(value)
         if kind in _HOLDERS and (not hasattr(value, "__len__") or len(value) <= _MOST_NUMBERS):
             names = tuple(map(self.of, value)) if kind is dict else tuple(value.keywords) if kind is partial else ()
