@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, call_name, interval, numbers, shown, state
 from .._base.types import EventsLike, MethodName, Span
-from .._problem.options import Options, refused
+from .._problem.given_options import refused
+from .._problem.options import Options
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.solution import Solution
 from .dae import Dae, UntracedError

@@ -26,16 +26,8 @@ from .._base.progress import bar
 from .._base.record import Record
 from .._base.types import MethodName, OnInterrupt, Progress
 from .._plan.call_errors import require_taken
-from .._problem.options import (
-    TABLE,
-    ManyOptions,
-    Options,
-    ProblemEnsembleOptions,
-    changed,
-    parted,
-    refused,
-    table_of,
-)
+from .._problem.given_options import changed, parted, refused
+from .._problem.options import TABLE, ManyOptions, Options, ProblemEnsembleOptions, table_of
 from .._problem.problem import Problem
 from .conclusion import solution
 from .distributed import Means, Place, in_parts, stored

@@ -40,12 +40,13 @@ from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.core_problem import CoreProblem, DelayTerms, LinearTerms
 from .._problem.delays import Undelayed, stacked
 from .._problem.events import RootOf, event_spec, vector_specs
+from .._problem.given_options import checked
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
 from .._problem.jacobian_and_mass import Matrices
 from .._problem.methods import METHODS, Method, find_method
-from .._problem.options import Options, checked
+from .._problem.options import Options
 from .._problem.problem import Problem
 from .._results.messages import (
     inconsistent_start,

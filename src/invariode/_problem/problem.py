@@ -45,18 +45,11 @@ from .breakpoints import Breakpoint, to_breakpoints, warn_of_idle_actions
 from .delays import Delays, DelaysLike, FillingOfPast, HistoryLike, StartOfHistory, start_of, to_delays
 from .docstrings import documented
 from .events import Event, direction_sign, of_one_run, roots_among, terminal_count, to_events
+from .given_options import unknown_option
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
 from .jacobian_and_mass import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
-from .options import (
-    CallingOptions,
-    DescribingOptions,
-    Options,
-    ProblemArguments,
-    ProblemEnsembleOptions,
-    table_of,
-    unknown_option,
-)
+from .options import CallingOptions, DescribingOptions, Options, ProblemArguments, ProblemEnsembleOptions, table_of
 from .parameters import ParameterName, names_of_arguments, names_of_last_arguments, with_named
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
@@ -213,7 +206,7 @@ class Problem:
         if of_args is not None:
             described["y0_of_args"] = of_args
         given: dict[str, Any] = {}
-        if any(one is not None for one in (jac, jac_sparsity, lband, uband, mass)):
+        if not (jac is jac_sparsity is lband is uband is mass is None):
             given = {"jac": jac, "jac_sparsity": jac_sparsity, "lband": lband, "uband": uband, "mass": mass}
             given = {key: own_matrix(one) for key, one in given.items()}
             described["matrices"] = to_matrices(**given, y0=start)

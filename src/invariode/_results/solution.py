@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, flag, warn
 from .._base.notebook import html_of_solution
+from .._problem.given_options import unknown_option
 from .._problem.invariants import InvariantsLike
-from .._problem.options import TABLE, ExtensionOptions, unknown_option
+from .._problem.options import TABLE, ExtensionOptions
 from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
 from .pictures import drift, over_time, phase, sensitivity_plots, steps

@@ -33,9 +33,10 @@ from .._plan.nystrom_requirements import require_no_velocities
 from .._plan.plan import Plan, say_established, solver
 from .._plan.planning import make_plan, ordered_breakpoints
 from .._problem.breakpoints import to_breakpoints, warn_of_idle_actions
+from .._problem.given_options import changed, keeping_arrays
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options, changed, keeping_arrays
+from .._problem.options import ExtensionOptions, Options
 from .._problem.parameters import values_of
 from .._problem.problem import Problem
 from .._results.messages import (
@@ -365,7 +366,8 @@ class Finished:
     @classmethod
     def by(cls, shared: OnCourse, run: _core.Run, source: Solved) -> Finished:
         """Return a run of a prepared plan, whose own plan is made when it is needed."""
-        return cls(run, shared.prepared.plan, source, shared.prepared.members, shared)
+        prepared = shared.prepared
+        return cls(run, prepared.plan, source, prepared.members, shared)
 
     @cached_property
     def plan(self) -> Plan:

@@ -14,15 +14,8 @@ from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
 from .._functions.second_order import SecondOrder
 from .._problem.docstrings import documented
-from .._problem.options import (
-    CallingOptions,
-    DescribingOptions,
-    OutputOptions,
-    SolveOptions,
-    parted,
-    table_of,
-    unused,
-)
+from .._problem.given_options import parted, unused
+from .._problem.options import CallingOptions, DescribingOptions, OutputOptions, SolveOptions, table_of
 from .._problem.problem import Problem
 from .._results.solution import Solution
 from .._run.run import solve

@@ -21,10 +21,11 @@ from .._files.identity import Identity, known_identity, options_of, require_same
 from .._functions.layout import NO_ARGUMENTS
 from .._laws.bound import BoundInvariants, ValueJump, bind
 from .._problem.events import roots_among
+from .._problem.given_options import checked
 from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
-from .._problem.options import Options, checked
+from .._problem.options import Options
 from .._problem.problem import Problem
 from .._results.result import BeforeProjection, ByEvent, DenseSolution, Names, Origin, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart, restored

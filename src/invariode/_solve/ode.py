@@ -20,9 +20,10 @@ from .._plan.call_errors import explain
 from .._plan.plan import Plan
 from .._plan.planning import make_plan
 from .._plan.walk import Walk
+from .._problem.given_options import unknown_option
 from .._problem.invariants import InvariantsLike
 from .._problem.methods import METHODS, find_method
-from .._problem.options import MethodOptions, Options, StepSizeOptions, unknown_option
+from .._problem.options import MethodOptions, Options, StepSizeOptions
 from .._problem.problem import Problem
 
 __all__ = ["complex_ode", "ode"]

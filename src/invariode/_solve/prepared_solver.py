@@ -14,7 +14,8 @@ from .._base.arguments import Array, extra_arguments, interval, quietly, require
 from .._base.types import MethodName, Span
 from .._functions.compiled import CompiledFunction
 from .._plan.planning import choose, course_of, planned
-from .._problem.options import Options, ProblemArguments, keeping_arrays
+from .._problem.given_options import keeping_arrays
+from .._problem.options import Options, ProblemArguments
 from .._problem.problem import Problem
 from .._results.messages import MESSAGES
 from .._results.solution import Solution

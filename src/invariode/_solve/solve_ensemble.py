@@ -15,7 +15,8 @@ from .._base.types import EventsLike, Function, MethodName, Span
 from .._ensemble.ensemble_solution import EnsembleSolution
 from .._ensemble.store import EnsembleStore
 from .._problem.docstrings import documented
-from .._problem.options import DescribingOptions, EnsembleOptions, parted, table_of
+from .._problem.given_options import parted
+from .._problem.options import DescribingOptions, EnsembleOptions, table_of
 from .._problem.problem import Problem
 
 if TYPE_CHECKING:

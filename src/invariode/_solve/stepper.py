@@ -14,16 +14,8 @@ from .._base.types import LargestStep, MethodName, Numbers
 from .._plan.planning import make_plan
 from .._plan.walk import Walk
 from .._problem.docstrings import documented
-from .._problem.options import (
-    TABLE,
-    DescribingOptions,
-    Options,
-    StepperOptions,
-    parted,
-    table_of,
-    unknown_option,
-    unused,
-)
+from .._problem.given_options import parted, unknown_option, unused
+from .._problem.options import TABLE, DescribingOptions, Options, StepperOptions, table_of
 from .._problem.problem import Problem
 from .._results.result import DenseSolution
 from .ivp import one_column

@@ -14,7 +14,8 @@ import numpy as np
 from ..._base.arguments import Array, shown
 from ..._base.forks import cached_property
 from ..._base.types import MethodName
-from ..._problem.options import TABLE, Options, changed, unknown_option
+from ..._problem.given_options import changed, unknown_option
+from ..._problem.options import TABLE, Options
 from ..._problem.problem import Problem
 from .data import is_table
 from .experiment import Experiment, Failed
