@@ -94,7 +94,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     by_series = chosen.equations == "graph"
     problem = (_on_graph(problem, chosen) if by_series else problem).of_one_run()
     _require_fitting(problem, chosen)
-    rtol, atol = (problem.by_component(one, options[one]) for one in ("rtol", "atol"))
+    rtol, atol = problem.by_component("rtol", options["rtol"]), problem.by_component("atol", options["atol"])
     weights = weights_of(rtol, atol, problem.y0, _LEAST_BY_SERIES if by_series else LEAST_RTOL)
     course = course_of(choice, problem.t_span, problem.y0, options["t_eval"])
     if options["calibrate"] and "calibrate" in chosen.options:
