@@ -288,6 +288,18 @@ def test_random_jumps_in_y_and_t_are_crossed_within_100_tolerances(method):
     assert beyond <= BY_CHANCE.get(method, 0)
 
 
+@pytest.mark.parametrize("method", ["ode45", "dop853"])
+@untold
+def test_a_jump_is_found_beside_a_larger_smooth_change_of_f(method):
+    """Halving a step towards the larger change of f would lead away from the jump: errors of 10 to 50 tolerances."""
+    size, rtol = 100.0, 1e-6
+    for at in np.random.default_rng(7).uniform(1, 9, 12):
+        fun = hidden(lambda t, y, at=at: [size * math.cos(t) + (t > at)])
+        sol = iv.solve_ivp(fun, (0, 10), [0.0], method, rtol=rtol, atol=rtol)
+        exact = size * np.sin(sol.t) + np.maximum(0, sol.t - at)
+        assert abs(sol.y[0] - exact).max() <= 5 * rtol * size  # what a step over a jump may leave
+
+
 @dealt(method=[*METHODS, "ode23s"], rtol=[1e-4, 1e-6, 1e-8, 1e-10])
 @untold
 def test_steps_down_a_staircase(method, rtol):
