@@ -131,4 +131,6 @@ ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const
   return found;
 }
 
+Vector least_squares(const Dense& B, const Vector& u) { return B.colPivHouseholderQr().solve(u); }
+
 }  // namespace invariode

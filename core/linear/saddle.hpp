@@ -30,4 +30,7 @@ struct ConstrainedSolution {
 ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
                                  double threshold);
 
+/// Returns a λ of least |B λ − u|, by a pivoted QR, whose code is compiled in this file alone.
+[[nodiscard]] Eigen::VectorXd least_squares(const Eigen::MatrixXd& B, const Eigen::VectorXd& u);
+
 }  // namespace invariode

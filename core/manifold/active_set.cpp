@@ -1,10 +1,10 @@
 #include "manifold/active_set.hpp"
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 
 #include "linear/index.hpp"
+#include "linear/saddle.hpp"
 
 namespace invariode {
 namespace {
@@ -94,7 +94,7 @@ void ActiveSet::note_unwilling(const double* y) {
     columns.row(index(j)).setZero();
     wanted[index(j)] = 0;
   }
-  const Eigen::VectorXd lambda = columns.colPivHouseholderQr().solve(wanted);
+  const Eigen::VectorXd lambda = least_squares(columns, wanted);
   const Eigen::VectorXd force = scaled * lambda;
   for (const Bounds::Interval& one : bounds_.intervals()) {
     const auto& [i, lower, upper] = one;
