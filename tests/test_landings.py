@@ -151,7 +151,7 @@ COUNT = 0
 def test_functions_whose_tracing_could_be_noticed_are_not_traced():
     """Such functions write to what is not theirs, call what is not known, or read what may have effects."""
     seen, table, settings = [0], {}, types.SimpleNamespace(last=2.0)
-    array = np.zeros(3)
+    array, counts = np.zeros(3), np.zeros(2, dtype=int)
 
     class Recorder:
         def __init__(self):
@@ -202,6 +202,15 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
         np.add(array, 1, out=array)
         return [1.0 if t < 3 else 0.0]
 
+    def counting_in_array(t, y):
+        counts[0] += 1
+        return [1.0 if t < 3 else 0.0]
+
+    def counting_later(t, y):
+        if t < 3:
+            counts[:] = counts + 1
+        return [1.0 if t < 3 else 0.0]
+
     def aliased(t, y):
         mine = array
         mine += 1
@@ -243,11 +252,21 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
 
     for fun in (
         *(counting, nonlocal_one, global_one, remembering, appending, filling, aliased, setting, printing, random_one),
-        *(calling, of_objects, of_properties, of_aware_objects, of_a_derived_dict, of_a_call, writing),
+        *(
+            counting_in_array,
+            counting_later,
+            calling,
+            of_objects,
+            of_properties,
+            of_aware_objects,
+            of_a_derived_dict,
+            of_a_call,
+            writing,
+        ),
     ):
-        before = copy.deepcopy((seen, table, vars(settings), array.tolist(), COUNT, recorder.times))
+        before = copy.deepcopy((seen, table, vars(settings), array.tolist(), counts.tolist(), COUNT, recorder.times))
         assert not may_switch(fun) or plain_graph(fun, 1, layout_of(())) is None
-        assert before == (seen, table, vars(settings), array.tolist(), COUNT, recorder.times)
+        assert before == (seen, table, vars(settings), array.tolist(), counts.tolist(), COUNT, recorder.times)
 
 
 FROM, TO = 40.0, 40.5
@@ -305,9 +324,10 @@ def ways():
     held, table, simple = Held(), {"times": [FROM, TO]}, types.SimpleNamespace(low=FROM, high=TO, at=np.array([FROM]))
     by_name = {"record": record_of({"low": FROM, "high": TO}), "tuple": Named(FROM, TO), "slots": Slotted(FROM, TO)}
     by_name |= {"namespace": simple, "class": Space}
-    pair, given = (held.pulse, held), {"times": (FROM, TO)}
+    pair, given, doubled = (held.pulse, held), {"times": (FROM, TO)}, np.array([80, 81])
     yield "numbers", lambda t, a, b: 1.0 if a <= t < b else 0.0, (FROM, TO)
     yield "a dict", lambda t: between(t, table["times"]), ()
+    yield "an array of integers", lambda t: between(t, doubled / 2), ()
     yield "a dict among args", lambda t, of: between(t, of["times"]), (table,)
     yield "a tuple of functions", lambda t, of=pair: of[0](t) * of[1](t), ()
     yield "a dict of keywords", lambda t: between(t, **given), ()
@@ -361,6 +381,12 @@ FACES = {
     ),
     "rkn86": (
         lambda f, g, args, m: iv.solve_ivp(iv.SecondOrder(f), (0, 100), [0, 0.0], "rkn86", args=args).y[1, -1],
+        0.5,
+    ),
+    "solve_dae": (
+        lambda f, g, args, m: iv.solve_dae(
+            lambda t, y, yp, *p: [yp[0] - f(t, y, *p)[0]], (0, 100), [0.0], args=args, method=m
+        ).y[0, -1],
         0.5,
     ),
     "force": (

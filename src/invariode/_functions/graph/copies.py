@@ -141,9 +141,13 @@ class Copies:
             return _refuses(str(error))
 
     def _constants(self, value: Any) -> Any:
-        """An array of floats from outside, whose methods then take traced values."""
-        if type(value) is not np.ndarray or value.dtype.kind != "f" or value.size > _MOST_CONSTANTS:
+        """An array from outside that cannot be changed; one of floats, whose methods then take traced values."""
+        if type(value) is not np.ndarray or value.dtype.kind not in "fiub" or value.size > _MOST_CONSTANTS:
             return value
+        if value.dtype.kind != "f":  # which may be indices
+            made = value.copy()
+            made.flags.writeable = False
+            return made
         cells = cells_of(value, self._run._graph)
         cells.flags.writeable = False
         return TracedArray(cells, self._run.decide)

@@ -413,7 +413,7 @@ class _UsedValues:
         kind = type(value)
         if value is None or issubclass(kind, _NUMBERS):
             return kind, repr(value)
-        if kind is np.ndarray and value.dtype.kind == "f" and value.size <= _MOST_NUMBERS:
+        if kind is np.ndarray and value.dtype.kind in "fiub" and value.size <= _MOST_NUMBERS:
             return kind, value.dtype.str, value.shape, value.tobytes()
         if id(value) in self._seen:
             return "again", self._seen[id(value)]

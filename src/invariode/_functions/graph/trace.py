@@ -184,7 +184,7 @@ class _Tracing:
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None
         except _UNDEFINED as error:
-            if self._decisions and _is_of_user(error):
+            if self._decisions and _is_of_user(error) and "read-only" not in str(error):
                 return None
             raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
         except Exception as error:
