@@ -163,3 +163,29 @@ def test_an_unnamed_integer_index_is_no_time():
         ),
     ):
         assert made.data.t.tolist() == TIMES.tolist()
+
+
+def test_results_keep_labels_of_rows_and_parameters(tmp_path):
+    """Results of part of a table join with the table."""
+    table = pd.DataFrame({"cl": [3.0, 5.5, 8.0], "ka": [1.0, 1.1, 1.2]}, index=["P1", "P7", "P9"])
+    part = table[table.cl > 5]
+    many = PROBLEM.solve_ensemble(args=part, t_eval=TIMES, workers=1)
+    many.save(tmp_path / "many.npz")
+    for made in (many, iv.EnsembleSolution.load(tmp_path / "many.npz")):
+        assert made.index.tolist() == ["P7", "P9"]
+        rows = made.to_dataframe()
+        assert rows.loc["P9", "cl"].tolist() == [8.0] * len(TIMES)
+        joined = rows.reset_index().join(table.add_prefix("of table "), on="trajectory")
+        assert (joined["cl"] == joined["of table cl"]).all()
+        data = made.to_xarray()
+        np.testing.assert_array_equal(data.y.sel(trajectory="P7"), many.y[0])
+        assert data.ka.sel(trajectory="P9") == 1.2
+    plain = PROBLEM.solve_ensemble(args=part.reset_index(drop=True), workers=1)
+    assert plain.index.tolist() == [0, 1]
+    with pytest.raises(ValueError, match="the rows of y0 and args have other labels, P9, P7 and P7, P9"):
+        PROBLEM.solve_ensemble(pd.DataFrame({"gut": [1.0, 2.0]}, index=["P9", "P7"]), args=part)
+    with pytest.raises(ValueError, match=r"y0\[gut\] is an initial value"):
+        PROBLEM.solve_ensemble(args=pd.DataFrame({"y0[gut]": [50.0, 100.0]}))
+    starts = pd.DataFrame({"gut": [1.0, np.nan]}, index=part.index)
+    with pytest.warns(iv.FailureWarning, match=r"number 1 \(P9\)"):
+        PROBLEM.solve_ensemble(starts, workers=1)

@@ -19,7 +19,7 @@ from .files import ABOUT, PathLike, arrays_in, damage_of, read_arrays, unreadabl
 from .package import version
 
 #: The version of the format: raised whenever the fields of any kind change.
-VERSION = 13
+VERSION = 14
 
 _FORMAT = "invariode "
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, warn
 from .._base.failures import FailureWarning, SolveError
+from .._base.record import Record
 from .._base.types import OnFailure, OnInterrupt
 from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
+from .._problem.parameters import names_of_arguments
 from .._results.messages import accumulating_in, below_zero, harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
 from .ensemble_solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
@@ -23,9 +27,9 @@ assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "fallen", "stiff")
 
 
 def solution(
-    task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure, on_interrupt: OnInterrupt
+    task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure, on_interrupt: OnInterrupt, index: Any
 ) -> EnsembleSolution:
-    """Return the result of the ensemble, after its warnings.
+    """Return the result of the ensemble, whose rows have the labels `index`, after its warnings.
 
     Raises
     ------
@@ -63,6 +67,8 @@ def solution(
         _trajectories=_trajectories(plan, task, found),
         _final=times is None,
         _labels=plan.called.labels,
+        _index=index,
+        _arguments=_arguments(task),
         _sensitivities=None
         if plan.varied is None
         else EnsembleSensitivities.of(plan.varied.names, None if times is None else found.S, found.S_end, found.status),
@@ -148,7 +154,8 @@ class Remarks:
         if self._first is None or on_failure == "return":
             return
         i, message = self._first
-        text = f"{self._failed} of {self._size} trajectories failed; the first, number {i}: {message}"
+        label = "" if isinstance(result, EnsembleStore) or result._index is None else f" ({result._index[i]})"
+        text = f"{self._failed} of {self._size} trajectories failed; the first, number {i}{label}: {message}"
         if on_failure == "raise":
             raise SolveError(text, result) from (self._error and self._error[1])
         warn(f"{text} (y is NaN at times that they did not reach; `failed` and `messages` say more)", FailureWarning)
@@ -172,6 +179,21 @@ def _warn_fallen(plan: Plan, fallen: Array) -> None:
     components = np.unique(fallen - 1).tolist()
     listed = ", ".join(plan.called.components[i] for i in components)
     warn(below_zero(listed, components, f"in {fallen.size} trajectories"), AccuracyWarning)
+
+
+def _arguments(task: Task) -> tuple[list[str], Array] | None:
+    """Return the names of the numbers in args, and their values (N, k) if each trajectory has its own."""
+    args, problem = task.args, task.problem
+    if isinstance(args, tuple) or not len(args):
+        return None
+    if isinstance(args[0], tuple) and len(args[0]) == 1 and isinstance(args[0][0], Record):
+        return [*args[0][0].keys()], np.array([[*row[0]] for row in args], dtype=float)
+    names = names_of_arguments(problem.fun, len(args[0]), 2 + len(problem.before_args))
+    if isinstance(args, np.ndarray):
+        return (names, np.asarray(args, dtype=float)) if args.dtype.kind in "iuf" else None
+    chosen = [j for j in range(len(names)) if all(isinstance(row[j], (int, float)) for row in args)]
+    values = np.array([[float(row[j]) for j in chosen] for row in args])
+    return ([names[j] for j in chosen], values) if chosen else None
 
 
 def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:

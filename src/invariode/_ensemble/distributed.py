@@ -181,7 +181,7 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
     task = ensemble.task(*rejoined(drawn))
     whole = joined([done[part.number] for part in drawn])
     whole.interrupted |= interrupted
-    return solution(task, run.plan, whole, ensemble.on_failure, means.on_interrupt)
+    return solution(task, run.plan, whole, ensemble.on_failure, means.on_interrupt, rows.index)
 
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:

@@ -21,9 +21,10 @@ from .._base.arguments import (
     real_numbers,
     shown,
 )
-from .._base.labelled import named
+from .._base.labelled import named, row_labels
 from .._base.progress import bar
 from .._base.record import Record
+from .._base.suggestions import first_few
 from .._base.types import MethodName, OnInterrupt, Progress
 from .._plan.call_errors import require_taken
 from .._problem.given_options import changed, parted, refused
@@ -79,7 +80,8 @@ def solve_rows(
             raise ValueError("chunk, seed and resume are for ensembles with an executor or a store: give store= too")
         ensemble.first_here = workers is None
         workers = positive_integer("workers", _processors() if workers is None else workers)
-        return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt)
+        index = _row_labels(wanted.y0, wanted.args)
+        return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt, index)
     rows = _source(problem, wanted)
     means = Means(executor, _threads_of_part(executor, workers), drawn, chunk, on_interrupt)
     if wanted.store is not None:
@@ -90,15 +92,15 @@ def solve_rows(
 
 
 def _at_once(
-    ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: Progress, on_interrupt: OnInterrupt
+    ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: Progress, on_interrupt: OnInterrupt, index: Any
 ) -> EnsembleSolution:
-    """Solve all rows on this machine."""
+    """Solve all rows on this machine; `index` is their labels."""
     task = ensemble.task(y0, args)
     first, plan = first_plan(task)
     plans = [plan, *(ensemble.task(y0, args, k).plan(first) for k in range(1, len(ensemble.attempts)))]
     with bar(shown, "trajectories", len(y0)) as report:
         found = attempted(ensemble, plans, y0, args, Locally(workers, report, keep=True))
-    return solution(task, plan, found, ensemble.on_failure, on_interrupt)
+    return solution(task, plan, found, ensemble.on_failure, on_interrupt, index)
 
 
 def _attempts(method: MethodName, options: Options, retry: Any) -> list[Attempt]:
@@ -158,10 +160,24 @@ def _threads_of_part(executor: Any, workers: int | None) -> int:
 
 def _source(problem: Problem, wanted: Wanted) -> Rows:
     if not isinstance(wanted.y0, Iterator):
-        return GivenRows(*_rows(problem, wanted.y0, wanted.args))
+        return GivenRows(*_rows(problem, wanted.y0, wanted.args), _row_labels(wanted.y0, wanted.args))
     if wanted.args is not None:
         raise ValueError("an iterator of an ensemble yields (y0, args): leave out args")
     return StreamedRows(wanted.y0, partial(_rows, problem))
+
+
+def _row_labels(y0: Any, args: Any) -> Any:
+    """Return the labels of the rows of y0 and args, an index of pandas or an array; None if they have none.
+
+    Raises ValueError: Both have, and these differ.
+    """
+    index, other = row_labels(args), row_labels(y0)
+    if index is not None and other is not None and [*index] != [*other]:
+        raise ValueError(
+            f"the rows of y0 and args have other labels, {first_few([*map(str, other)])} and "
+            f"{first_few([*map(str, index)])}: give both in one order, or one of them without labels, .to_numpy()"
+        )
+    return other if index is None else index
 
 
 def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:

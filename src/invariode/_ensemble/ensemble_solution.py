@@ -237,6 +237,8 @@ class EnsembleSolution:
     _final: bool = False  # whether y are the final states
     _labels: list[str] | None = None  # None: the default ones
     _sensitivities: EnsembleSensitivities | None = None
+    _index: Any = None  # the labels of the rows that were given; None: 0 to N - 1
+    _arguments: tuple[list[str], Array] | None = None  # names, and values (N, k) where rows have their own
 
     def _repr_html_(self) -> str:
         return html_of_ensemble(self)
@@ -267,6 +269,18 @@ class EnsembleSolution:
     def sensitivity_names(self) -> list[str]:
         """The k parameters."""
         return [] if self._sensitivities is None else list(self._sensitivities.names)
+
+    @property
+    def index(self) -> Array:
+        """The labels of the trajectories, (N,): those of the rows of a table or labelled array that was given as `y0`
+        or `args`; otherwise 0 to N - 1."""
+        return np.arange(len(self)) if self._index is None else np.asarray(self._index)
+
+    @property
+    def parameters(self) -> dict[str, Array]:
+        """The numbers in `args` by name, (N,), if each trajectory has its own; otherwise empty."""
+        names, values = self._arguments or ([], np.zeros((len(self), 0)))
+        return dict(zip(names, values.T, strict=True))
 
     @property
     def failed(self) -> Array:
@@ -422,7 +436,8 @@ class EnsembleSolution:
         -------
         xarray.Dataset
             `y` (trajectory, component, t), `y_end`, `t_end`, `status` and `correction`, the counts of `stats`, with
-            invariants their `value`, `residual_before` and `residual_after` (trajectory, invariant).
+            invariants their `value`, `residual_before` and `residual_after` (trajectory, invariant). The coordinate
+            `trajectory` is `index`; `parameters` are coordinates along it.
 
         Raises
         ------
@@ -437,8 +452,9 @@ class EnsembleSolution:
         Returns
         -------
         pandas.DataFrame
-            A row for each trajectory and time, with the index (`trajectory`, `t`), and a column for each component.
-            Times that a trajectory did not reach are left out.
+            A row for each trajectory and time, with the index (`trajectory`, `t`), and a column for each component and
+            each of the `parameters`. `trajectory` is the label in `index`. Times that a trajectory did not reach are
+            left out.
 
         Raises
         ------
@@ -491,6 +507,8 @@ class EnsembleSolution:
                 "_final": found["final"],
                 "_labels": named,
                 "_sensitivities": names and EnsembleSensitivities(names, found["S"], found["S_end"]),
+                "_index": found["index"],
+                "_arguments": (found["arguments"], found["args"]) if found["arguments"] else None,
             })  # fmt: skip
             vars(made).update(restored(found, vars(made).keys() | cls.__annotations__.keys()))
         return made
@@ -539,6 +557,9 @@ _ENSEMBLE = Kind(
         "parameters": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
         "S": Field(None, "trajectory component parameter t", field_of("_sensitivities", "values"), optional=True),
         "S_end": Field(None, "trajectory component parameter", field_of("_sensitivities", "end"), optional=True),
+        "index": Field(Any, of=lambda m: None if m._index is None else m.index.tolist()),
+        "arguments": Field(Annotated[list[str], "argument"], of=lambda m: [*m.parameters]),
+        "args": Field(float, "trajectory argument", lambda m: m._arguments and m._arguments[1], optional=True),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,

@@ -43,7 +43,10 @@ def rows_of(args: Any, chosen: Any) -> Any:
 
 
 class Rows:
-    """The rows of an ensemble, in blocks; `size`: how many there are, None if nobody knows yet."""
+    """The rows of an ensemble, in blocks; `size`: how many there are, None if nobody knows yet; `index`: their labels,
+    or None."""
+
+    index: Any = None
 
     def __init__(self, blocks: Iterator[tuple[Array, Any]], size: int | None = None) -> None:
         self._blocks, self.size = blocks, size
@@ -82,8 +85,9 @@ class Rows:
 class GivenRows(Rows):
     """Rows in arrays."""
 
-    def __init__(self, y0: Array, args: Any) -> None:
+    def __init__(self, y0: Array, args: Any, index: Any = None) -> None:
         super().__init__(iter([(y0, args)]), len(y0))
+        self.index = index
 
 
 class StreamedRows(Rows):

@@ -131,6 +131,10 @@ def with_named(
     known = _Known(fun, args, labels, 0, first, "args")
     whole = {known.names.index(name): value for name, value in changes.items() if name in known.names}
     inside = {name: number(f"args: {name}", value) for name, value in changes.items() if name not in known.names}
+    for name in inside:
+        if name == Y0 or name.startswith(f"{Y0}["):
+            label = name[len(Y0) + 1 : -1]
+            raise ValueError(f"args: {name} is an initial value: give it in y0, by name, as in y0={{{label!r}: value}}")
     found = [one for name in inside for one in known.found(name)]
     changed, _ = with_values(args, np.zeros(0), found, inside.values())
     return tuple(whole.get(i, one) for i, one in enumerate(changed))

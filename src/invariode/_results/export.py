@@ -181,11 +181,13 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         laws = ("value", "residual_before", "residual_after")
         variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
     coordinates = {
-        "trajectory": np.arange(len(ensemble)),
+        "trajectory": ensemble.index,
         "component": ensemble.labels,
         "t": ensemble.t,
         **({} if ensemble.sensitivities is None else {"parameter": ensemble.sensitivity_names}),
     }
+    for name, values in ensemble.parameters.items():
+        coordinates[f"args[{name}]" if name in coordinates or name in variables else name] = ("trajectory", values)
     data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version()})
     return data
 
@@ -195,9 +197,12 @@ def ensemble_to_dataframe(ensemble: Any) -> pandas.DataFrame:
     pd = extra("pandas", "this needs", "data")
     size, n, times = ensemble.y.shape
     t = ensemble.t_end if ensemble._final else np.tile(ensemble.t, size)
-    index = pd.MultiIndex.from_arrays([np.repeat(np.arange(size), times), t], names=["trajectory", "t"])
+    labels = ensemble.index.repeat(times)
+    index = pd.MultiIndex.from_arrays([labels, t], names=["trajectory", "t"])
     rows = ensemble.y.transpose(0, 2, 1).reshape(size * times, n)
     table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=ensemble.labels)
+    for name, values in ensemble.parameters.items():
+        table[f"args[{name}]" if name in ensemble.labels else name] = values.repeat(times)
     return table[np.isfinite(rows).all(axis=1)]
 
 

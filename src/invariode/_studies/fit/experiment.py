@@ -383,8 +383,18 @@ def _components(problem: Problem, given: Any, purpose: str) -> list[int]:
             found.append(int(one))
         else:
             listed = ", ".join(labels)
-            raise ValueError(f"there is no component {shown(one)} {purpose}: there are {listed}{meant(one, labels)}")
+            raise ValueError(
+                f"there is no component {shown(one)} {purpose}: there are {listed}{_meant_component(one, labels)}"
+            )
     return found
+
+
+def _meant_component(given: object, labels: list[str]) -> str:
+    """Return the end of a message: what may be meant, also the concentration of a species."""
+    species = given[1:-1] if isinstance(given, str) and given[:1] == "[" else None
+    if species in labels:
+        return f"; y holds the amount of {species}: for concentrations pass an observe= that divides by the volume"
+    return meant(given, labels)
 
 
 def _noises(given: Noise | Sequence[Noise], m: int) -> list[str]:
@@ -440,9 +450,9 @@ class Observation:
             return self, observed
         if unknown and len(unknown) < len(names):
             raise ValueError(
-                f"the column {unknown[0]!r} is no component, which are {', '.join(self._problem.labels)}"
-                f"{meant(unknown[0], self._problem.labels)}; if it has the times, pass t={unknown[0]!r}; if it is "
-                "no measurement, leave it out"
+                f"the column {unknown[0]!r} is no component, which are {', '.join(labels)}"
+                f"{_meant_component(unknown[0], labels)}; if it has the times, pass t={unknown[0]!r}; if it is no "
+                "measurement, leave it out"
             )
         return Observation(self._problem, list(names)), list(names)
 
