@@ -246,5 +246,5 @@ def test_tables_and_rows_of_arguments_are_matched_by_name(named):
     expected = [problem.replace(args=row).solve().y_end for row in table.to_dict("records")]
     for args in (table, table.to_dict("records"), table.to_dict("list"), table[["k", "c"]]):
         np.testing.assert_array_equal(problem.solve_ensemble(args=args, workers=1).y_end, expected)
-    with pytest.raises(ValueError, match="no parameter 'kk'"):
+    with pytest.raises(ValueError, match=r"'kk'.*did you mean 'k'"):
         problem.solve_ensemble(args=table.rename(columns={"k": "kk"}), workers=1)

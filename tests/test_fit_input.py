@@ -395,6 +395,22 @@ class TestPictures:
         assert ax.get_xlabel() == "k"
 
 
+def test_all_experiments_are_drawn_in_panels_as_they_are_alone():
+    plt = pytest.importorskip("matplotlib.pyplot")
+    experiments = [iv.Experiment(straight().replace(name=name), T, LINE_DATA, sigma=0.1) for name in ("cold", "warm")]
+    fitted = iv.fit(experiments, LINE)
+    panels = fitted.plot(experiment="all").figure.axes
+    assert [panel.get_title(loc="left") for panel in panels] == ["0: cold", "1: warm"]
+    for e, panel in enumerate(panels):
+        alone = fitted.plot(experiment=e)
+        assert len(panel.lines) == len(alone.lines)
+        for one, other in zip(panel.lines, alone.lines, strict=True):
+            np.testing.assert_array_equal(one.get_xydata(), other.get_xydata())
+    with pytest.raises(ValueError, match="leave ax out"):
+        fitted.plot(experiment="all", ax=panels[0])
+    plt.close("all")
+
+
 def test_tables_say_what_is_missing_or_is_no_number():
     pd = pytest.importorskip("pandas")
     problem, columns = hunting(), {"Time": T, "prey": np.ones(len(T))}

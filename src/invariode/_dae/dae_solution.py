@@ -303,10 +303,10 @@ class DaeSolution(Solution):
         found: Array = self["yp"]
         return found
 
-    def __missing__(self, key: str) -> Any:
+    def __missing__(self, key: Any) -> Any:
         rates = self.__dict__.pop("_rates", None) if key == "yp" else None
         if rates is None:
-            raise KeyError(key)
+            return super().__missing__(key)
         self["yp"] = found = rates()
         return found
 

@@ -604,6 +604,12 @@ class Result(Deferred, dict[str, Any]):
             value = self.get(name, _ABSENT)
             return super().__getattr__(name) if value is _ABSENT else value
 
+    def __missing__(self, key: Any) -> Any:
+        components = [*self._names.components]
+        if key in components:
+            raise KeyError(f"{key!r} is a component: y[{components.index(key)}], or to_dataframe()[{key!r}]")
+        raise KeyError(key)
+
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):
             super().__setattr__(name, value)

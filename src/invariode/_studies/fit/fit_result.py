@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -343,26 +343,36 @@ class Fit:
         title, several = self._experiment(e).problem._title, len(self._model.experiments)
         return title if several == 1 else f"{title or 'data'}: experiment {e} (0 to {several - 1})"
 
-    def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
+    def plot(self, *, experiment: int | Literal["all"] = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
         """Plot the data, the model and its confidence band over time.
 
         Curves are interrupted where y jumps, as at doses.
 
         Parameters
         ----------
-        experiment : int, default 0
-            The index of the experiment.
+        experiment : int or "all", default 0
+            The index of the experiment; "all": a panel for each one, below each other.
         level : float, default 0.95
             The probability of the band.
         ax : matplotlib.axes.Axes, optional
-            The axes for everything. Default: a new figure, with a panel for each unit at the end of labels, such as
-            "drug [mg/l]", and for each scale.
+            The axes for everything, of one experiment. Default: a new figure, with a panel for each unit at the end of
+            labels, such as "drug [mg/l]", and for each scale.
 
         Returns
         -------
         matplotlib.axes.Axes
             The first panel; all are in ``ax.figure.axes``.
         """
+        if experiment == "all":
+            if ax is not None:
+                raise ValueError('experiment="all" draws a figure of its own, with a panel for each: leave ax out')
+            names = [one.problem._title or "experiment" for one in self._model.experiments]
+            panels = picture.column([f"{e}: {name}" for e, name in enumerate(names)])
+            for e, panel in enumerate(panels):
+                self.plot(experiment=e, level=level, ax=panel)
+                panel.set_xlabel("$t$" if panel is panels[-1] else "")
+            first: Axes = panels[0]
+            return first
         one = self._experiment(experiment)
         t, cuts = picture.times(one, self._solutions[experiment])
         band = self.predict(t, experiment=experiment, level=level)

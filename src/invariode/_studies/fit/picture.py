@@ -86,6 +86,14 @@ def draw(
     return panels[0]
 
 
+def column(titles: Sequence[str]) -> Array:
+    """Return panels of a new figure below each other with these titles, for experiments."""
+    panels = new_panels(None, [1] * len(titles), figsize=(6.4, 1.2 + 1.8 * len(titles)))
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set_title(drawable(title), loc="left", fontsize="medium")
+    return panels
+
+
 def _curve(ax: Axes, band: Prediction, cuts: Array, j: int, colour: Any, label: str) -> None:
     """Draw the model of one quantity with its band."""
     t, y, lower, upper = (np.insert(one, cuts, np.nan) for one in (band.t, band.y[j], band.lower[j], band.upper[j]))
