@@ -41,6 +41,10 @@ def value(**options):
 #: Entrances for one value of each name: the names, and what is computed from the values.
 SINGLE = {
     "Problem(y0=)": (STATES, lambda x: ends(iv.Problem(drug, (0, 4), x, args=PROBLEM.args, labels=STATES).solve())),
+    "Problem(y0=function)": (
+        STATES,
+        lambda x: ends(iv.Problem(drug, (0, 4), lambda *args: x, args=PROBLEM.args, labels=STATES).solve()),
+    ),
     "Problem(args=)": (NUMBERS, lambda x: ends(iv.Problem(drug, (0, 4), [100.0, 1.0], args=x).solve())),
     "solve_ivp(args=)": (NUMBERS, lambda x: ends(iv.solve_ivp(drug, (0, 4), [100.0, 1.0], args=x))),
     "replace(y0=)": (STATES, lambda x: ends(PROBLEM.replace(y0=x).solve())),
@@ -64,6 +68,10 @@ SINGLE = {
 #: Entrances for rows of values.
 ROWS = {
     "solve_ensemble(y0=)": (STATES, lambda x: ends(PROBLEM.solve_ensemble(x, workers=1))),
+    "iv.solve_ensemble(args=)": (
+        NUMBERS,
+        lambda x: ends(iv.solve_ensemble(drug, (0, 4), [100.0, 1.0], args=x, workers=1)),
+    ),
     "solve_ensemble(args=)": (NUMBERS, lambda x: ends(PROBLEM.solve_ensemble(args=x, workers=1))),
 }
 
@@ -105,6 +113,12 @@ def test_labels_that_are_no_names_are_refused_and_counting_ones_say_nothing():
             PROBLEM.replace(y0=other)
     with pytest.raises(ValueError, match=r"the label 'gut' twice"):
         PROBLEM.solve_ensemble(pd.DataFrame([[1.0, 2.0]], columns=["gut", "gut"]))
+    for study in (
+        lambda y: iv.impose(lambda t, y: y @ y, 0.0, y),
+        lambda y: iv.check_invariants(lambda t, y: [y[1], -y[0]], lambda t, y: y @ y, 0.0, y),
+    ):
+        with pytest.raises(TypeError, match="by name for blood, gut"):  # there are no names to match these with
+            study(pd.Series({"blood": 1.0, "gut": 2.0}))
     with pytest.raises(ValueError, match=r"missing for 'blood'"):
         iv.Problem(drug, (0, 1), {"gut": 1.0}, args=(1.0, 5.0, 30.0), labels=STATES)
     with pytest.raises(ValueError, match=r"columns of y0 must be of one length"):

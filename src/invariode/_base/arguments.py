@@ -411,10 +411,18 @@ def _reads_as_number(value: object) -> bool:
         return False
 
 
+def require_unlabelled(name: str, value: object) -> None:
+    """Require values without names where none are known that these could be matched with.
+
+    Raises TypeError: They have names.
+    """
+    if (found := named(name, value)) is not None:
+        raise TypeError(f"{name} must be a list or an array, got values by name for {first_few([*found])}")
+
+
 def state(y0: ArrayLike, name: str = "y0") -> Array:
     """The initial state as a new array of shape (n,)."""
-    if (found := named(name, y0)) is not None:
-        raise TypeError(f"{name} must be a list or an array, got values by name for {first_few([*found])}")
+    require_unlabelled(name, y0)
     y = as_array(name, y0)
     if y.ndim != 1:
         form = "a list or an array of numbers, for one component [1.0]" if y.ndim == 0 else "numpy.ravel makes it so"

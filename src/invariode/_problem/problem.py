@@ -197,9 +197,9 @@ class Problem:
             raise _no_such_argument(unknown, by_position)
         args = _args_or(fun, parameters, args)
         y0 = start_of(y0, history, t_span, args)
-        if labels is not None:
-            y0 = by_name("y0", y0, labels, "components")
         state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
+        if labels is not None:
+            state = by_name("y0", state, labels, "components")
         described = self.__dict__
         described |= self.plain(_filled(fun, inplace, delays is not None), t_span, state, args).__dict__
         called, start = self.fun, self.y0
@@ -277,7 +277,7 @@ class Problem:
 
     def start_with(self, args: tuple[Any, ...]) -> Array:
         """Return the initial state with other arguments, (n,)."""
-        return self.y0 if self.y0_of_args is None else state(self.y0_of_args(*args))
+        return self.y0 if self.y0_of_args is None else state(self.by_component("y0", self.y0_of_args(*args)))
 
     def _require_real(self, what: str) -> None:
         """Raise an error unless the states are real; `what` is not defined for complex ones."""
@@ -304,6 +304,8 @@ class Problem:
         record = _record_in(self.args)
         if record is not None:
             return (record.changed(changes),)
+        if not self.args:
+            return _args_by_name(self.fun, changes)
         return with_named(self.fun, self.args, self._labels, changes, first=2 + len(self.before_args))
 
     def by_component(self, what: str, given: Any, now: Array | None = None) -> Any:
