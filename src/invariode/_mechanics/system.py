@@ -299,13 +299,18 @@ class MechanicalSystem(HasPoints):
             The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
             of the system. Give them for trajectories of ensembles and for loaded solutions.
         t : array_like of shape (n_t,), optional
-            Times, for a solution with dense output. Default: those of the output.
+            Times of the run, for a solution with dense output. Default: those of the output.
 
         Returns
         -------
         ndarray, (m, n_t)
             The multipliers of the constraints, then those of the velocity constraints, in units of force times length
             over the unit of each; of least norm if constraints are redundant.
+
+        Raises
+        ------
+        ValueError
+            A time outside the run, where the states are only extrapolated; no dense output.
         """
         columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args, t)]
         return np.array(columns).T
@@ -342,7 +347,7 @@ class MechanicalSystem(HasPoints):
         Raises
         ------
         ValueError
-            A row is not one of the constraints.
+            A row is not one of the constraints; a time outside the run, as for ``multipliers``.
         """
         columns = []
         for motion, at in self._along(sol, args, t):
