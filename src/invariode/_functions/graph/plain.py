@@ -117,8 +117,8 @@ def may_switch(fun: Any, args: Sequence[Any] = ()) -> bool:
     called = fun if type(fun) is FunctionType and not fun.__dict__ else _called(fun)
     known = _known.get(called.__code__) if type(called) is FunctionType and not called.__defaults__ else None
     nothing_inside = known is not None and not (known.switches or known.outside or called.__kwdefaults__)
-    if (nothing_inside or not _may_switch(called, set())) and not (
-        args and any(type(one) is not float and _may_switch(one, set()) for one in args)
+    if (nothing_inside or not _may_switch(called)) and not (
+        args and any(type(one) is not float and _may_switch(one) for one in args)
     ):
         return False
     if type(called) is not FunctionType:
@@ -225,32 +225,34 @@ def _called(fun: Any) -> Any:
     return fun.fun if isinstance(fun, FirstOrderForm) else fun
 
 
-def _may_switch(value: Any, around: set[int]) -> bool:
-    """Return whether a function, or one that is reached through a value, may switch; `around`: what is being looked
-    at."""
-    kind = type(value)
-    if kind is FunctionType:
-        code = _code_of(value.__code__)
-        if not code.plain or code.switches:
-            return code.plain
-        if not (code.outside or value.__defaults__ or value.__kwdefaults__):
-            return False
-        inside: Iterable[Any] = _outside(value, code)
-    elif kind in _HOLDERS:
-        inside = _HOLDERS[kind](value)
-    elif _is_table(value):
-        return True
-    elif issubclass(kind, CompiledFunction):
-        inside = [value.fun]
-    elif _is_plain_object(kind):
-        inside = [one for _, one in _attributes(value, {name for part in kind.__mro__ for name in vars(part)})]
-        inside += getattr(value, "__dict__", {}).values()
-    else:
-        return False
-    if id(value) in around:
-        return False
-    around.add(id(value))
-    return any(_may_switch(one, around) for one in inside)
+def _may_switch(value: Any) -> bool:
+    """Return whether a function, or one that is reached through a value, may switch."""
+    waiting, seen = [value], dict[int, Any]()  # the values too, since an id is that of a living object
+    while waiting:
+        one = waiting.pop()
+        kind = type(one)
+        if kind is FunctionType:
+            code = _code_of(one.__code__)
+            if code.plain and code.switches:
+                return True
+            if not code.plain or not (code.outside or one.__defaults__ or one.__kwdefaults__):
+                continue
+            inside: Iterable[Any] = _outside(one, code)
+        elif kind in _HOLDERS:
+            inside = _HOLDERS[kind](one)
+        elif _is_table(one):
+            return True
+        elif issubclass(kind, CompiledFunction):
+            inside = [one.fun]
+        elif _is_plain_object(kind):
+            inside = [held for _, held in _attributes(one, {name for part in kind.__mro__ for name in vars(part)})]
+            inside += getattr(one, "__dict__", {}).values()
+        else:
+            continue
+        if id(one) not in seen:
+            seen[id(one)] = one
+            waiting += inside
+    return False
 
 
 #: What holds other values, and how these are found.
