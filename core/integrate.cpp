@@ -6,6 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "output/polynomial.hpp"
+
 namespace invariode {
 namespace {
 
@@ -16,6 +18,7 @@ constexpr int most_refusals = 3;         // of corrections in a step before the 
 constexpr double agreement = 0.03;
 constexpr int most_repetitions = 12;
 constexpr double slowest_agreement = 0.9;
+constexpr int most_landings = 3;           // by the continuous solution, in a step, on a bound
 constexpr std::size_t most_marks = 10000;  // that are ahead at one time
 
 }  // namespace
@@ -260,7 +263,10 @@ Integration::Verdict Integration::attempt() {
   Step::Attempt proposal = propose();
   if (attempt_.disagrees) return reject(Cause::overlap);
   if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
-  if (looks_between_ && std::abs(aim_.h()) > aim_.hmin()) {  // in the shortest step there is no time to be wrong at
+  const bool may_visit = bounded_slope_ != nullptr &&
+                         bounded_slope_->may_visit(t0_, aim_.h(), weights_, y0_.data(), step_->slope(), proposal.y);
+  if ((looks_between_ || may_visit) &&
+      std::abs(aim_.h()) > aim_.hmin()) {  // in the shortest there is no time to be wrong
     proposal = step_->inspect_extension(proposal);
     if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   }
@@ -269,6 +275,7 @@ Integration::Verdict Integration::attempt() {
     if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   }
   if (const Verdict verdict = pass_jump(proposal.y); verdict != Verdict::accepted) return verdict;
+  if (may_visit && ended(find_visit())) return Verdict::ended;
 
   StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), proposal.y};
   if (manifold_.any())
@@ -294,7 +301,7 @@ Step::Attempt Integration::propose() {
   double last_change = std::numeric_limits<double>::infinity();
   for (int repeated = 0; delays_->looked_ahead() && sound(proposal); ++repeated) {
     std::size_t size = 0;
-    if (delayed_->extension_of_attempt(delays_->room(step_->max_extension_size()), size) == Status::stop)
+    if (step_->extension_of_attempt(delays_->room(step_->max_extension_size()), size) == Status::stop)
       return {Outcome::stop, proposal.error, proposal.y};
     const double change = delays_->agree(size, proposal.y, weights_);
     if (change <= agreement * weights_.rtol()) break;
@@ -341,13 +348,42 @@ Integration::Verdict Integration::place(StepEnds& ends) {
   counts_.projections += placement.projected ? 1 : 0;
   counts_.skipped += placement.skipped ? 1 : 0;
   switch (placement.placed) {
-    case Manifold::Placed::outside: return reject(Cause::bounds);
+    case Manifold::Placed::outside: return land_on_bound();
     case Manifold::Placed::too_far: return oversized(candidate);
     case Manifold::Placed::undefined: return reject(Cause::not_finite);
     case Manifold::Placed::stop: return end_attempt(State::interrupted);
     case Manifold::Placed::accepted: break;
   }
   return Verdict::accepted;
+}
+
+/// Looks for a visit of a bound within the attempt, by its continuous extension.
+Integration::Course Integration::find_visit() {
+  course_.resize(step_->max_extension_size());
+  std::size_t size = 0;
+  if (step_->extension_of_attempt(course_.data(), size) == Status::stop) return end(State::interrupted);
+  const auto values = [this, size](std::span<const double> theta, double* Y) {
+    step_->interpolate()(course_.data(), size, n_, theta, Y);
+  };
+  return unless_stopped(
+      bounded_slope_->find_visit({.t0 = t0_,
+                                  .h = aim_.h(),
+                                  .size = n_,
+                                  .parts = intervals_of_step(static_cast<std::size_t>(step_->degree())),
+                                  .values = values},
+                                 weights_, y0_.data(), attempt_.landing));
+}
+
+/// The next attempt ends where this one came to the bound; if that has not been enough, h is halved too.
+Integration::Verdict Integration::land_on_bound() {
+  const double h = std::abs(aim_.h()), landing = std::exchange(attempt_.landing, 1);
+  const bool shortest = h <= aim_.hmin();
+  const Verdict verdict = reject(Cause::bounds);
+  if (verdict != Verdict::rejected || shortest || !(landing < 1)) return verdict;
+  if (++attempt_.landings > most_landings) return verdict;
+  step_->set_h(std::max(landing * h, aim_.hmin()));
+  aim_.retry(t0_, step_->h());
+  return verdict;
 }
 
 /// A correction of a right invariant falls fast with h. If two halvings in a row do not bring it down, the invariant
@@ -503,7 +539,7 @@ State Integration::finish_step() {
 }
 
 Integration::Course Integration::judge_invariants() {
-  counts_.clipped += manifold_.note() ? 1 : 0;
+  counts_.clipped += manifold_.note(aim_.h()) ? 1 : 0;
   const StepEnds ends{t0_, aim_.t1(), aim_.h(), y0_.data(), step_->y()};
   const Finding finding =
       manifold_.judge(ends, *step_, counts_.steps + 1, breaks_.at_end_of(aim_), breaks_.just_passed(t0_));

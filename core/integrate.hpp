@@ -135,6 +135,8 @@ class Integration {
     double error = 0;
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
+    double landing = 1;          // the part of the last one after which a component is outside of its bounds
+    int landings = 0;            // attempts that were to end at a bound
     bool reconciled = false;     // its start has been moved onto the algebraic equations
     bool disagrees = false;      // the last one does not agree with its own delayed values
   };
@@ -165,6 +167,8 @@ class Integration {
   Verdict test(const Step::Attempt& proposal);
   Verdict pass_jump(const double* candidate);
   Verdict place(StepEnds& ends);
+  Course find_visit();
+  Verdict land_on_bound();
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict end_attempt(State state);
@@ -240,7 +244,8 @@ class Integration {
   Jumps jumps_;
 
   Attempted attempt_;
-  double t0_ = 0;  // where the step starts
+  std::vector<double> course_;  // the continuous extension of an attempt, within bounds
+  double t0_ = 0;               // where the step starts
   std::vector<double> y0_;
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event

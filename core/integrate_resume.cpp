@@ -31,7 +31,7 @@ void Integration::state(Archive& archive) {
   archive(in_step_);  // interrupted between two attempts of a step: what comes next
   aim_.state(archive);
   archive.require(!in_step_ || aim_.defined());
-  archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals, attempt_.reconciled);
+  archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals, attempt_.landings, attempt_.reconciled);
   if (archive.reading()) {
     archive.require(std::isfinite(reached_.t));
     move_start(reached_.t, y.data());

@@ -68,7 +68,7 @@ class Step : public StepReport, public Archived {
   virtual Outcome start(double t, const double* y, const Span& span) = 0;
 
   /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly. Where f
-  /// has changed it may be called again with the same h and t1, before anything else (`DelayInterface`).
+  /// has changed it may be called again with the same h and t1, before anything else but `extension_of_attempt`.
   virtual Attempt attempt(double h, double t1) = 0;
 
   /// The attempt, which has passed the error test, with the larger one of its error and of that of its continuous
@@ -102,6 +102,12 @@ class Step : public StepReport, public Archived {
   virtual Status extension(double* data) = 0;
   [[nodiscard]] virtual std::size_t extension_size() const = 0;
   [[nodiscard]] virtual std::size_t max_extension_size() const { return extension_size(); }
+  /// The extension of the attempt just made, whose candidate is not committed, and its number of doubles. It may
+  /// evaluate f. Methods that take neither bounds nor delays have none.
+  virtual Status extension_of_attempt(double* /*data*/, std::size_t& size) {
+    size = 0;
+    return Status::ok;
+  }
   /// Returns whether these doubles are the coefficients of θ^0 … θ^degree, (degree + 1, n).
   [[nodiscard]] virtual bool extends_by_powers() const { return false; }
   /// Its degree, in this step and at most: the most roots that a linear event function has inside a step.

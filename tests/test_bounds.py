@@ -640,15 +640,49 @@ def test_messages_about_bounds_give_labels():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_visit_of_a_bound_is_seen(method):
-    """Where f leads y out of a bound and back within few steps, y has risen since by what f has since it turned; the
-    last one leaves the bound again and returns to it."""
-    times = np.linspace(0, 6, 100001)
-    for rate, w in ((0.6333, 1.3), (0.8, 1.3), (1.1333, 1.3), (1.0921, 1.785)):  # free, outside by 0.09 to 0.47
-        free = 0.4 + rate / w * np.sin(w * times)
+    """Where f leads y out of a bound and back, within few steps or one, y has risen since by what f has since it
+    turned, however deep it would be outside; free runs are as accurate."""
+    rng = np.random.default_rng(71)
+    times = np.linspace(0, 1, 40001)
+    fixed = [(0.6333, 1.3, 0.4), (0.8, 1.3, 0.4), (1.1333, 1.3, 0.4), (1.0921, 1.785, 0.4)]
+    shallow = [(rate, w, rate / w - 10**depth) for rate, w, depth in rng.uniform((0.3, 0.8, -4), (1.5, 3, -1), (6, 3))]
+    for rate, w, start in fixed + shallow:  # outside by 1e-4 to 0.47
+        T = 1.6 * np.pi / w
+        free = start + rate / w * np.sin(w * T * times) * (-1 if (rate, w, start) in shallow else 1)
+        sign = -1 if (rate, w, start) in shallow else 1
         end = free[-1] - free.min()
         for rtol in (1e-3, 1e-6):
-            sol = iv.solve_ivp(
-                lambda t, y, rate=rate, w=w: [rate * np.cos(w * t), -0.4 * y[1]], (0, 6), [0.4, 1.0], method, rtol=rtol,
-                atol=rtol / 10, nonnegative=[0],
-            )  # fmt: skip
-            assert abs(sol.y[0, -1] - end) < 300 * rtol * (end + 0.1), (rate, rtol)
+            options = {"rtol": rtol, "atol": rtol / 10}
+
+            def f(t, y, rate=rate, w=w, sign=sign):
+                return [sign * rate * np.cos(w * t), -0.4 * y[1]]
+
+            sol = iv.solve_ivp(f, (0, T), [start, 1.0], method, nonnegative=[0], **options)
+            plain = iv.solve_ivp(f, (0, T), [start, 1.0], method, nonnegative=False, **options)
+            error = abs(plain.y[0, -1] - free[-1])
+            assert abs(sol.y[0, -1] - end) < 100 * rtol * (end + 0.1) + 2 * error, (rate, w, start, rtol)
+
+
+@explicit_and_implicit
+def test_an_invariant_that_a_bound_contradicts_is_told(method):
+    """f conserves the sum only together with a component that it leads below 0, where it is held: the invariant is
+    named, and the component; what is held is in `clipped_amount`."""
+
+    def f(t, y):
+        return [-y[0], -1.0, y[0] + 1.0]
+
+    def total(t, y):
+        return y.sum()
+
+    options = {"nonnegative": True, "rtol": 1e-6, "atol": 1e-9}
+    with pytest.raises(
+        iv.InvariantError, match=r"total is contradicted by the bound of y\[1\].*out of its bound"
+    ) as told:
+        iv.solve_ivp(f, (0, 2), [1.0, 0.5, 0.0], method, invariants=total, **options)
+    assert 0.5 <= told.value.solution.t_end < 0.52
+    sol = iv.solve_ivp(f, (0, 2), [1.0, 0.5, 0.0], method, **options)
+    assert abs(sol.stats.clipped_amount - 1.5) < 1e-3
+    assert (sol.stats.clipped_amount > 0) == (sol.stats.clipped > 0)
+    np.testing.assert_allclose(sol.y[:, -1], [np.exp(-2), 0, 3 - np.exp(-2)], rtol=1e-4, atol=1e-12)
+    early = iv.solve_ivp(f, (0, 0.45), [1.0, 0.5, 0.0], method, invariants=total, **options)
+    assert early.stats.clipped == 0

@@ -1,6 +1,7 @@
 #include "manifold/bounds.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <limits>
@@ -80,8 +81,9 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
                            std::vector<double> mass)
     : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method), mass_(std::move(mass)) {
   inside_.resize(bounds.intervals().size());
-  passed_.resize(bounds.intervals().size());
+  range_.resize(bounds.intervals().size());
   slope_.resize(bounds.n());
+  removed_.resize(bounds.n());
   if (!by_step_) return;
   rests_.resize(bounds.intervals().size());
   at_bound_.assign(bounds.intervals().size(), 1);  // at the start nothing has come to a bound
@@ -191,12 +193,23 @@ void BoundedSlope::find_held(const double* slope) {
 void BoundedSlope::find_outward(const double* y, const double* slope) {
   for (std::size_t k = 0; k < inside_.size(); ++k) {
     const Bounds::Interval& one = bounds_.intervals()[k];
-    if (!Bounds::leads_out(one, y, forward_, slope)) continue;
-    const double value = y[one.component];
-    if (inside_[k] != 0)
-      passed_[k] = std::max({passed_[k], one.lower - value, value - one.upper});
-    else
-      held_.push_back(one.component);
+    if (inside_[k] == 0 && Bounds::leads_out(one, y, forward_, slope)) held_.push_back(one.component);
+  }
+}
+
+void BoundedSlope::Range::add(const Bounds::Interval& one, double y, double slope) {
+  lowest = std::min(lowest, slope);
+  highest = std::max(highest, slope);
+  if (slope < 0) to_lower = std::min(to_lower, (one.lower - y) / slope);
+  if (slope > 0) to_upper = std::min(to_upper, (one.upper - y) / slope);
+}
+
+void BoundedSlope::note(double t, const double* y, const double* slope) {
+  times_.push_back(t);
+  for (std::size_t k = 0; k < range_.size(); ++k) {
+    const Bounds::Interval& one = bounds_.intervals()[k];
+    const double m = mass(one.component);
+    if (m != 0) range_[k].add(one, y[one.component], forward_ * slope[one.component] / m);
   }
 }
 
@@ -204,18 +217,144 @@ void BoundedSlope::start_at(const double* y) {
   for (std::size_t k = 0; k < inside_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
     inside_[k] = lower < y[i] && y[i] < upper;
-    passed_[k] = 0;
+    range_[k] = {};
   }
+  times_.clear();
+  visited_ = {};
 }
 
-Bounds::Excess BoundedSlope::passed(const Weights& weights) const {
-  Bounds::Excess most;
-  for (std::size_t k = 0; k < passed_.size(); ++k) {
-    const std::size_t i = bounds_.intervals()[k].component;
-    const double size = passed_[k] / weights.threshold()[i];
-    if (size > most.size) most = {size, static_cast<int>(i)};
+namespace {
+
+constexpr double beside_end = 1e-6;  // θ at which a difference from an end of the step tells its slope
+constexpr int halvings_to_landing = 40;
+constexpr int halvings_to_way = 10;
+constexpr int parabolas = 4;  // to a peak between points
+
+/// A point b between a and c at which a function is largest, and the values there.
+struct Peak {
+  double a, b, c, ea, eb, ec;
+
+  /// The parabola through the three: how far its vertex is from b, and above it.
+  [[nodiscard]] std::array<double, 2> vertex() const {
+    const double p = (b - a) * (eb - ec), q = (c - b) * (eb - ea), divisor = 2 * (p + q);
+    if (!(divisor > 0)) return {0, 0};
+    const double move = ((c - b) * q - (b - a) * p) / divisor;
+    const double bend = ((eb - ea) / (b - a) + (eb - ec) / (c - b)) / (c - a);
+    return {move, bend * move * move};
   }
-  return most;
+  /// Returns whether the function may exceed a value there, though it is no parabola.
+  [[nodiscard]] bool may_exceed(double value) const {
+    constexpr double room = 4;
+    return eb > value || eb + room * vertex()[1] > value;
+  }
+  /// Takes the vertex of the parabola as one of the points.
+  template <class Function>
+  void narrow(Function f) {
+    const double x = b + vertex()[0];
+    if (x == b || !(a < x && x < c)) return;
+    const double e = f(x);
+    if (e >= eb) {
+      (x > b ? a : c) = b, (x > b ? ea : ec) = eb;
+      b = x, eb = e;
+    } else {
+      (x > b ? c : a) = x, (x > b ? ec : ea) = e;
+    }
+  }
+};
+
+/// Returns whether a component may get out and back within h: `before` and `after` are its distances inside at the
+/// ends, `out` and `back` the largest speeds at which it moves.
+bool may_be_outside(double before, double out, double after, double back, double h) {
+  const double left = h - before / std::max(out, 0.0);
+  return left > 0 && (after <= 0 || after < std::max(back, 0.0) * left);
+}
+
+}  // namespace
+
+/// A component that leaves the bound again between two times at which f was seen would, with the slope at the first of
+/// them, have come to it before the second: a parabola that touches it takes twice as long.
+bool BoundedSlope::may_visit(double t0, double h, const Weights& weights, const double* y0, const double* slope,
+                             const double* y1) {
+  const double length = std::abs(h);
+  double gap = 0;  // between times at which f was seen
+  for (std::size_t k = 0; k < range_.size(); ++k) {
+    const Bounds::Interval& one = bounds_.intervals()[k];
+    const std::size_t i = one.component;
+    if (rests(k) || mass(i) == 0) continue;
+    if (rates_ || ends_alone_) return true;
+    Range range = range_[k];
+    range.add(one, y0[i], forward_ * slope[i]);
+    const double tolerance = weights.rtol() * weights.threshold()[i];
+    const double lower = one.lower - tolerance, upper = one.upper + tolerance;
+    const bool below = may_be_outside(y0[i] - lower, -range.lowest, y1[i] - lower, range.highest, length);
+    const bool above = may_be_outside(upper - y0[i], range.highest, upper - y1[i], -range.lowest, length);
+    if (!below && !above) continue;
+    if (gap == 0) {
+      times_.insert(times_.end(), {t0, t0 + h});
+      std::ranges::sort(times_);
+      for (std::size_t j = 1; j < times_.size(); ++j) gap = std::max(gap, times_[j] - times_[j - 1]);
+    }
+    if ((below && (y1[i] <= lower || range.to_lower < gap)) || (above && (y1[i] >= upper || range.to_upper < gap)))
+      return true;
+  }
+  return false;
+}
+
+Status BoundedSlope::find_visit(const Course& course, const Weights& weights, const double* y0, double& landing) {
+  landing = 1;
+  const double rtol = weights.rtol();
+  theta_.assign({0, beside_end});
+  for (std::size_t j = 1; j < course.parts; ++j)
+    theta_.push_back(static_cast<double>(j) / static_cast<double>(course.parts));
+  theta_.insert(theta_.end(), {1 - beside_end, 1});
+  const std::size_t last = theta_.size() - 1;
+  course_.resize(theta_.size() * course.size);
+  point_.resize(course.size);
+  excess_.resize(theta_.size());
+  course.values(theta_, course_.data());
+  std::copy(y0, y0 + course.size, course_.begin());
+  for (std::size_t k = 0; k < range_.size(); ++k) {
+    const Bounds::Interval one = bounds_.intervals()[k];
+    if (rests(k) || mass(one.component) == 0) continue;
+    const auto outside = [&](const double* y) {
+      const double value = y[one.component];
+      return std::max(one.lower - value, value - one.upper) / weights.threshold()[one.component];
+    };
+    const auto at = [&](double x) {
+      course.values({&x, 1}, point_.data());
+      return outside(point_.data());
+    };
+    // Returns the first x between a and b at which the component is outside by `size`, or one a little later.
+    const auto first = [&](double a, double b, double size, int halvings) {
+      for (int i = 0; i < halvings; ++i) {
+        const double middle = (a + b) / 2;
+        (at(middle) > size ? b : a) = middle;
+      }
+      return b;
+    };
+    for (std::size_t j = 0; j <= last; ++j) excess_[j] = outside(course_.data() + j * course.size);
+    double inside = 0;  // the last θ at which the component is inside
+    for (std::size_t j = 1; j <= last; ++j) {
+      double x = theta_[j], most = excess_[j];
+      if (j < last && most >= excess_[j - 1] && most >= excess_[j + 1]) {
+        Peak peak{theta_[j - 1], x, theta_[j + 1], excess_[j - 1], most, excess_[j + 1]};
+        for (int i = 0; i < parabolas && peak.may_exceed(rtol); ++i) peak.narrow(at);
+        x = peak.b, most = peak.eb;
+      }
+      if (most > rtol) {
+        const double way = first(inside, x, (rtol + most) / 2, halvings_to_way);  // half as far outside
+        at(way);
+        if (evaluate_signs(course.t0 + way * course.h, point_.data()) == Status::stop) return Status::stop;
+        if (Bounds::leads_out(one, point_.data(), forward_, slope_.data())) {
+          if (j < last && most > visited_.size) visited_ = {most, static_cast<int>(one.component)};
+          landing = std::min(landing, first(inside, x, rtol / 2, halvings_to_landing));
+          break;
+        }
+      }
+      if (excess_[j] <= rtol / 2) inside = theta_[j];
+    }
+  }
+  return Status::ok;
 }
 
 double BoundedSlope::settle_held(const Weights& weights, double* y) const {
@@ -258,6 +397,7 @@ Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   if (status != Status::ok) return status;
   const bool any_rests = std::ranges::any_of(bounded.rests_, [](char side) { return side != 0; });
   bounded.held_.clear();
+  bounded.note(t, y, out);
   if (bounded.rates_) {
     bool told = false;
     if (!any_rests || !all_finite(out, bounded.bounds_.n())) return status;
@@ -271,6 +411,8 @@ Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   } else {
     bounded.find_outward(y, out);
   }
+  for (const std::size_t i : bounded.held_)
+    bounded.removed_[i] = bounded.rates_ ? bounded.rate_[i] : out[i] / bounded.mass(i);
   bounded.rest(out);
   return status;
 }

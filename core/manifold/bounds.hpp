@@ -4,7 +4,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <limits>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "callback.hpp"
@@ -76,6 +79,8 @@ class BoundedSlope {
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
 
+  /// The method sees f at the ends of its steps alone: any of them may have visited a bound.
+  void see_ends_alone() { ends_alone_ = true; }
   /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f. `changed`: it
   /// is another slope now, which the method's memory does not know.
   Status begin_step(double t, const double* y, bool& changed);
@@ -85,9 +90,24 @@ class BoundedSlope {
   /// inside. Evaluates f if there may be any. `changed`: their slopes or sensitivities jump there.
   Status find_arrived(double t, Extent extent, const double* Y0, const double* Y1, std::vector<std::size_t>& arrived,
                       bool& changed);
-  /// Returns how far, since `start_at`, a component that followed f was beyond its bound where f led it out.
-  [[nodiscard]] Bounds::Excess passed(const Weights& weights) const;
-  /// Returns the number of evaluations of f by `begin_step` and `find_arrived`.
+  /// Returns whether a component may be outside before the end of an attempt of signed size h from (t0, y0), with
+  /// `slope` there, to y1, by the slopes that f has had since `start_at`: by more than the tolerance.
+  [[nodiscard]] bool may_visit(double t0, double h, const Weights& weights, const double* y0, const double* slope,
+                               const double* y1);
+  /// The continuous solution of an attempt: at so many θ, Y, (count, size).
+  struct Course {
+    double t0, h;
+    std::size_t size;   ///< of Y
+    std::size_t parts;  ///< into which the step is cut to be looked at
+    std::function<void(std::span<const double> theta, double* Y)> values;
+  };
+  /// Looks where a component leaves its bounds by more than the tolerance in an attempt from y0. If f leads it out on
+  /// the way to a point before the end, which is evaluated there, it has visited the bound (`visited`). `landing`: the
+  /// θ at which it is outside by half of the tolerance, or 1.
+  Status find_visit(const Course& course, const Weights& weights, const double* y0, double& landing);
+  /// Returns how far a component visited the outside in the attempt.
+  [[nodiscard]] const Bounds::Excess& visited() const { return visited_; }
+  /// Returns the number of evaluations of f by `begin_step`, `find_visit` and `find_arrived`.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// Archives the components held too, which slopes of sensitivities at other points take from the last evaluation of
   /// f.
@@ -95,6 +115,8 @@ class BoundedSlope {
 
   /// The components whose slope the last evaluation set to 0.
   [[nodiscard]] const std::vector<std::size_t>& held() const { return held_; }
+  /// Returns what the last evaluation has taken from y_i' of a component that is held.
+  [[nodiscard]] double removed(std::size_t i) const { return removed_[i]; }
   /// Moves the held components of a candidate back to their bounds, from which iterations have moved them by less than
   /// the tolerance. Explicit methods leave none. Returns the largest move, in units of thr.
   double settle_held(const Weights& weights, double* y) const;
@@ -112,6 +134,8 @@ class BoundedSlope {
   Status evaluate_signs(double t, const double* y);
   void find_held(const double* slope);
   void find_outward(const double* y, const double* slope);
+  void note(double t, const double* y, const double* slope);
+  [[nodiscard]] bool rests(std::size_t k) const { return by_step_ && rests_[k] != 0; }
   Status evaluate(double t, const double* y, double* slope);
   [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
@@ -119,19 +143,30 @@ class BoundedSlope {
   Callback f_;
   const Bounds& bounds_;
   double forward_;
-  bool by_step_;
+  bool by_step_, ends_alone_ = false;
   std::vector<double> mass_;
   std::optional<DifferentialRate> rates_;  // of an M that is not diagonal
   std::vector<double> rate_;               // y', of such an M
   // Of the bounded components, for implicit methods: whether they rest, now and in the step before; whether they are at
   // a bound, and have come there in the step before.
   std::vector<char> rests_, rested_, at_bound_, arrived_;
-  // Of the bounded components, for explicit methods: whether the step starts inside, and how far stages were outside.
-  std::vector<char> inside_;
-  std::vector<double> passed_;
+  std::vector<char> inside_;  // of the bounded components, for explicit methods: whether the step starts inside
+  /// The slopes that f has had since `start_at`, in the direction of integration, and the shortest time in which one of
+  /// them leads to the lower or the upper bound.
+  struct Range {
+    double lowest = 0, highest = 0;
+    double to_lower = std::numeric_limits<double>::infinity(), to_upper = to_lower;
+
+    void add(const Bounds::Interval& one, double y, double slope);
+  };
+  std::vector<Range> range_;   // of the bounded components
+  std::vector<double> times_;  // at which f was evaluated
+  std::vector<double> theta_, course_, point_, excess_;
+  Bounds::Excess visited_;  // in the attempt
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
   std::vector<std::size_t> held_;
+  std::vector<double> removed_;  // of the components held
 };
 
 }  // namespace invariode

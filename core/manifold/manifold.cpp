@@ -38,6 +38,7 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
     }
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
+    taken_.resize(invariants_->m());
     if (bounds_ != nullptr) active_set_.emplace(*projector_, *bounds_);
     if (invariants_->any_one_sided())
       one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr, weights.rtol());
@@ -135,8 +136,7 @@ double Manifold::settle(StepEnds& ends) {
 /// Returns false if the candidate is outside the bounds by more than the tolerance.
 bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   Bounds::Excess outside = bounds_->excess(ends.y1, weights_);
-  const Bounds::Excess passed = bounded_slope_ != nullptr ? bounded_slope_->passed(weights_) : Bounds::Excess{};
-  if (passed.size > std::max(outside.size, weights_.rtol())) outside = passed;
+  if (bounded_slope_ != nullptr && bounded_slope_->visited().size > outside.size) outside = bounded_slope_->visited();
   outside_ = {.off_bounds = outside.component >= 0, .component = outside.component};
   step.moved_onto_bounds(outside_.off_bounds);
   projected_ = {};
@@ -208,7 +208,7 @@ int Manifold::undefined() const {
 
 // ---------------------------------------------------------------------------------------------------- an accepted step
 
-bool Manifold::note() {
+bool Manifold::note(double h) {
   assert(projected_.residual.size() <= drift.residual.size());
   for (std::size_t i = 0; i < projected_.residual.size(); ++i) {
     drift.residual[i] = std::max(drift.residual[i], std::abs(projected_.residual[i]));
@@ -216,8 +216,39 @@ bool Manifold::note() {
   }
   drift.correction = std::max(drift.correction, correction_ / weights_.rtol());
   if (bounds_ == nullptr) return false;
-  clipped += outside_.clipped;
-  return outside_.off_bounds;
+  double held = 0;
+  if (bounded_slope_ != nullptr)
+    for (const std::size_t i : bounded_slope_->held()) held -= h * bounded_slope_->removed(i);
+  clipped += outside_.clipped + held;
+  return outside_.off_bounds || held != 0;
+}
+
+/// An invariant that f conserves only together with components that are held at bounds: the projection takes from
+/// others what f would have taken from these, step after step.
+Finding Manifold::contradicted(double t, double h) {
+  if (bounded_slope_ == nullptr || bounded_slope_->held().empty()) return {};
+  const Linearization at = projector_->linearization();
+  for (std::size_t i = 0; i < at.m(); ++i) {
+    if (invariants_->untested(i) || invariants_->sense(i) != 0 || !(at.row_norm[i] > 0)) continue;
+    const Row gradient = at.gradient(i);
+    double rate = 0, most = 0;
+    std::size_t component = 0;
+    for (const std::size_t k : bounded_slope_->held()) {
+      const double part = gradient.entry(k) * bounded_slope_->removed(k);
+      rate -= part;
+      if (std::abs(part) > most) most = std::abs(part), component = k;
+    }
+    taken_[i] += h * rate / at.row_norm[i];
+    const double distance = std::abs(taken_[i]) / weights_.rtol();
+    if (most > 0 && distance > largest_correction)
+      return {.kind = Finding::Kind::held,
+              .invariant = static_cast<int>(i),
+              .component = static_cast<int>(component),
+              .t = t,
+              .size = rate,
+              .distance = distance};
+  }
+  return {};
 }
 
 /// A function that increases over a step increases at one of its ends, unless its rate changes sign twice within.
@@ -226,6 +257,7 @@ Finding Manifold::judge(const StepEnds& ends, const Step& step, std::int64_t num
   if (one_sided_ && one_sided_->engaged() && !after_break)
     if (const Finding finding = guard_->violated(ends.t0, ends.y0, ends.h, number); finding.kind != Finding::Kind::none)
       return finding;
+  if (const Finding finding = contradicted(ends.t1, ends.h); finding.kind != Finding::Kind::none) return finding;
   if (at_break) return {};
   const Finding finding = guard_->rate(projector_->linearization(), ends.t1, step.slope(), ends.h, number);
   if (finding.kind != Finding::Kind::none || at_bounds()) return finding;
@@ -244,6 +276,7 @@ void Manifold::state(Archive& archive) {
   if (restoration_) restoration_->state(archive);
   if (one_sided_) one_sided_->state(archive);
   if (harm_) harm_->state(archive);
+  archive(taken_);
 }
 
 }  // namespace invariode

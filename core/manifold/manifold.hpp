@@ -94,8 +94,8 @@ class Manifold {
   /// The invariant that could not be projected, since it is not finite at the candidate; -1: none.
   [[nodiscard]] int undefined() const;
 
-  /// The candidate was accepted. Returns whether it was outside the bounds.
-  bool note();
+  /// The candidate was accepted. Returns whether it was outside the bounds, or f leads components out that are held.
+  bool note(double h);
   /// Does f keep the invariants in accepted step number `number`? `at_break`, `after_break`: it ends, or starts, at a
   /// breakpoint, where there is no room for differences.
   Finding judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break);
@@ -106,7 +106,8 @@ class Manifold {
   void archive_drift(Archive& archive) { archive(clipped, drift.residual, drift.distance, drift.correction); }
 
   Drift drift;
-  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
+  double clipped =
+      0;  ///< what bounds have added to the sum of the components, by moving candidates and by holding them
 
  private:
   /// The latest candidate and the bounds, if there are any.
@@ -120,6 +121,7 @@ class Manifold {
   double settle(StepEnds& ends);
   bool move_onto_bounds(Step& step, StepEnds& ends);
   Outcome follow_tangent(double t);
+  Finding contradicted(double t, double h);
   Placed project(const Step& step, StepEnds& ends, std::int64_t steps);
   void choose_directions(const Step& step);
   [[nodiscard]] double roundoff_of_correction() const;
@@ -143,6 +145,7 @@ class Manifold {
   Outside outside_;
   Projected projected_;                    // of the accepted candidate
   double correction_ = 0;                  // of the latest candidate
+  std::vector<double> taken_;              // what bounds have taken from f in each invariant, as a distance
   std::vector<double> settled_;            // the candidate, with components that rest at their bounds
   std::vector<double> y1_;                 // the projected candidate
   std::vector<double> before_, after_;     // the values of the invariants on the two sides of a breakpoint

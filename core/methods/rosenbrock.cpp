@@ -158,12 +158,22 @@ void Rosenbrock::state(Archive& archive) {
 Interpolate Rosenbrock::interpolate() const { return in_turn<runge_kutta::nested_polynomial>; }
 
 /// y + h (θ (1 − θ) k₁ + θ (θ − 2d) k₂) / (1 − 2d) = y + θ (h k₂ + (1 − θ) h (k₁ − k₂) / (1 − 2d))
-Status Rosenbrock::extension(double* data) {
-  data = std::copy(last_y_.begin(), last_y_.end(), data);
+void Rosenbrock::parabola(const std::vector<double>& start, double* data) const {
+  data = std::copy(start.begin(), start.end(), data);
   for (std::size_t i = 0; i < n(); ++i) {
     data[i] = signed_h_ * k2_[i];
     data[n() + i] = signed_h_ * (k1_[i] - k2_[i]) / (1 - 2 * d);
   }
+}
+
+Status Rosenbrock::extension(double* data) {
+  parabola(last_y_, data);
+  return Status::ok;
+}
+
+Status Rosenbrock::extension_of_attempt(double* data, std::size_t& size) {
+  size = extension_size();
+  parabola(y_, data);
   return Status::ok;
 }
 

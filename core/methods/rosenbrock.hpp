@@ -30,6 +30,7 @@ class Rosenbrock final : public ImplicitBase<AgingJacobian> {
   [[nodiscard]] std::size_t extension_size() const override { return 3 * n(); }
   [[nodiscard]] int degree() const override { return formula_order; }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
 
   [[nodiscard]] int order() const override { return formula_order; }
   [[nodiscard]] Trust trust() const override { return bent_ ? Trust::never : Trust::unless_suspicious; }
@@ -39,6 +40,7 @@ class Rosenbrock final : public ImplicitBase<AgingJacobian> {
   Outcome stages();
   Status solve(std::vector<double>& b);
   bool looks_like_jump();
+  void parabola(const std::vector<double>& start, double* data) const;
   [[nodiscard]] const double* times_mass(const std::vector<double>& k);
 
   std::unique_ptr<Factorization> lu_;

@@ -72,7 +72,7 @@ Status Switching::extension(double* data) {
 
 Status Switching::extension_of_attempt(double* data, std::size_t& size) {
   data[0] = number_of_extension(active_->interpolate());
-  const Status status = delayed().extension_of_attempt(data + 1, size);
+  const Status status = active_->extension_of_attempt(data + 1, size);
   ++size;
   return status;
 }

@@ -20,7 +20,6 @@ namespace {
 constexpr double shortly = 0x1p-20;    // of the reach: the solution may slide along a condition zero so soon
 constexpr int most_close = 8;          // cuts in a row so shortly after the start, each twice as far as the last
 constexpr double beyond = 4;           // ulp of t, from the root of a condition to the end of the step
-constexpr int halvings_outside = 10;   // of the time from the start of a step to a point outside of the bounds
 constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients overflow
 
 /// The shortest step that a condition is given: roundoff of t, also where t is 0.
@@ -168,41 +167,9 @@ Step::Attempt Taylor::attempt(double h, double t1) {
     error_ = norm(row(current_, order_)) * std::pow(h_ * per_unit_, order());
   else
     error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
-  if (bounds_ != nullptr && error_ <= weights_.rtol() &&
-      (look_outside() == Status::stop || look_at_rest() == Status::stop))
+  if (bounds_ != nullptr && error_ <= weights_.rtol() && look_at_rest() == Status::stop)
     return {Outcome::stop, error_, candidate_};
   return {Outcome::ok, error_, candidate_};
-}
-
-/// A component may be outside of its bounds between the ends, at which alone f is seen: where it is by more than the
-/// tolerance, calls f on the way there. What the method integrates within bounds notes whether f leads it out.
-Status Taylor::look_outside() {
-  const std::size_t parts = intervals_of_step(order_);
-  for (const Bounds::Interval& one : bounds_->intervals()) {
-    const auto outside = [&](double theta) {
-      const double s = theta * length_ * per_unit_;
-      double value = row(current_, order_)[one.component];
-      for (std::size_t k = order_; k-- > 0;) value = row(current_, k)[one.component] + s * value;
-      return std::max(one.lower - value, value - one.upper);
-    };
-    const double tolerance = weights_.rtol() * weights_.threshold()[one.component];
-    double farthest = tolerance, before = 0, at = 0;
-    for (std::size_t j = 1; j < parts; ++j) {
-      const double theta = static_cast<double>(j) / static_cast<double>(parts), excess = outside(theta);
-      if (!(excess > farthest)) continue;
-      farthest = excess;
-      at = theta;
-    }
-    if (at == 0) continue;
-    for (int halving = 0; halving < halvings_outside; ++halving) {  // half as far outside, and on the way
-      const double middle = (before + at) / 2;
-      (outside(middle) > (tolerance + farthest) / 2 ? at : before) = middle;
-    }
-    std::vector<double> y(n()), slope(n());
-    power_series(current_.c.data(), current_.c.size(), n(), at * length_ * per_unit_, y.data());
-    if (f_(t_ + at * length_, y.data(), slope.data()) == Status::stop) return Status::stop;
-  }
-  return Status::ok;
 }
 
 /// A component that rests at its bound throughout the polynomial may have left it between the ends: its y' there is a
@@ -310,6 +277,12 @@ Interpolate Taylor::interpolate() const { return power_series; }
 Status Taylor::extension(double* data) {
   scale_coefficients(current_.c.data(), n(), order_, length_ / current_.unit, data);
   return Status::ok;
+}
+
+/// The polynomial is that of the start of the step, accepted or not.
+Status Taylor::extension_of_attempt(double* data, std::size_t& size) {
+  size = extension_size();
+  return extension(data);
 }
 
 double Taylor::stability() const {

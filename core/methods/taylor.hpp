@@ -42,6 +42,7 @@ class Taylor final : public Step {
   [[nodiscard]] bool extends_by_powers() const override { return true; }
   [[nodiscard]] int degree() const override { return order(); }
   Status extension(double* data) override;
+  Status extension_of_attempt(double* data, std::size_t& size) override;
 
   [[nodiscard]] int order() const override { return static_cast<int>(order_); }
   /// |h λ| from the ratio of the last two coefficients: λ^k / k! outgrows all others where stability limits h.
@@ -67,7 +68,6 @@ class Taylor final : public Step {
   Status rest(double t, const double* y, Expansion& into);
   Status expand(double t, const double* y, Expansion& into);
   Status evaluate_at_candidate();
-  Status look_outside();
   Status look_at_rest();
   Status look_ahead(double t, const Expansion& expansion, double length, double reach);
   Status find_cut(double t, const Expansion& expansion, double length);

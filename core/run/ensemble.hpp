@@ -70,7 +70,7 @@ class EnsembleResult {
   std::vector<double> y;  ///< (size, n / parts, n_t, parts): numbers of one or two reals
   /// For each invariant the value held, and the largest residual before and after projection; the largest correction.
   std::vector<double> value, before, after, correction;
-  std::vector<double> clipped;  ///< what moving steps onto bounds has added to the sum of the components
+  std::vector<double> clipped;  ///< what bounds have added to the sum of the components
   /// The t from which on stability limits the steps, where f jumps for the first time that was seen, after which
   /// actions of an event that came closer and closer are missing; NaN: nowhere.
   std::vector<double> stiff_since, discontinuity, accumulation;

@@ -69,7 +69,8 @@ inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind:
                                                          {"off_value", Finding::Kind::off_value},
                                                          {"jumps_off", Finding::Kind::jumps_off},
                                                          {"wrong_jacobian", Finding::Kind::wrong_jacobian},
-                                                         {"not_conserved", Finding::Kind::not_conserved}};
+                                                         {"not_conserved", Finding::Kind::not_conserved},
+                                                         {"held", Finding::Kind::held}};
 
 inline constexpr Named<Consistency> consistency_names[] = {{"consistent", Consistency::consistent},
                                                            {"corrected", Consistency::corrected},

@@ -134,6 +134,7 @@ void Run::keep_within_bounds() {
   } else {
     bounded_slope_.emplace(f_, *problem.bounds, forward, *rate());
   }
+  if (series_) bounded_slope_->see_ends_alone();
   bounded_f_ = bounded_slope_->callback();
   method_f_ = &bounded_f_;
 }

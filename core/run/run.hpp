@@ -57,7 +57,7 @@ struct RunResult {
   std::vector<double> discontinuities;       ///< of f, where they were seen
   std::optional<double> sticks_since;        ///< the solution stays where f jumps
   std::optional<Accumulation> accumulation;  ///< of events with actions
-  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
+  double clipped = 0;                        ///< what bounds have added to the sum of the components
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;

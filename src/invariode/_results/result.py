@@ -179,7 +179,8 @@ class Stats(Deferred, DataRecord):
     skipped : int
         Attempts whose projection was not needed.
     clipped : int
-        Steps that ended outside `bounds` by less than the tolerance, and were moved onto them.
+        Steps that ended outside `bounds` by less than the tolerance and were moved onto them, or in which components
+        were held at one that the function leads out of.
     ng : int
         Evaluations of the invariants, including those for output between steps.
     ngjac : int
@@ -200,8 +201,8 @@ class Stats(Deferred, DataRecord):
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
     clipped_amount : float
-        The amount that moving steps onto `bounds` has added to the sum of the components, before any invariants were
-        imposed again.
+        The amount that `bounds` have added to the sum of the components, before any invariants were imposed again:
+        by moving steps onto them, and by holding components there that the function leads out.
     mechanics : dict or None
         For a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were formed
         ('traced', 'complex step', 'differences', 'given'), and how often in the whole run each function was called and
