@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import signal
 import sys
 
 import numpy as np
@@ -136,6 +137,29 @@ def test_a_run_that_has_not_ended_is_not_overwritten(tmp_path):
     (tmp_path / "mine.txt").write_text("not yours")
     with pytest.raises(ValueError, match=r"mine\.txt was not written by a run with checkpoint="):
         iv.solve_ivp(decay, (0, 3), [1.0], checkpoint=tmp_path / "mine.txt")
+
+
+def test_only_a_run_that_has_come_to_an_end_makes_room_for_another(tmp_path):
+    """Its end is that of the interval or a terminal event: a run that a limit, a callback or Ctrl-C has stopped is
+    refused, loses nothing, and can go on to its end."""
+    once = iter([False, False, True])
+    stops = {"callback": lambda t, y: t > 1}
+    presses = {"callback": lambda t, y: next(once, False) and signal.raise_signal(signal.SIGINT)}
+    ways = [({}, 0), ({"max_steps": 2}, -3), (stops, 2), ({**presses, "on_interrupt": "return"}, 2), ({}, 1)]
+    halves = iv.Event(lambda t, y, rate: y[0] - 0.5, terminal=True)
+    for number, (options, status) in enumerate(ways):
+        path, asked = tmp_path / str(number), problem(events=halves if status == 1 else None)
+        first = asked.solve(checkpoint=path, **options)
+        assert first.status == status
+        if status in (0, 1):
+            assert problem(args=(3.0,)).solve(checkpoint=path).success
+            continue
+        with pytest.raises(ValueError, match=r"has not ended: go on with load.* --resume in the command, or delete it"):
+            asked.solve(checkpoint=path, max_steps=1)
+        kept = iv.load(path, asked, callback=options.get("callback"))
+        assert not differences(first, kept)
+        kept.extend(3, max_steps=None, callback=None)
+        assert asked.solve(checkpoint=path).success  # now it has ended
 
 
 def test_events_at_the_start_are_in_it(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import subprocess
@@ -125,6 +126,15 @@ def test_a_long_name_leaves_the_numbers_whole():
     assert f"{before:.2e}" in output
     assert f"{after:.2e}" in output
     assert max(map(len, output.splitlines())) <= 80
+
+
+def test_solve_prints_one_json_object_for_scripts():
+    """Also a failed run, which exits with 1; numbers that are not finite are null, as JSON has none."""
+    for file, code in (("pendulum.py", 0), ("faulty.py:blowing_up", 1)):
+        done = invariode("solve", file, "--json", "--quiet")
+        found = json.loads(done.stdout, parse_constant=pytest.fail)
+        assert (done.exit_code, found["success"]) == (code, code == 0)
+        assert {"method", "rtol", "atol", "message", "t_end", "y_end", "nfev", "seconds"} <= found.keys()
 
 
 def test_solve_quietly_prints_nothing():
@@ -308,8 +318,10 @@ def test_files_of_the_command_go_on_in_python_and_its_checkpoints_there(tmp_path
     run = iv.load(tmp_path / "run.npz", problem)
     assert run.extend(run.t_end + 1).success
     problem.solve(rtol=1e-4, atol=1e-7, checkpoint=tmp_path / "c.ck", limits=iv.Limits(steps=5))
-    options = ["--rtol", "1e-4", "--atol", "1e-7", "--checkpoint", f"{tmp_path}/c.ck", "--resume"]
-    assert invariode("solve", "pendulum.py", *options).exit_code == 0
+    options = ["--rtol", "1e-4", "--atol", "1e-7", "--checkpoint", f"{tmp_path}/c.ck"]
+    refused = invariode("solve", "pendulum.py", *options)  # --resume was forgotten: nothing is lost
+    assert (refused.exit_code, "has not ended" in refused.output + refused.stderr) == (2, True)
+    assert invariode("solve", "pendulum.py", *options, "--resume").exit_code == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")

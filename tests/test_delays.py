@@ -283,6 +283,9 @@ def test_dde23_is_matlabs_call():
     np.testing.assert_allclose(sol.y[:, -1], KNOWN["ddex1"][-1], rtol=1e-4)
     jump = iv.dde23(lambda t, y, Z: 3.5 * y * (1 - Z[:, 0] / 19), 0.74, 19, (0, 10), [19.001], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(jump.y[:, -1], KNOWN["lemmings"][-1], rtol=1e-4)
+    for option, instead in (("Jumps", "breakpoints="), ("InitialY", "y0="), ("method", "solve_ivp")):
+        with pytest.raises(TypeError, match=instead):
+            iv.dde23(lambda t, y, Z: [-Z[0, 0]], 1.0, 1.0, (0, 2), **{option: "radau"})
 
 
 #: What is passed, and words of the error.

@@ -549,6 +549,8 @@ def test_data_set_has_names_coordinates_and_attributes(method):
     for name, value in sol.stats.items():
         assert ds.attrs.get(name) == (None if value == () else value)  # empty values are left out
     assert ds.attrs["invariode_version"] == iv.__version__
+    asked = iv.Problem(lambda t, y, a, b: [-a * b * y[0]], (1, 2), [1.0], args=(0.5, 2)).solve("auto").to_xarray().attrs
+    assert (asked["method"], asked["args"]) == ("auto", [0.5, 2.0])
 
 
 def test_data_set_of_a_plain_run_has_no_more_than_it_knows():

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import textwrap
 import threading
 import time
 
@@ -312,6 +315,53 @@ def test_the_exception_of_ctrl_c_has_the_finished_trajectories():
         problem.solve_ensemble(args=args, workers=1, max_step=0.1)
     timer.join()
     assert raised.value.solution.status.tolist() == [1] + [-128] * 19
+
+
+TERMINATED = """
+    import os, signal, sys, threading, time
+    import numpy as np
+    import invariode as iv
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in `python job.py &` of a script
+
+    def slow(t, y, rate):
+        time.sleep(2e-3)
+        return [-rate * y[0]]
+
+    def after(seconds):
+        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM)).start()
+
+    after(0.3)
+    options = {"max_step": 0.01, "keep": "end", "checkpoint": sys.argv[1], "on_interrupt": "return"}
+    print(iv.solve_ivp(slow, (0, np.inf), [1.0], args=(1.0,), **options).status)
+    after(1.5)
+    many = iv.solve_ensemble(slow, (0, 1), [1.0], args=np.ones((4096, 1)), workers=2, on_interrupt="return")
+    print(np.unique(many.status).tolist())
+    after(0.3)
+    iv.solve_ivp(slow, (0, np.inf), [1.0], args=(1.0,), max_step=0.01, keep="end")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGTERM")
+def test_sigterm_returns_too_where_ctrl_c_is_ignored(tmp_path):
+    """A run, and an ensemble in processes with chunks of 256 trajectories of many milliseconds, of which workers send
+    back what is finished. Without the option SIGTERM ends the process."""
+    command = [sys.executable, "-c", textwrap.dedent(TERMINATED), tmp_path / "run"]
+    job = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert job.stdout.split("\n") == ["2", "[-128, 0]", ""], job.stderr
+    assert job.returncode == -signal.SIGTERM
+    assert (tmp_path / "run").exists()
+
+
+def test_the_exception_of_ctrl_c_has_the_store(tmp_path):
+    pytest.importorskip("zarr")
+    problem, args = endless(native=False)
+    timer = interrupted_after(0.6)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt, match="1 of 20 trajectories are solved") as raised:
+        problem.solve_ensemble(args=args, workers=1, max_step=0.1, chunk=1, store=tmp_path / "many.zarr")
+    timer.join()
+    assert raised.value.solution.missing == 19
 
 
 def test_progress_is_reported_to_a_function(monkeypatch):

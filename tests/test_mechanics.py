@@ -341,6 +341,9 @@ def test_what_is_fixed_at_the_start_stays():
         rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["v", "w"])
     with pytest.raises(ValueError, match="there is no component 'u'"):
         rod.problem((0, 1), [0, 1.1], [2, 0], consistent="project", fixed=["u"])
+    short = MechanicalSystem([1, 9], lambda t, q, v: [0, 0], lambda t, q: q[1] - q[0] - 1, labels=[*"ab"])
+    with pytest.raises(ValueError, match="the 2 components of q and then the 2 of v"):
+        short.problem((0, 1), [0, 1.1], [2, 0], consistent="project")
     with pytest.raises(ValueError, match='give consistent="project" too'):
         rod.problem((0, 1), [0, 1], [2, 2], fixed=["a"])
 
@@ -707,3 +710,15 @@ def test_forces_of_joints_are_those_of_the_run_alone():
         for t in (-1e-3, 1.001, [0.5, 2.0]):
             with pytest.raises(ValueError, match="outside the solution's interval, 0 to 1: extend the run"):
                 compute(sol, t=t)
+
+
+def test_a_dissipated_energy_beside_constraints_has_a_level_of_its_own():
+    arm = MechanicalSystem([1, 1], lambda t, q, v: [0, -1] - 0.1 * v, circle)
+    problem = arm.problem((0, 3), [1, 0], [0, 0])
+
+    def energy(t, y):
+        return y[2:] @ y[2:] / 2 + y[1]
+
+    with pytest.raises(ValueError, match="or different levels, as level=2 to energy"):
+        problem.replace(invariants=[*problem.invariants, iv.Dissipated(energy)]).solve()
+    assert problem.replace(invariants=[*problem.invariants, iv.Dissipated(energy, level=2)]).solve().success

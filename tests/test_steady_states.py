@@ -147,7 +147,7 @@ def test_rows_of_constant_components_hold_no_equations():
     problem = iv.Problem(enzyme, (0, 1), [2.0, 0.3, 0.1, 0.0], args=(1.0, 0.2, 0.7, 0.05))
     states = SteadyStates(problem, ())
     J = np.vstack([np.eye(3, 4), [1e-30, 1e-30, 0, -0.05]])
-    A, _ = states.system(J, np.ones(4), np.array([False, False, False, True]))
+    A, _ = states.system(J, np.zeros((0, 4)), np.ones(4), np.array([False, False, False, True]))
     np.testing.assert_array_equal(A[3], 0)
     np.testing.assert_array_equal(A[:, 3], 0)
 
@@ -269,3 +269,46 @@ def test_actions_of_breakpoints_do_not_count():
     found = iv.steady_state(problem)
     assert found.y == pytest.approx([0.0], abs=1e-9)
     assert "breakpoints, such as doses, do not count" in found.message
+
+
+def test_a_mechanism_comes_to_rest_on_its_constraints():
+    """A bead on a rod, pushed by a force F against its weight, damped: the rod points along (F, -m g), and pulls as
+    much; derivatives of the place are those of the formula. Eigenvalues are of motions that the rod allows."""
+
+    def force(t, q, v, F, weight):
+        return np.array([F - 2 * v[0], -weight - 2 * v[1]])
+
+    def rod(t, q, F, weight):
+        return np.sqrt(q @ q) - 1
+
+    F, weight = 0.75, 1.0
+    arm = iv.MechanicalSystem([1, 1], force, rod, args=(F, weight))
+    start = arm.problem((0, 1), [1, 0], [0, 0])
+    found = iv.steady_state(start.replace(sensitivities=["F"]))
+    assert (found.success, found.stable, len(found.eigenvalues)) == (True, True, 2)
+    np.testing.assert_allclose(found.y, [0.6, -0.8, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(-arm.multipliers(found), [[1.25]], rtol=1e-10)
+    np.testing.assert_allclose(arm.reactions(found)[:, 0], [-F, weight], rtol=1e-10)
+    np.testing.assert_allclose(found.sensitivities[:, 0], [0.8**2 / 1.25, 0.6 * 0.8 / 1.25, 0, 0], atol=1e-6)
+
+
+def test_an_invariant_selects_the_state_of_its_value():
+    """y1 y2 is conserved, which no linear total says: the limit has the value of y0, and S that of its derivative."""
+
+    def fun(t, y):
+        rate = y[0] - y[1]
+        return [-rate * y[0], rate * y[1]]
+
+    product = lambda t, y: y[0] * y[1]  # noqa: E731
+    problem = iv.Problem(fun, (0, 1), [4.0, 1.0], invariants=product, sensitivities=["y0[0]"])
+    found = iv.steady_state(problem)
+    np.testing.assert_allclose(found.y, [2, 2], rtol=1e-10)
+    np.testing.assert_allclose(found.sensitivities[:, 0], [0.25, 0.25], rtol=1e-8)  # of √(y1 y2)
+    assert len(found.eigenvalues) == 1
+
+
+def test_a_lightly_damped_oscillation_dies_away_at_zero():
+    """There no component has a size but that of the start, and the run keeps some tolerances of oscillation."""
+    found = iv.steady_state(iv.Problem(lambda t, y: [y[1], -np.sin(y[0]) - 0.1 * y[1]], (0, 1), [1.0, 0.0]))
+    assert (found.success, found.stable) == (True, True)
+    np.testing.assert_allclose(found.y, 0, atol=1e-15)

@@ -87,12 +87,17 @@ def _conclude_interrupted(result: EnsembleSolution, on_interrupt: OnInterrupt) -
     if on_interrupt == "return":
         warn(f"{text}; the status of the others is {UNSOLVED}")
         return
+    raise interruption(result, text)
+
+
+def interruption(result: EnsembleSolution | EnsembleStore, text: str) -> KeyboardInterrupt:
+    """Return the exception of an ensemble that Ctrl-C has stopped, with the result so far as a SolveError has it."""
     error = KeyboardInterrupt(
         f"{text}, and are in the `solution` of this exception (in a notebook: sys.last_value.solution); "
         'on_interrupt="return" returns them'
     )
-    error.solution = result  # type: ignore[attr-defined]  # as a SolveError has it
-    raise error
+    error.solution = result  # type: ignore[attr-defined]
+    return error
 
 
 class Remarks:

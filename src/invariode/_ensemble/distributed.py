@@ -17,7 +17,7 @@ from .._base.types import OnInterrupt, Progress
 from .._files.identity import in_words
 from .._plan.plan import Plan, solver
 from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table_of
-from .conclusion import Remarks, solution
+from .conclusion import Remarks, interruption, solution
 from .ensemble_solution import EnsembleSolution
 from .executors import on_executor, packed, places_of, shares_memory
 from .local import Locally, attempted, unsolved
@@ -193,9 +193,11 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
         try:
             _fill(writer, run, rows, means, remarks)
         except KeyboardInterrupt:
+            store = EnsembleStore(place.store)
+            text = f"Ctrl-C stopped the ensemble: {len(store) - store.missing} of {len(store)} trajectories are solved"
             if means.on_interrupt == "raise":
-                raise
-            warn("Ctrl-C stopped the ensemble: the store has the parts that are finished; resume=True solves the rest")
+                raise interruption(store, text) from None
+            warn(f"{text}, and in the store; resume=True solves the others")
     remarks.say(run.plan)
     result = EnsembleStore(place.store)
     remarks.conclude(result, ensemble.on_failure)

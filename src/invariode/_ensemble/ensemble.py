@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from .._base.arguments import (
     real_numbers,
     shown,
 )
+from .._base.interrupts import terminated_as_interrupted
 from .._base.labelled import named, row_labels
 from .._base.progress import bar
 from .._base.record import Record
@@ -75,20 +77,23 @@ def solve_rows(
     ensemble = Ensemble(problem, attempts, _side_by_side(many.get("lanes", "auto")), on_failure)
     executor, chunk, seed = many.get("executor"), many.get("chunk"), many.get("seed")
     workers, resume = many.get("workers"), flag("resume", many.get("resume", False))
-    if executor is None and wanted.store is None and not isinstance(wanted.y0, Iterator):
-        if chunk is not None or seed is not None or resume:
-            raise ValueError("chunk, seed and resume are for ensembles with an executor or a store: give store= too")
-        ensemble.first_here = workers is None
-        workers = positive_integer("workers", _processors() if workers is None else workers)
-        index = _row_labels(wanted.y0, wanted.args)
-        return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt, index)
-    rows = _source(problem, wanted)
-    means = Means(executor, _threads_of_part(executor, workers), drawn, chunk, on_interrupt)
-    if wanted.store is not None:
-        return stored(ensemble, rows, means, Place(wanted.store, resume, seed))
-    if seed is not None or resume:
-        raise ValueError("seed and resume are for results in a store: give store= too")
-    return in_parts(ensemble, rows, means)
+    with terminated_as_interrupted() if on_interrupt == "return" else nullcontext():
+        if executor is None and wanted.store is None and not isinstance(wanted.y0, Iterator):
+            if chunk is not None or seed is not None or resume:
+                raise ValueError(
+                    "chunk, seed and resume are for ensembles with an executor or a store: give store= too"
+                )
+            ensemble.first_here = workers is None
+            workers = positive_integer("workers", _processors() if workers is None else workers)
+            index = _row_labels(wanted.y0, wanted.args)
+            return _at_once(ensemble, *_rows(problem, wanted.y0, wanted.args), workers, drawn, on_interrupt, index)
+        rows = _source(problem, wanted)
+        means = Means(executor, _threads_of_part(executor, workers), drawn, chunk, on_interrupt)
+        if wanted.store is not None:
+            return stored(ensemble, rows, means, Place(wanted.store, resume, seed))
+        if seed is not None or resume:
+            raise ValueError("seed and resume are for results in a store: give store= too")
+        return in_parts(ensemble, rows, means)
 
 
 def _at_once(

@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -32,6 +33,8 @@ T = TypeVar("T")
 
 #: Rows that a worker gets at once: few enough that each worker gets several chunks, and results do not pile up.
 CHUNKS_PER_WORKER, LARGEST_CHUNK = 8, 256
+#: Seconds after which a worker hands back the rows of a chunk that it has solved: Ctrl-C loses no more than these.
+HANDING_BACK = 0.5
 #: Chunks under way per worker: the one that it solves, and the next, so that it need not wait.
 AHEAD = 2
 #: Windows cannot wait for more processes at once (documentation of `ProcessPoolExecutor`).
@@ -170,7 +173,10 @@ class _Workers(Generic[T]):
         for future in wait(self._given, LISTENING, FIRST_COMPLETED).done:
             chunk = self._given.pop(future)
             try:
-                files.append(Path(future.result()))
+                file = Path(future.result())
+                files.append(file)
+                if rest := chunk[int(file.suffix[1:]) :]:
+                    self._left.appendleft(rest)
             except BrokenProcessPool:
                 self.lost.append(chunk)
         return files
@@ -204,25 +210,27 @@ class _Workers(Generic[T]):
 
 @contextmanager
 def _ctrl_c_later() -> Iterator[None]:
-    """Delay Ctrl-C until the block is over.
+    """Delay Ctrl-C, and a SIGTERM that has a handler, until the block is over.
 
     A hook that runs in a fork would swallow it, and a new process die of it; an exception in the middle of the executor
     may leave one of its locks locked, for which its thread then waits for ever.
 
     Python runs its handlers in the main thread; elsewhere there is nothing to put off.
     """
-    usual = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(usual):
-        yield
-        return
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    usual: dict[int, Any] = {number: one for number, one in handlers.items() if callable(one)}
+    if threading.current_thread() is not threading.main_thread():
+        usual = {}
     heard: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+    for number in usual:
+        signal.signal(number, lambda number, frame: heard.append((number, frame)))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, usual)
+        for number, one in usual.items():
+            signal.signal(number, one)
         if heard:
-            usual(*heard[0])
+            usual[heard[0][0]](*heard[0])
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -264,14 +272,17 @@ def _end_with_parent(pid: int, folder: str) -> None:
 
 
 def _solve_chunk(chunk: range) -> str:
-    """Solve these rows and return the file with the outcomes."""
-    outcomes, me = [], os.getpid()
+    """Solve these rows, or the first of them for `HANDING_BACK` seconds, and return the file with the outcomes, which
+    ends with their number."""
+    outcomes, me, end = [], os.getpid(), time.monotonic() + HANDING_BACK
     for i in chunk:
         _work.at[i] = me
         outcomes.append(_work.solve(i))
         _work.at[i] = 0
-    _work.at[chunk[-1]] = me  # if it exceeds the memory, the last row is tried alone
-    file = Path(_work.folder) / str(chunk.start)
+        if time.monotonic() > end:
+            break
+    _work.at[i] = me  # if it exceeds the memory, the last row is tried alone
+    file = Path(_work.folder) / f"{chunk.start}.{len(outcomes)}"
     file.write_bytes(pickle.dumps(outcomes))
-    _work.at[chunk[-1]] = 0
+    _work.at[i] = 0
     return str(file)

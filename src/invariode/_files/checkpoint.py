@@ -29,6 +29,8 @@ _MAGIC = b"invariode output "
 _TOKEN = 8
 #: In front of each part of the output: its size and the checksum of its bytes.
 _HEAD = struct.Struct("<QI")
+#: Statuses of runs that have ended: another run may take their file.
+_ENDED = (0, 1)
 #: Readings of a checkpoint that a running process replaces meanwhile.
 _READINGS = 10
 
@@ -38,7 +40,6 @@ _OF_THE_FILES = {
     "length": Field(int, within=(0, math.inf)),  # of the output that counts
     "sequence": Field(int),  # number of this state file
     "writer": Field(str),  # the process
-    "running": Field(bool),
 }
 CHECKPOINT = Kind("checkpoint", END | _OF_THE_FILES)
 _PART = Kind("output", OUTPUT | {"token": Field(str)})
@@ -95,7 +96,8 @@ class RunFiles:
     def of_new_run(cls, path: PathLike, begin: Callable[[Any], Result]) -> RunFiles:
         """Files for a run that begins, and the lock on them; `begin` adds to the first part of its output. A ValueError
         where there is a run that has not ended, or something else; a FileNotFoundError where there is no such
-        folder, an IsADirectoryError where the path is one."""
+        folder, an IsADirectoryError where the path is one. A run has ended when it has come to the end of its interval
+        or to a terminal event; one that was killed, stopped or ran into a limit has results that only its file has."""
         self = cls(path, os.urandom(_TOKEN).hex())
         if not self._path.parent.is_dir():
             raise FileNotFoundError(
@@ -104,10 +106,10 @@ class RunFiles:
         if self._path.is_dir():
             raise IsADirectoryError(f"checkpoint: {self._path} is a folder: give the name of a file in it")
         with self._taking() as left:
-            if left is not None and left["running"]:
+            if left is not None and left["status"] not in _ENDED:
                 raise ValueError(
                     f"checkpoint: {os.fspath(path)} holds a run that has come to t = {left['t_end']!r} and has not "
-                    "ended: go on with load(path, problem).extend(tf), or delete it"
+                    "ended: go on with load(path, problem).extend(tf), --resume in the command, or delete it"
                 )
         self._begin = begin
         return self
@@ -129,7 +131,7 @@ class RunFiles:
         if self._lock is not None:
             self._lock.release()
 
-    def keep(self, part: Result, running: bool) -> None:
+    def keep(self, part: Result) -> None:
         """Add the output of a part of the run, and the state from which the run can continue after it."""
         if self._lock is None or not self._lock.is_held:
             raise ValueError(
@@ -158,7 +160,7 @@ class RunFiles:
         self._append(data)
         self._sequence += 1
         own = {"token": self._token, "sequence": self._sequence, "writer": _writer()}
-        state = CHECKPOINT.taken(part, **own, length=self._length, running=running)
+        state = CHECKPOINT.taken(part, **own, length=self._length)
         write(self._path, CHECKPOINT, state, durable=True)
         replaced, self._left = self._left, own
         if replaced is None or replaced["token"] != self._token:

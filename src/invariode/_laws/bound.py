@@ -452,12 +452,13 @@ def _metric_at(
 def _in_levels(specs: Sequence[InvariantSpec]) -> bool:
     """Return whether the invariants have levels, in which all may move the same components in the same metric."""
     first: dict[int, InvariantSpec] = {}
+    above = 1 + max((spec.level for spec in specs), default=0)
     for spec in specs:
         other = first.setdefault(spec.level, spec)
         if set(other.moves) != set(spec.moves):
             raise ValueError(
                 f"invariants {other.name} and {spec.name} are both of level {spec.level} and may move different "
-                "components: give them one set of moves, or different levels"
+                f"components: give them one set of moves, or different levels, as level={above} to {spec.name}"
             )
         if not _same(other.metric, spec.metric) or (spec.metric is not None and [*other.moves] != [*spec.moves]):
             raise ValueError(

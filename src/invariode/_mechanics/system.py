@@ -74,7 +74,7 @@ class MechanicalSystem(HasPoints):
     args : tuple, optional
         Extra arguments of all functions.
     labels : sequence of str, optional
-        Names of the components of q and v.
+        Names of the components of q, then of those of v.
     name : str, optional
         For tables and plots.
     jacobian : callable, optional
@@ -293,7 +293,7 @@ class MechanicalSystem(HasPoints):
 
         Parameters
         ----------
-        sol : Solution
+        sol : Solution or SteadyState
             Of a problem of this system.
         args : tuple, optional
             The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
@@ -376,9 +376,10 @@ class MechanicalSystem(HasPoints):
         used = known if args is None else extra_arguments(args)
         if t is not None and getattr(sol, "sol", None) is None:
             raise ValueError("t needs a continuous solution: solve with dense_output=True, or these times as t_eval")
-        times = sol.t if t is None else np.atleast_1d(np.asarray(t, dtype=float))
-        states = sol.y if t is None else sol.sol(times, extrapolate=False)  # type: ignore[attr-defined]  # just tested
-        points = [MotionPoint(float(at), y[:n], y[n:], used) for at, y in zip(times, np.asarray(states).T, strict=True)]
+        times = np.atleast_1d(np.asarray(sol.t if t is None else t, dtype=float))
+        states: Any = sol.y if t is None else sol.sol(times, extrapolate=False)  # type: ignore[attr-defined]  # just tested
+        rows = np.reshape(states, (-1, len(times))).T
+        points = [MotionPoint(float(at), y[:n], y[n:], used) for at, y in zip(times, rows, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]
 
@@ -443,6 +444,11 @@ class MechanicalSystem(HasPoints):
 
     def _labels(self, motion: Motion) -> list[str]:
         if self.labels is not None:
+            if len(self.labels) != motion.n_q + motion.n_v:
+                raise ValueError(
+                    f"labels must name the {motion.n_q} components of q and then the {motion.n_v} of v, got "
+                    f"{shown(self.labels)}"
+                )
             return self.labels
         positions = [f"q{i + 1}" for i in range(motion.n_q)]
         return positions + [f"v{i + 1}" for i in range(motion.n_v)]

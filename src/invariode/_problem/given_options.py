@@ -33,6 +33,8 @@ _ELSEWHERE: Mapping[str, str] = {
     **dict.fromkeys(("abstol", "absolute_tolerance"), "pass atol="),
     "tol": "pass rtol= and atol=",
     "jpattern": "pass jac_sparsity=",
+    "jumps": "pass breakpoints=",
+    "initialy": "pass y0=",
     "normcontrol": "errors are controlled by component; atol may be an array",
     "outputsel": "callback(t, y) receives all components",
     **dict.fromkeys(("mstatedependence", "mvpattern"), "mass depends on t at most: solve M y' = f for y' in fun"),

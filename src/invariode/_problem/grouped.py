@@ -170,8 +170,9 @@ class Checkpoint:
     Parameters
     ----------
     path : str or path-like
-        The file. Its folder must exist. A file that holds a run that has not ended is not overwritten, and a second run
-        with the same file is refused before it computes.
+        The file. Its folder must exist. It is overwritten only if its run has reached the end of the interval or a
+        terminal event: one that was killed, interrupted, stopped by a limit or its callback, or that failed raises a
+        ValueError before anything is computed. So does a second run with the same file.
     every : float, default 60.0
         Minimum time between two checkpoints, in seconds; ``inf``: only at the start and at the end.
 
@@ -196,7 +197,8 @@ class Checkpoint:
 class Limits:
     """Limits that end a run early, with status -3, a message and all results so far.
 
-    ``limits=Limits(steps=10**6, time=60)`` sets two of them. ``Solution.extend`` continues such a run.
+    ``limits=Limits(steps=10**6, time=60)`` sets two of them. ``Solution.extend`` continues such a run, with
+    the same limits again unless it is given others (``max_steps=None``: none).
 
     Parameters
     ----------

@@ -341,8 +341,9 @@ class RunningOptions(ScheduleOptions, total=False):
             "raise",
             "{'raise', 'return'}",
             "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
-            "so far, with status 2. A second Ctrl-C always raises. For an ensemble: return the trajectories that are "
-            "solved, the others with status -128; if it raises, the exception has them as its `solution`.",
+            "so far, with status 2; then SIGTERM does so too, unless the process has a handler of its own. A second "
+            "Ctrl-C always raises. For an ensemble: return the trajectories that are solved, the "
+            "others with status -128; if it raises, the exception has them as its `solution`.",
             partial(choice, known=get_args(OnInterrupt)),
         ),
     ]

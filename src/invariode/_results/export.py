@@ -14,6 +14,7 @@ from .._base import arguments
 from .._base.arguments import Array
 from .._base.formats import write
 from .._base.package import extra, version
+from .._problem.methods import find_method
 from .result import Result
 from .saving import SOLUTION, require_whole
 from .sensitivity_data import named
@@ -131,11 +132,11 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
         variables["method"] = ("t_step", solution.steps.method)
-    attributes = {
+    about = {
         name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
-        for name, value in _attributes(solution).items()
+        for name, value in attributes(solution).items()
     }
-    data: xarray.Dataset = xr.Dataset(variables, coordinates, attributes)
+    data: xarray.Dataset = xr.Dataset(variables, coordinates, about)
     return data
 
 
@@ -159,7 +160,7 @@ def to_dataframe(solution: Result) -> pandas.DataFrame:
     table: pandas.DataFrame = pd.DataFrame(
         rows, index=pd.Index(solution.t, name="t"), columns=[name for name, _ in columns]
     )
-    table.attrs = _attributes(solution)
+    table.attrs = attributes(solution)
     if len(g):
         table.attrs["invariants"] = dict(zip(g.names, g.value.tolist(), strict=True))
     return table
@@ -216,7 +217,7 @@ def _event_names(solution: Result) -> list[str]:
     return names if len(set(names)) == len(names) else [f"{name}_{i}" for i, name in enumerate(names)]
 
 
-def _attributes(solution: Result) -> dict[str, Any]:
+def attributes(solution: Result) -> dict[str, Any]:
     """Return the fields that have one value for the whole solution, in Python's own types, which netCDF and JSON
     take."""
     known = {name: value for name, value in solution.stats.items() if value not in (None, ())}
@@ -225,11 +226,31 @@ def _attributes(solution: Result) -> dict[str, Any]:
         "message": solution.message,
         "status": solution.status,
         "success": solution.success,
+        **_asked(solution),
         "rtol": _tolerance(solution._rtol),
         "atol": _tolerance(solution._atol),
         **{name: json.dumps(value) if isinstance(value, dict) else value for name, value in known.items()},
         "invariode_version": version(),
     }
+
+
+#: A file writes out no more arguments.
+_FEW = 8
+
+
+def _asked(solution: Result) -> dict[str, Any]:
+    """Return the method, and the arguments if they are a few numbers, of a solution that knows its run."""
+    origin = solution._origin
+    if origin is None:
+        return {}
+    if origin.source is None:  # it comes from a file
+        about = origin.identity().about
+        method, args = about["method"], about["problem"]["args"]
+    else:
+        method, args = find_method(origin.source.method)[0].name, origin.source.problem.args
+    values = [np.asarray(one) for one in args or ()]
+    numbers = all(one.ndim == 0 and one.dtype.kind in "iuf" and np.isfinite(one) for one in values)
+    return {"method": method} | ({"args": _tolerance(values)} if numbers and 0 < len(values) <= _FEW else {})
 
 
 def _tolerance(given: ArrayLike) -> float | list[float]:

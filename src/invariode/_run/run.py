@@ -17,7 +17,7 @@ from .._adjoint.sections import Sectioned, SectionedSolution
 from .._base.arguments import Array, number, output_times, quietly, shown, warn
 from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.forks import cached_property
-from .._base.interrupts import stopped_by_interrupt
+from .._base.interrupts import stopped_by_interrupt, terminated_as_interrupted
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
 from .._files.checkpoint import RunFiles
@@ -478,7 +478,7 @@ def _keep(checkpoint: RunFiles, core: _core.Solver, plan: Plan, source: Solved, 
         return
     sol = _solution(Finished(part, plan, source, core.members, checkpoint=checkpoint))
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
-    checkpoint.keep(sol, part.state == "running")
+    checkpoint.keep(sol)
 
 
 #: Roundoff of an invariant, in tolerances, from which on it is a warning.
@@ -512,6 +512,7 @@ def _integrated(
         if plan.progress:
             report = around.enter_context(run_bar(plan.progress, name, plan.course.t0, plan.course.tf))
         if plan.on_interrupt == "return":
+            around.enter_context(terminated_as_interrupted())
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
             return core.resume(*resumed, report, request, keep, every, plan.remarks)

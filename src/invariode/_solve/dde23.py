@@ -67,6 +67,10 @@ def dde23(
     """
     if is_native(fun):
         raise TypeError("fun of dde23 is a Python function of (t, y, Z): pass machine code of (t, y, z) to solve_ivp")
+    if "method" in options:
+        raise TypeError(
+            "dde23 is the method ode23: for another one, solve_ivp(fun, tspan, y0, method, delays=, history=)"
+        )
     called = transposed(function("fun", fun, "f(t, y, Z)"))
     keep = options.get("keep")
     if options.get("t_eval") is None and not (isinstance(keep, str) and keep == "end"):

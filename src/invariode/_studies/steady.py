@@ -2,7 +2,7 @@
 
 The run follows y' = f(t0, y) until T |f| is small; then Newton's method with the exact Jacobian J and the totals W,
 
-    [J; W M] dy = [-f; W M (y0 - y)],
+    [J; W M; G] dy = [-f; W M (y0 - y); c - g],
 
 finishes, and its result is accepted only where it moves y little. Totals come from the structure of f alone: a null
 space of sampled Jacobians has false members, which move the state.
@@ -30,6 +30,7 @@ from .._functions.graph.python import Formula
 from .._functions.graph.structure import linear_totals, replaced, staying_zero
 from .._functions.layout import layout_of, place_of
 from .._problem.grouped import Limits
+from .._problem.invariants import Invariants
 from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 
@@ -40,6 +41,9 @@ _RTOL, _ATOL = 1e-6, 1e-9
 
 #: The method of Newton is tried where T |f| is below this part of y, and accepted where it moves y by less.
 _NEAR = 1e-3
+
+#: Tolerances of the run below which a component is noise: ode15s sustains a lightly damped oscillation at 36.
+_NOISE = 100
 
 #: After a trial that failed, T grows by this factor before the next one.
 _LATER = 4.0
@@ -105,6 +109,8 @@ class SteadyState:
 
     Attributes
     ----------
+    t : float
+        The time at which f is taken, t0 of the problem.
     y : ndarray of shape (n,)
         The state; the last one of the run if no steady state was reached.
     residual : float
@@ -120,13 +126,14 @@ class SteadyState:
         Whether no eigenvalue of the Jacobian has a positive real part (beyond roundoff). A solution stays at an
         unstable state only from special initial values.
     eigenvalues : ndarray, complex
-        The eigenvalues of the Jacobian at y.
+        The eigenvalues of the Jacobian at y; with invariants and no mass matrix, for changes that conserve them.
     time : float
         How long the solution was followed, in units of t.
     sensitivity_names : list of str
         The parameters of `sensitivities`.
     """
 
+    t: float
     y: Array
     residual: float
     totals: Array
@@ -173,8 +180,10 @@ def steady_state(
     """Return the steady state to which the solution of a problem goes: f(t0, y) = 0 with the totals of y0.
 
     The solution of y' = f(t0, y) from y0 is followed until it hardly moves; Newton's method with the exact Jacobian and
-    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Events, invariants and breakpoints
-    do not: a state that returns after each dose is not a steady one.
+    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Invariants have their values at y0,
+    or the prescribed ones, so a mechanical system comes to rest on its constraints; one-sided ones do not count, nor do
+    those with corrections along the stages, events and breakpoints: a state that returns after each dose is not a
+    steady one.
 
     Parameters
     ----------
@@ -205,6 +214,9 @@ def steady_state(
 
     Notes
     -----
+    A mechanical system comes to rest if something damps every motion that its constraints allow; give it damping for
+    this purpose, which does not change where it rests. ``multipliers(found)`` are then its forces at rest.
+
     Components that are zero and stay zero are left out, and so are those that stay constant because of that: where a
     reactant is absent and never made, its partners keep their initial values and the derivatives of these.
 
@@ -233,7 +245,9 @@ def steady_state(
     W, labels = states.totals, [one.name for one in names]
     residual = np.abs(found.f).max(initial=0.0)
     if isinstance(found, NotFound):
-        failed = SteadyState(found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None)
+        failed = SteadyState(
+            states.t0, found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None
+        )  # fmt: skip
         if on_failure == "raise":
             raise SolveError(found.reason, failed)
         if on_failure == "warn":
@@ -243,7 +257,17 @@ def steady_state(
     if any(point.action is not None for point in problem.breakpoints):
         message += " Actions in the problem's breakpoints, such as doses, do not count."
     return SteadyState(
-        found.y, residual, W, True, message, found.stable, found.eigenvalues, found.time, labels, found.slopes
+        states.t0,
+        found.y,
+        residual,
+        W,
+        True,
+        message,
+        found.stable,
+        found.eigenvalues,
+        found.time,
+        labels,
+        found.slopes,
     )
 
 
@@ -255,7 +279,7 @@ class SteadyStates:
     - `method`, `totals`, `tol`: as in `steady_state`
 
     Attributes:
-    - `totals`, (m, n): as in `SteadyState`
+    - `totals`, (m, n), and `t0`: as in `SteadyState`
     """
 
     def __init__(
@@ -272,15 +296,19 @@ class SteadyStates:
             raise ValueError("a steady state needs a constant mass matrix, and mass is a function")
         self._n, self._tol, self._names = len(problem.y0), tol, list(names)
         self._mass = None if mass is None else as_dense(mass).astype(float)
-        self._t = problem.t_span[0]
+        self.t0 = problem.t_span[0]
         self._own = [(j, one) for j, one in enumerate(self._names) if one.kind == "args"]
+        about: dict[str, Any] = {"at": Point(self.t0, problem.y0), "args": problem.args}
+        about["names"] = [one for _, one in self._own]
+        self._held = [one for one in problem.invariants if not one.sense and one.direction != "stages"]
+        self._levels = [derivative_of(one.fun, (None, self._n), **about) for one in self._held]
         self._derivative = self._last = self._at_start(problem)
         graph = self._derivative.graph
-        fun: Any = _Frozen(problem.fun, self._t, problem.inputs) if graph is None else graph.fun
+        fun: Any = _Frozen(problem.fun, self.t0, problem.inputs) if graph is None else graph.fun
         if graph is not None and not has_llvm():
             fun = getattr(fun, "fun", fun)
         changes: dict[str, Any] = {
-            "fun": fun, "t_span": (self._t, np.inf), "events": None, "invariants": None, "inputs": None,
+            "fun": fun, "t_span": (self.t0, np.inf), "events": None, "invariants": self._held, "inputs": None,
             "breakpoints": None,
             "sensitivities": None, "jac": None, "jac_sparsity": None, "lband": None, "uband": None,
         }  # fmt: skip
@@ -289,7 +317,7 @@ class SteadyStates:
 
     def _at_start(self, problem: Problem) -> Derivative:
         """Return the derivative of f(t0, y, *args), which does not depend on t."""
-        names, t0 = [one for _, one in self._own], self._t
+        names, t0 = [one for _, one in self._own], self.t0
         fun = _Frozen(problem.fun, t0, problem.inputs) if problem.inputs else problem.fun
         about: dict[str, Any] = {"at": Point(t0, problem.y0), "args": problem.args, "names": names, "called": "fun"}
         made = derivative_of(fun, (self._n, self._n), **about)
@@ -311,11 +339,36 @@ class SteadyStates:
     def value(self, y: Array, args: tuple[Any, ...]) -> Array:
         """Return f at y, (n,), as fast as possible."""
         made = self.derivative(args)
-        return made.value(self._t, y) if made.graph is None else made.graph.value(self._t, y)
+        return made.value(self.t0, y) if made.graph is None else made.graph.value(self.t0, y)
 
     def linear(self, y: Array, args: tuple[Any, ...]) -> tuple[Array, Array]:
         """Return f (n,) and ∂f/∂y (n, n)."""
-        return self.value(y, args), self.derivative(args).jacobian(self._t, y)
+        return self.value(y, args), self.derivative(args).jacobian(self.t0, y)
+
+    def level(self, y: Array, args: tuple[Any, ...], y0: Array) -> tuple[Array, Array]:
+        """Return c - g(y) and ∂g/∂y of the invariants, (m,) and (m, n), with their values c at y0 or as prescribed."""
+        left, G = [np.zeros(0)], [np.zeros((0, self._n))]
+        for one, of in self._held_at(args):
+            left.append((of.value(self.t0, y0) if one.value is None else one.value) - of.value(self.t0, y))
+            G.append(of.jacobian(self.t0, y))
+        return np.concatenate(left), np.vstack(G)
+
+    def _held_at(self, args: tuple[Any, ...]) -> list[tuple[Invariants, Derivative]]:
+        """Return the invariants with their derivatives for these arguments."""
+        at = [one if one.args is args else one.with_args(args) for one in self._levels]
+        return list(zip(self._held, at, strict=True))
+
+    def _level_slopes(self, y: Array, y0: Array, args: tuple[Any, ...], S0: Array) -> Array:
+        """Return d(c - g(y))/dp where ∂y/∂p is S0, (m, k), for the invariants."""
+
+        def slopes(of: Derivative, y: Array) -> Array:
+            found = of.jacobian(self.t0, y) @ S0
+            zeros = np.zeros((len(self._own), self._n))
+            found[:, [j for j, _ in self._own]] += of.tangent(self.t0, np.vstack([y, zeros])).T
+            return found
+
+        rows = [(slopes(of, y0) if one.value is None else 0) - slopes(of, y) for one, of in self._held_at(args)]
+        return np.vstack([np.zeros((0, S0.shape[1])), *rows])
 
     def _conserved(self, totals: Totals, problem: Problem) -> Array:
         """Return the rows of the totals."""
@@ -355,8 +408,8 @@ class SteadyStates:
             run.follow()
         if run.found is None:
             return NotFound(f"no steady state was found from y0 = {y0}: {run.reason}", run.y, run.f, run.time)
-        y, f, J, time = run.found
-        found = Found(y, f, time, None, self.rates(J, np.ones(self._n, dtype=bool)))
+        y, f, J, G, time = run.found
+        found = Found(y, f, time, None, self.rates(J, np.ones(self._n, dtype=bool), G))
         if S0 is None:
             return found
         slopes = self._slopes(y, y0, J, args, S0, still)
@@ -386,38 +439,43 @@ class SteadyStates:
                 truths[[*places]] = True
         return zero, still
 
-    def rates(self, J: Array, moving: Array) -> Array:
-        """Return the eigenvalues of the Jacobian of these components."""
+    def rates(self, J: Array, moving: Array, G: Array) -> Array:
+        """Return the eigenvalues of the Jacobian of these components, without a mass matrix for changes that conserve
+        the invariants, whose Jacobian is G."""
         block = np.ix_(moving, moving)
         if self._mass is None:
-            return np.linalg.eigvals(J[block])
+            _, sizes, rows = np.linalg.svd(G[:, moving])
+            free = rows[np.count_nonzero(sizes > _ZERO * sizes.max(initial=0.0)) :]
+            return np.linalg.eigvals(free @ J[block] @ free.T)
         from scipy.linalg import eigvals
 
         found = eigvals(J[block], self._mass[block])
         return np.asarray(found[np.isfinite(found)])
 
-    def system(self, J: Array, D: Array, still: Array) -> tuple[Array, Array]:
-        """Return [J; W M] for changes of the components in units of D, its rows divided by their sizes; and these
+    def system(self, J: Array, G: Array, D: Array, still: Array) -> tuple[Array, Array]:
+        """Return [J; W M; G] for changes of the components in units of D, its rows divided by their sizes; and these
         sizes."""
         W = self.totals if self._mass is None else self.totals @ self._mass
-        A = np.vstack([J, W]) * D
+        A = np.vstack([J, W, G]) * D
         A[:, still] = A[np.flatnonzero(still)] = 0.0  # of the rows of constant components roundoff is left
         lengths = np.linalg.norm(A, axis=1)
         lengths[lengths == 0] = 1.0
         return A / lengths[:, None], lengths
 
     def _slopes(self, y: Array, y0: Array, J: Array, args: tuple[Any, ...], S0: Array, still: Array) -> Array | None:
-        """Return S with J S = -∂f/∂p and W M S = W M S0; constant components keep S0. None: there is no single one."""
+        """Return S with J S = -∂f/∂p, W M S = W M S0, and the values of invariants; constant components keep S0.
+        None: there is no single one."""
         k = len(self._own)
-        fp = self.derivative(args).tangent(self._t, np.vstack([y, np.zeros((k, self._n))])).T
+        fp = self.derivative(args).tangent(self.t0, np.vstack([y, np.zeros((k, self._n))])).T
         D = sizes_of(y, y0)
-        A, lengths = self.system(J, D, still)
+        A, lengths = self.system(J, self.level(y, args, y0)[1], D, still)
         moving = ~still
         if moving.any() and np.linalg.matrix_rank(A[:, moving], tol=_ZERO) < moving.sum():
             return None
         right = np.zeros((len(A), S0.shape[1]))
         right[: self._n, [j for j, _ in self._own]] = -fp
         right[: self._n] -= J @ S0  # of S - S0
+        right[self._n + len(self.totals) :] = self._level_slopes(y, y0, args, S0)
         change = np.zeros_like(S0)
         if moving.any():
             right /= lengths[:, None]
@@ -444,8 +502,9 @@ class _Approach:
 
     def __init__(self, states: SteadyStates, args: tuple[Any, ...], y0: Array, still: Array) -> None:
         self._states, self._args, self._y0, self._still = states, args, y0, still
-        self._next, self._end, self._t0 = 0.0, np.inf, states._t
-        self.found: tuple[Array, Array, Array, float] | None = None
+        self._next, self._end, self._t0 = 0.0, np.inf, states.t0
+        self._atol = _ATOL * (np.abs(y0).max(initial=0.0) or 1.0)
+        self.found: tuple[Array, Array, Array, Array, float] | None = None
         self.y, self.f, self.time, self.reason = y0, np.zeros(len(y0)), 0.0, ""
 
     def follow(self) -> None:
@@ -460,15 +519,24 @@ class _Approach:
             self._try(0.0, self._y0, unstable=True)
             if self.found is not None:
                 return
-        atol = _ATOL * (np.abs(self._y0).max(initial=0.0) or 1.0)
         problem = states._problem.replace(args=self._args, y0=self._y0)
-        options: Any = {"rtol": _RTOL, "atol": atol, "keep": "end", "on_failure": "return", "callback": self._step}
+        options: Any = {
+            "rtol": _RTOL,
+            "atol": self._atol,
+            "keep": "end",
+            "on_failure": "return",
+            "callback": self._step,
+        }
         sol = problem.solve(states._method, limits=Limits(steps=_MOST_STEPS), **options)
         if self.found is None:
             self.y, self.time = sol.y[:, -1], float(sol.t[-1]) - self._t0
             self.reason = self.reason or sol.message
             if np.isfinite(self.y).all():
                 self.f = states.value(self.y, self._args)
+
+    def _near(self, y: Array) -> Array:
+        """Return how far from y a steady state may be that the run has come to."""
+        return _NEAR * sizes_of(y, self._y0) + _NOISE * self._atol
 
     def _step(self, t: float, y: Array) -> bool:
         """Return whether the run has arrived."""
@@ -479,8 +547,9 @@ class _Approach:
             self._try(T, np.array(y), unstable=True)  # special initial values lead to an unstable state, and stay there
             self.reason = f"after t = {t:.6g} the solution still moves"
             return True
-        f = self._states.value(y, self._args)
-        if self._states._mass is None and not (T * np.abs(f) <= _NEAR * sizes_of(y, self._y0)).all():
+        f, near = self._states.value(y, self._args), self._near(y)
+        # What has died away to the noise of the run keeps a rate that is not small times T.
+        if self._states._mass is None and not ((T * np.abs(f) <= near) | (np.abs(y) <= near)).all():
             return False
         self._try(T, np.array(y))
         self._next = _LATER * T
@@ -489,7 +558,7 @@ class _Approach:
     def _try(self, T: float, y: Array, *, unstable: bool = False) -> None:
         """Newton's method from a state of the run; what it finds is accepted if it is near, and stable unless unstable
         states count: the solution passes by these, except where it starts at one or has stayed there."""
-        states, near, D = self._states, y, sizes_of(y, self._y0)
+        states, begun, near = self._states, y, self._near(y)
         W = states.totals if states._mass is None else states.totals @ states._mass
         step = np.full(len(y), np.inf)
         for _ in range(_ITERATIONS):
@@ -497,11 +566,12 @@ class _Approach:
             if not (np.isfinite(f).all() and np.isfinite(J).all()):
                 return
             E = sizes_of(y, self._y0)
-            A, lengths = states.system(J, E, self._still)
-            right = np.concatenate([-f, W @ (self._y0 - y)]) / lengths
+            left, G = states.level(y, self._args, self._y0)
+            A, lengths = states.system(J, G, E, self._still)
+            right = np.concatenate([-f, W @ (self._y0 - y), left]) / lengths
             step = E * np.linalg.lstsq(A, right, rcond=_ZERO)[0]
             y = y + step
-            if not (np.abs(y - near) <= _NEAR * D).all():
+            if not (np.abs(y - begun) <= near).all():
                 return
             if (np.abs(step) <= states._tol * sizes_of(y, self._y0)).all():
                 break
@@ -510,10 +580,12 @@ class _Approach:
         f, J = states.linear(y, self._args)
         if not (np.isfinite(f).all() and np.isfinite(J).all()):
             return
-        at_rest = (np.abs(f) <= states._tol * (np.abs(J) @ sizes_of(y, self._y0))).all()
-        if not (at_rest if unstable else is_stable(states.rates(J, ~self._still))):
+        _, G = states.level(y, self._args, self._y0)
+        part = states._tol if unstable else _CONSISTENT  # a singular matrix leaves f where its least squares end
+        at_rest = np.abs(f) <= part * (np.abs(J) @ sizes_of(y, self._y0))
+        if not (at_rest | self._still).all() or not (unstable or is_stable(states.rates(J, ~self._still, G))):
             return
-        self.found = y, f, J, T
+        self.found = y, f, J, G, T
 
 
 class _Frozen:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import perf_counter
@@ -21,6 +22,7 @@ from .._laws.bound import bind
 from .._problem.grouped import Checkpoint, Limits
 from .._problem.options import ExtensionOptions
 from .._problem.problem import Problem
+from .._results.export import attributes
 from .._results.pictures.canvas import component, listed
 from .._results.result import STOPPED
 from .._results.solution import Solution
@@ -144,7 +146,7 @@ def solve(
     plot: PlotOption = None,
     components: ComponentsOption = None,
     log: Annotated[bool, typer.Option("--log", help="Draw with a logarithmic time axis.")] = False,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite the files of --output and --plot.")] = False,
     progress: Progress = None,
     max_steps: MaxSteps = None,
     time_limit: TimeLimit = None,
@@ -152,13 +154,14 @@ def solve(
     checkpoint_every: CheckpointEvery = Checkpoint.every,
     resume: Resume = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the report.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
 
     FILE is a Python script that defines [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
     Reports on the run and on the drift of its invariants.
 
-    Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
+    Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C or SIGTERM.
     """
     chosen, name = method_of(method)
     if t_eval is not None and dense:
@@ -187,7 +190,9 @@ def solve(
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if sol.status == STOPPED:
         raise _interrupted(sol, checkpoint)
-    if not quiet:
+    if as_json:
+        print(_as_json(sol, chosen.name, seconds))
+    elif not quiet:
         with guarded():
             named = method if method == chosen.name else f"{chosen.name} as {method}"
             console = Console(highlight=False)
@@ -197,7 +202,22 @@ def solve(
         for path in filter(None, (output, plot)):
             console.print("Wrote", Text(str(path), style="bold"), soft_wrap=True)
     if not sol.success:
-        raise stop(sol.message, code=1) if quiet else typer.Exit(1)
+        raise stop(sol.message, code=1) if quiet and not as_json else typer.Exit(1)
+
+
+def _as_json(sol: Solution, method: str, seconds: float) -> str:
+    """Return what the run has come to as one line of JSON; numbers that are not finite are null."""
+    end = np.column_stack([sol.y_end.real, sol.y_end.imag]) if np.iscomplexobj(sol.y_end) else sol.y_end
+    known = {**attributes(sol), "method": method, "t_end": sol.t_end, "y_end": end.tolist(), "seconds": seconds}
+    return json.dumps(_finite(known))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _interrupted(sol: Solution, checkpoint: Path | None) -> typer.Exit:

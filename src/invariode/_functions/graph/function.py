@@ -191,7 +191,8 @@ class TracedFunction(OnGraph):
     def _find_way(self, shape: Shape, arguments: ArgumentLayout) -> int | None:
         """The first way of handing over the arguments that can be traced."""
         errors = []
-        given = ["t", *shape.vectors, *["out"] * (self.inplace and not shape.event), *arguments.entries]
+        first = ["t", *shape.vectors, *["out"] * (self.inplace and not shape.event)]
+        given = [*first, *arguments.entries]
         ranks = sorted({TRUTHS, *arguments.ranks}) if self._binds(given) else []
         ways = [(rank, shape._replace(parameters=arguments.fixed(rank))) for rank in ranks]
         whole = shape._replace(parameters=arguments.whole())
@@ -204,6 +205,11 @@ class TracedFunction(OnGraph):
             self.how = "trace" if way in (None, TRUTHS) else "trace, with arguments that are constants"
             return way
         why = errors[-1] if len(arguments.entries) == 1 or not ways else errors[len(ways) - 1]
+        if not ways and not self._binds([*first, "p"]):
+            took, count = inspect.signature(self.fun), len(arguments.entries)
+            raise TypeError(
+                f"compile({self.__name__}): it takes {took}, and is called with {', '.join(first)} and {count} args"
+            )
         if self.by == "trace" or self.is_complex or any(isinstance(one, Constant) for one in arguments.entries):
             raise self._untraceable(why)
         self._graphs[whole] = None
@@ -214,7 +220,8 @@ class TracedFunction(OnGraph):
         try:
             super()._check_call(names)
         except TypeError as error:  # of a function of several arguments, which only tracing takes as they are
-            raise TypeError(f"{error}, for {self.how}") from None
+            why = self.how.removeprefix("numba, as ")
+            raise TypeError(f"compile({self.__name__}): {why}, and numba takes another form: {error}") from None
 
     def _cannot_compile(self, error: Exception, parameters: int = 0) -> TypeError:
         text = str(super()._cannot_compile(error, parameters))
