@@ -314,6 +314,7 @@ BoundProblem::BoundProblem(const Record& spec)
   if (const nb::object bounds = spec["bounds"]; !bounds.is_none())
     problem_.bounds.emplace(values_of(bounds.attr("lower")), values_of(bounds.attr("upper")));
   problem_.signed_states = spec.get<bool>("signed_states");
+  problem_.autonomous = spec.get<bool>("autonomous");
   for (const nb::handle one : spec["breakpoints"])
     problem_.breakpoints.push_back(make_breakpoint(Record(one), functions_));
   problem_.landings = make_landings(spec["landings"]);

@@ -59,7 +59,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
   looks_between_ = settings_.looks_between() || !events_.empty() || delays_ != nullptr;
-  const double parts = step_->parts_seen();
+  const double parts = functions.autonomous ? 0 : step_->parts_seen();
   gap_ = parts > 0 ? std::abs(settings_.tf - settings_.t0) / parts : std::numeric_limits<double>::infinity();
   if (!events_.empty()) event_y_.resize(n_);
 }

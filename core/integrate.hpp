@@ -43,6 +43,7 @@ struct LoopFunctions {
   std::optional<DifferentialRate> rate;       ///< y' of f, with a mass matrix
   std::optional<DifferentialRate> jump_rate;  ///< the same, for jumps of sensitivities that delays bring
   bool signed_states = false;                 ///< components may be negative: see `BelowZero`
+  bool autonomous = false;                    ///< f does not depend on t: it brings no pulses
   std::vector<EventFunction> events;
   std::vector<RootVector> vectors;  ///< of which some events are components
   std::vector<Breakpoint> breakpoints;

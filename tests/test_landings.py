@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 import invariode as iv
 from cases import FAMILIES, SERIES, dealt, families, families_and_series, hidden
 from invariode._base.record import record_of
-from invariode._functions.graph.plain import may_switch, plain_graph
+from invariode._functions.graph.plain import plain_graph, use_of_time
 from invariode._functions.layout import layout_of
 from invariode._sensitivity.landings import schedule_of
 
@@ -265,7 +265,7 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
         ),
     ):
         before = copy.deepcopy((seen, table, vars(settings), array.tolist(), counts.tolist(), COUNT, recorder.times))
-        assert not may_switch(fun) or plain_graph(fun, 1, layout_of(())) is None
+        assert use_of_time(fun) != "switches" or plain_graph(fun, 1, layout_of(())) is None
         assert before == (seen, table, vars(settings), array.tolist(), counts.tolist(), COUNT, recorder.times)
 
 

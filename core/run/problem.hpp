@@ -52,6 +52,7 @@ struct Problem {
   std::optional<LinearTerms> linear;
   std::optional<Bounds> bounds;
   bool signed_states = false;            ///< components may be negative: none that falls below 0 is reported
+  bool autonomous = false;               ///< f does not depend on t
   std::optional<Variations> variations;  ///< runs integrate sensitivities too
   /// The place from which the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;

@@ -243,6 +243,7 @@ void Run::start_loop() {
                           .rate = rate(),
                           .jump_rate = delays_ ? rate() : std::nullopt,
                           .signed_states = all.signed_states || all.complex || (mass_ && mass_->singular()),
+                          .autonomous = all.autonomous,
                           .events = all.events,
                           .vectors = all.vectors,
                           .breakpoints = all.breakpoints,

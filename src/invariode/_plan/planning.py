@@ -52,7 +52,7 @@ from .._results.messages import (
     inconsistent_start,
 )
 from .._results.result import Names
-from .._sensitivity.landings import Schedule, schedule_of
+from .._sensitivity.landings import Schedule, reads_time, schedule_of
 from .nystrom_requirements import require_second_order
 
 if TYPE_CHECKING:
@@ -392,6 +392,7 @@ def _functions(
         value=bound.value,
         bounds=problem.bounds,
         signed_states=problem.signed_states,
+        autonomous=not reads_time(problem),
         delays=_delays(problem, parameters, options["breakpoints"]),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,10 @@ def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | 
     crossed, or dependent on t; a complex y0.
     """
     n = len(y0)
+    if nonnegative is None and type(bounds) is tuple and len(bounds) == 2 and y0.dtype.kind != "c":  # the common case
+        lower, upper = bounds
+        if type(lower) is type(upper) is float and lower <= upper:
+            return _same_for_all(lower, upper, n)
     chosen = _components(nonnegative, n, labels)
     if bounds is None and not chosen:
         return None
@@ -42,6 +47,17 @@ def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | 
         name = f"component {i}" if labels is None else labels[i]
         raise ValueError(f"bounds of {name} are contradictory: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
     return Bounds(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
+
+
+@lru_cache(maxsize=64)
+def _same_for_all(lower: float, upper: float, n: int) -> Bounds | None:
+    """Return the same two bounds for n components, which problems share; None if both are infinite."""
+    if lower == -np.inf and upper == np.inf:
+        return None
+    found = Bounds(np.full(n, lower + 0.0), np.full(n, upper + 0.0))  # -0.0 and 0.0 are one key
+    for side in found:
+        side.setflags(write=False)
+    return found
 
 
 def _components(nonnegative: Any, n: int, labels: Sequence[str] | None) -> list[int]:

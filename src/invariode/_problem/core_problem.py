@@ -148,6 +148,7 @@ class CoreProblem(NamedTuple):
     value: Array = np.zeros(0)  # at which they are held
     bounds: Bounds | None = None  # of y
     signed_states: bool = False  # none that falls below 0 is reported
+    autonomous: bool = False  # f does not depend on t
     variations: VariationTerms | None = None
     series: Any = None  # of the solution, for methods by series
     conditions: Any = None  # `condition_count` values along it; one changes its sign where f changes its branch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from types import FunctionType
 from typing import Any, Literal, cast
 
@@ -23,7 +24,7 @@ from .._base.arguments import (
 )
 from .._base.suggestions import naming_arguments, nearest
 from .._base.types import EventFunction, EventsLike, Function
-from .._functions.compiled import is_native, to_native
+from .._functions.compiled import CompiledFunction, is_native, to_native
 from .._functions.layout import ArgumentLayout
 from .core_problem import EventSpec, VectorSpec
 
@@ -130,6 +131,15 @@ class Event:
         terminal_count(self), direction_sign(self)
         if type(fun) is FunctionType:
             warn_of_order(self.__name__, fun, "g(t, y)")
+
+    @staticmethod
+    def plain(fun: FunctionType | CompiledFunction) -> Event:
+        """Return the event of a function with all defaults, which takes less time than to check these."""
+        event = Event.__new__(Event)
+        event.__dict__.update(_DEFAULTS, fun=fun, __name__=call_name(fun, "event"))
+        if isinstance(fun, FunctionType):
+            warn_of_order(event.__name__, fun, "g(t, y)")
+        return event
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
         value: float = self.fun(t, y, *args)
@@ -365,12 +375,17 @@ _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples
 
 def _from_function(fun: EventFunction) -> Event:
     if type(fun) is FunctionType and not fun.__dict__:  # the common case
-        return Event(fun)
+        return Event.plain(fun)
     attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
-    for name in getattr(fun, "__dict__", {}):
-        if name not in _ATTRIBUTES and (near := nearest(name, _ATTRIBUTES)):
-            warn(f"the attribute {name} of {call_name(fun, 'an event')} has no meaning; did you mean {near}?")
-    return Event(fun, **attributes)
+    for name, near in _misspelt(tuple(getattr(fun, "__dict__", ()))):
+        warn(f"the attribute {name} of {call_name(fun, 'an event')} has no meaning; did you mean {near}?")
+    return Event(fun, **attributes) if attributes or not isinstance(fun, CompiledFunction) else Event.plain(fun)
+
+
+@lru_cache(maxsize=64)
+def _misspelt(names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return those of some attributes that are like one of events, each with the one that it is most like."""
+    return [(one, near) for one in names if one not in _ATTRIBUTES and (near := nearest(one, _ATTRIBUTES))]
 
 
 def terminal_count(event: Event) -> int:
@@ -396,6 +411,10 @@ def direction_sign(event: Event) -> int:
     if type(direction) is not int:
         direction = number(f"direction of {event.__name__}", direction)
     return int(direction > 0) - int(direction < 0)
+
+
+#: The attributes of an event that states nothing besides its function.
+_DEFAULTS: Mapping[str, Any] = vars(Event(lambda t, y: 0.0))
 
 
 def vector_specs(events: Sequence[Event], n: int, p: ArgumentLayout) -> list[VectorSpec]:

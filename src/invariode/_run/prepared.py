@@ -27,7 +27,7 @@ from .._functions.compiled import (
     is_plain_function,
     native_parameters,
 )
-from .._functions.graph.plain import may_switch
+from .._functions.graph.plain import use_of_time
 from .._functions.increments import at_complex
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, values_at_start
@@ -310,9 +310,10 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
         types = tuple(map(type, problem.args))
         if not _NUMBERS.issuperset(types):
             return None
-    elif may_switch(fun, problem.args) and switches_in_time(problem):
+    timed = "" if compiled else use_of_time(fun, problem.args)
+    if timed == "switches" and switches_in_time(problem):
         return None
-    recorded = problem.records_events, problem.signed_states
+    recorded = problem.records_events, problem.signed_states, timed == "none"
     return method, y0.shape, y0.dtype.kind, recorded, bounds, laws, events, varied, types, given
 
 

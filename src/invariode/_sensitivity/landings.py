@@ -14,6 +14,7 @@ import numpy as np
 from .._base.arguments import Array, reals, warn
 from .._functions.compiled import CompiledFunction, Part
 from .._functions.forms import Filling
+from .._functions.graph import plain
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
@@ -78,11 +79,19 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
 
 def switches_in_time(problem: Problem) -> bool:
     """Return whether a Python f that may switch has landings."""
-    from .._functions.graph.plain import plain_graph
-
     is_complex = problem.y0.dtype.kind == "c"
-    made = plain_graph(problem.fun, reals(problem.y0), layout_of(problem.args), is_complex=is_complex)
+    made = plain.plain_graph(problem.fun, reals(problem.y0), layout_of(problem.args), is_complex=is_complex)
     return made is not None and bool(made.timed)
+
+
+def reads_time(problem: Problem) -> bool:
+    """Return whether f may depend on t other than by way of y. If it does not, no pulse comes with time alone."""
+    if problem.inputs or problem.delays is not None:
+        return True
+    fun = _python(problem)
+    if isinstance(fun, Formula):
+        return any(node.op == "t" for node in in_order(fun.outputs))
+    return plain.use_of_time(fun) != "none"
 
 
 def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
@@ -99,9 +108,8 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
         if found is None:
             return []
         return found.timed if not problem.inputs else timed(*_fed(found.outputs, problem))
-    from .._functions.graph.plain import may_switch
-
-    made = graph_of_python(problem) if n and may_switch(_python(problem), problem.args) else None
+    switches = n and plain.use_of_time(_python(problem), problem.args) == "switches"
+    made = graph_of_python(problem) if switches else None
     if made is None:
         return []
     if problem.delays is not None:
@@ -111,7 +119,6 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
 
 def _of_part(part: Part, problem: Problem) -> list[Crossing]:
     """The conditions of a function of which f is made that depend on t alone."""
-    from .._functions.graph.plain import may_switch, plain_graph
     from .._functions.graph.switching_times import timed
 
     fun, n, second, size = part
@@ -119,9 +126,9 @@ def _of_part(part: Part, problem: Problem) -> list[Crossing]:
         found = derived(fun, n, size, _arguments(problem), second)
         return [] if found is None else timed(*_fed(found.outputs, problem))
     python = _python_of(fun)
-    if python is None or not may_switch(python, problem.args):
+    if plain.use_of_time(python, problem.args) != "switches":
         return []
-    made = plain_graph(python, n, _arguments(problem, fun), size=size, second=second)
+    made = plain.plain_graph(python, n, _arguments(problem, fun), size=size, second=second)
     return [] if made is None else timed(*_fed(made.outputs, problem))
 
 
@@ -170,10 +177,8 @@ def _arguments(problem: Problem, fun: Any = None) -> ArgumentLayout:
 def graph_of_python(problem: Problem) -> PlainGraph | None:
     """Return the graph of a Python f, of which inputs and delayed values are the first parameters; None: it has
     none."""
-    from .._functions.graph.plain import plain_graph
-
     fun, n = _python(problem), reals(problem.y0)
-    return plain_graph(fun, n, _arguments(problem, problem.fun), is_complex=problem.y0.dtype.kind == "c")
+    return plain.plain_graph(fun, n, _arguments(problem, problem.fun), is_complex=problem.y0.dtype.kind == "c")
 
 
 def _fed(outputs: Sequence[Node], problem: Problem) -> tuple[list[Node], list[Node]]:
