@@ -363,6 +363,32 @@ class TestProblemsDoNotChange:
         assert problem.replace(y0=[3, 4]).solve().y[:, 0].tolist() == [3, 4]
         assert pickle.loads(pickle.dumps(problem)).y0.tolist() == copy.deepcopy(problem).y0.tolist() == [1, 2]
 
+    def test_another_start_has_all_that_is_not_the_start_of_the_problem(self):
+        """By the short way too, which reads nothing else again."""
+        given = [
+            {"invariants": lambda t, y, k: y[0] / y[1], "labels": ["a", "b"], "name": "closed"},
+            {"events": lambda t, y, k: y[0] - 1.5, "bounds": (-10.0, 10.0)},
+            {"nonnegative": [1], "breakpoints": {0.5: lambda t, y, k: 2 * y}},
+            {"jac": [[-1.0, 0.0], [0.0, -1.0]], "mass": [[1.0, 0.0], [0.0, 2.0]]},
+            {"inputs": iv.Input([0.0, 1.0], [1.0, 2.0])},
+            {"sensitivities": True},
+        ]
+        for more in given:
+            fun = (lambda t, y, u, k: [-k * u * y[0], k * y[1]]) if "inputs" in more else (lambda t, y, k: -k * y)
+            problem = iv.Problem(fun, (0, 1), [1.0, 2.0], args=(1.0,), **more)
+            for changes in ({"y0": [2.0, 1.0]}, {"args": (3.0,)}, {"y0": [2, 1], "args": (0.5,)}, {}):
+                anew = iv.Problem(fun, (0, 1), **{"y0": [1.0, 2.0], "args": (1.0,), **more, **changes})
+                sols = [
+                    one.solve("ode15s" if "mass" in more else "ode45") for one in (problem.replace(**changes), anew)
+                ]
+                assert len({(one.y.tobytes(), repr(one), one.stats.nfev) for one in sols}) == 1
+        problem = iv.Problem(fun, (0, 1), [1.0, 2.0], args=(1.0,), labels=["a", "b"], bounds=(-1.0, 5.0))
+        for wrong, error in (({"y0": [1.0]}, "labels"), ({"y0": [1j, 2.0]}, "bounds"), ({"y0": [np.nan, 1.0]}, "y0")):
+            with pytest.raises(ValueError, match=error):
+                problem.replace(**wrong)
+        assert problem.replace(args=None).args == ()
+        assert problem.replace(args={"k": 2}).args == (2,)
+
     def test_a_fourth_argument_by_position_is_refused_by_the_name_that_users_know(self):
         with pytest.raises(TypeError, match=r"^Problem takes fun, t_span and y0 by position .* got \(1,\) as a fourth"):
             iv.Problem(decay, (0, 1), [1, 2], (1,))

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from functools import partial
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,8 +95,9 @@ def attempted(
 
 
 def _solved(task: Task, plan: Plan, means: Locally) -> Outcomes:
-    core, means = solver(plan), means._replace(workers=min(means.workers, len(task.y0)))
-    if core.native and _own_to_each(plan, task.args) is None and _fits_all(task):
+    means = means._replace(workers=min(means.workers, len(task.y0)))
+    core = None if type(plan.functions.fun) is FunctionType else solver(plan)  # which each row then has of its own
+    if core is not None and core.native and _own_to_each(plan, task.args) is None and _fits_all(task):
         return _on_threads(task, plan, core, means)
     return _in_processes(task, plan, means)
 

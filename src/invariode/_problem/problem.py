@@ -78,6 +78,10 @@ _NOTHING_ELSE: Mapping[str, Any] = {
 }
 
 
+#: Arguments of a problem in which rows of ensembles and runs of a loop differ.
+_OF_A_START = {"y0", "args"}
+
+
 @documented(describing=[*table_of(CallingOptions), *table_of(DescribingOptions)])
 class Problem:
     """An initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, with what is known about its solution.
@@ -390,6 +394,8 @@ class Problem:
         >>> slow, fast
         (Problem('decay', t_span=(0.0, 1.0), n=1), Problem('fast decay', t_span=(0.0, 1.0), n=1))
         """
+        if changes.keys() <= _OF_A_START and (other := self._from(changes)) is not None:
+            return other
         for name in changes.keys() - ProblemArguments.__annotations__.keys():
             if name in names_of_arguments(self.fun, len(self.args), 2 + len(self.before_args)):
                 raise TypeError(f'{name} is an argument of fun: replace(args={{"{name}": value}}) changes it')
@@ -423,6 +429,20 @@ class Problem:
         if "y0" in changes and "labels" not in changes:
             changes["y0"] = self.start_by_name(changes["y0"])
         return type(self)(**{**now, **changes})
+
+    def _from(self, changes: ProblemArguments) -> Self | None:
+        """Return the problem from another initial state of the same type and size, or with other arguments, if nothing
+        else depends on these; otherwise None."""
+        if self.sensitivities is not None or self.y0_of_args is not None or self.delays is not None:
+            return None
+        y0, args = changes.get("y0", self.y0), changes.get("args", self.args)
+        if callable(y0) or isinstance(args, Mapping):
+            return None
+        other = type(self).plain(self.fun, self.t_span, y0, args)
+        if other.y0.shape != self.y0.shape or other.y0.dtype != self.y0.dtype:
+            return None
+        other.__dict__.update({name: self.__dict__[name] for name in _NOTHING_ELSE})
+        return other
 
     def of_one_run(self) -> Self:
         """Return the problem with `Roots` whose memory belongs to one run."""
