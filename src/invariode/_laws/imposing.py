@@ -198,9 +198,9 @@ def _count_values(one: Invariants, points: Array, args: tuple[Any, ...]) -> int:
 
 def _points(t: Any, y: ArrayLike) -> tuple[Array, Array]:
     """Points as (n, n_t), times as (n_t,)."""
-    if np.ndim(y) == 1:
-        require_unlabelled("y", y)
     given = numbers("y", y)
+    if given.ndim == 1:
+        require_unlabelled("y", y)
     if given.ndim not in (1, 2) or len(given) == 0:
         raise ValueError(f"y must have shape (n,) or (n, n_t) with n >= 1, got {given.shape}")
     points = given[:, None] if given.ndim == 1 else given
