@@ -128,6 +128,8 @@ def test_labels_that_are_no_names_are_refused_and_counting_ones_say_nothing():
 def test_labels_change_what_they_name_and_give_names_to_components_that_have_none():
     assert PROBLEM.replace(y0={"blood": 7.0}).y0.tolist() == [100.0, 7.0]
     assert PROBLEM.replace(args=pd.Series({"v": 10.0})).args == (1.0, 5.0, 10.0)
+    record = iv.Problem(lambda t, y, p: [-p.ka * y[0]], (0, 1), [1.0], parameters={"ka": 1.0, "cl": 2.0})
+    assert record.replace(args=pd.Series({"cl": 5.0})).parameters == {"ka": 1.0, "cl": 5.0}
     many = PROBLEM.solve_ensemble(pd.DataFrame({"gut": [50.0, 100.0]}), workers=1)
     np.testing.assert_array_equal(many.y_end[1], ends(PROBLEM.solve()))
     named = iv.Problem(drug, (0, 4), {"a": 100.0, "b": 0.0}, args={"v": 30.0, "ka": 1.0, "cl": 5.0})
@@ -194,6 +196,12 @@ def test_results_keep_labels_of_rows_and_parameters(tmp_path):
         data = made.to_xarray()
         np.testing.assert_array_equal(data.y.sel(trajectory="P7"), many.y[0])
         assert data.ka.sel(trajectory="P9") == 1.2
+    for index in (pd.to_datetime(["2026-01-01", "2026-02-01"]), pd.MultiIndex.from_product([["P1", "P7"], [1]])):
+        many = PROBLEM.solve_ensemble(args=part.set_axis(index), workers=1)
+        many.save(tmp_path / "other.npz")
+        loaded = iv.EnsembleSolution.load(tmp_path / "other.npz")
+        assert many.to_dataframe().index.get_level_values(0).tolist() == index.tolist()
+        assert loaded.index.tolist() == loaded.to_xarray().trajectory.values.tolist() == [*map(str, index)]
     plain = PROBLEM.solve_ensemble(args=part.reset_index(drop=True), workers=1)
     assert plain.index.tolist() == [0, 1]
     with pytest.raises(ValueError, match="the rows of y0 and args have other labels, P9, P7 and P7, P9"):

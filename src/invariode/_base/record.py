@@ -61,7 +61,7 @@ class Record(tuple[Any, ...]):
         values, given = [*self], record_of(given)
         require_names("parameters", given.keys(), self.names.names, "parameters of the problem", complete=False)
         for name, value in given.items():
-            values[self.names.places[name]] = number(f"parameter {name}", value)
+            values[self.names.places[name]] = value
         return Record(self.names, values)
 
     def __eq__(self, other: object) -> bool:

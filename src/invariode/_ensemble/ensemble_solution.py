@@ -273,7 +273,7 @@ class EnsembleSolution:
     @property
     def index(self) -> Array:
         """The labels of the trajectories, (N,): those of the rows of a table or labelled array that was given as `y0`
-        or `args`; otherwise 0 to N - 1."""
+        or `args`; otherwise 0 to N - 1. Files have labels such as dates and tuples as text."""
         return np.arange(len(self)) if self._index is None else np.asarray(self._index)
 
     @property
@@ -544,6 +544,15 @@ def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
 _COUNTED = [name for name in EnsembleStats.__annotations__ if name != "_lanes"]
 #: The statistics that are no counts.
 REAL_STATS = ("clipped_amount", "stiff_since", "discontinuity", "accumulation")
+
+
+def _labels_in_file(index: Array, given: Any) -> list[Any]:
+    """Return the labels of rows, as an array and as they were given, as numbers and text."""
+    if index.dtype.kind in "biuf":
+        return [*index.tolist()]
+    return [one if isinstance(one, (str, int, float)) else str(one) for one in given]
+
+
 _ENSEMBLE = Kind(
     "ensemble",
     {
@@ -557,7 +566,7 @@ _ENSEMBLE = Kind(
         "parameters": Field(Annotated[list[str], "parameter"] | None, of=field_of("_sensitivities", "names")),
         "S": Field(None, "trajectory component parameter t", field_of("_sensitivities", "values"), optional=True),
         "S_end": Field(None, "trajectory component parameter", field_of("_sensitivities", "end"), optional=True),
-        "index": Field(Any, of=lambda m: None if m._index is None else m.index.tolist()),
+        "index": Field(Any, of=lambda m: None if m._index is None else _labels_in_file(m.index, m._index)),
         "arguments": Field(Annotated[list[str], "argument"], of=lambda m: [*m.parameters]),
         "args": Field(float, "trajectory argument", lambda m: m._arguments and m._arguments[1], optional=True),
         "t": Field(float, "t"),

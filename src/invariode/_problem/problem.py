@@ -394,6 +394,10 @@ class Problem:
         >>> slow, fast
         (Problem('decay', t_span=(0.0, 1.0), n=1), Problem('fast decay', t_span=(0.0, 1.0), n=1))
         """
+        if "args" in changes and "fun" not in changes:
+            changes["args"] = self.arguments(changes["args"])
+        if "y0" in changes and "labels" not in changes:
+            changes["y0"] = self.start_by_name(changes["y0"])
         if changes.keys() <= _OF_A_START and (other := self._from(changes)) is not None:
             return other
         for name in changes.keys() - ProblemArguments.__annotations__.keys():
@@ -424,10 +428,6 @@ class Problem:
                 raise TypeError('the problem has args, which change by name with replace(args={"name": value})')
             changes["parameters"] = parameters if record is None else dict(record.changed(parameters).items())
             now["args"] = ()
-        elif "args" in changes and "fun" not in changes:
-            changes["args"] = self.arguments(changes["args"])
-        if "y0" in changes and "labels" not in changes:
-            changes["y0"] = self.start_by_name(changes["y0"])
         return type(self)(**{**now, **changes})
 
     def _from(self, changes: ProblemArguments) -> Self | None:
@@ -436,7 +436,7 @@ class Problem:
         if self.sensitivities is not None or self.y0_of_args is not None or self.delays is not None:
             return None
         y0, args = changes.get("y0", self.y0), changes.get("args", self.args)
-        if callable(y0) or isinstance(args, Mapping):
+        if callable(y0):
             return None
         other = type(self).plain(self.fun, self.t_span, y0, args)
         if other.y0.shape != self.y0.shape or other.y0.dtype != self.y0.dtype:
