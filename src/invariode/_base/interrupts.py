@@ -29,29 +29,30 @@ def terminated_as_interrupted() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: Any) -> None:
+    """Call the handler of Ctrl-C, or raise KeyboardInterrupt if the process ignores Ctrl-C."""
     usual = signal.getsignal(signal.SIGINT)
     (usual if callable(usual) else signal.default_int_handler)(number, frame)
 
 
 @contextmanager
 def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
-    """Let the first Ctrl-C within the block request a stop; the second one has its usual effect. The request is None
-    where no Ctrl-C arrives: outside the main thread, or if the process ignores it."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.getsignal(number) for number in numbers}
-    heard = [
-        number
+    """Let the first Ctrl-C within the block request a stop, or a SIGTERM that counts as one; the second one has its
+    usual effect. The request is None where neither arrives: outside the main thread, or if the process ignores Ctrl-C
+    and handles SIGTERM itself."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = {
+        number: usual
         for number, usual in before.items()
         if usual is _interrupt or (number == signal.SIGINT and usual not in (None, signal.SIG_IGN))
-    ]
+    }
     if threading.current_thread() is not threading.main_thread() or not heard:
         yield None
         return
     request = _core.StopRequest()
 
     def restore() -> None:
-        for number in heard:
-            signal.signal(number, before[number])
+        for number, usual in heard.items():
+            signal.signal(number, usual)
 
     def make(number: int, frame: Any) -> None:
         restore()

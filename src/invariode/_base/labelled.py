@@ -122,10 +122,12 @@ def require_names(
 
 
 def row_labels(value: Any) -> Any | None:
-    """Return the labels of the rows of a table or labelled array, as the index of pandas or an array; None if it has
-    none, or if they count from 0."""
+    """Return the labels of the rows of a table, a dict of columns or a labelled array, as the index of pandas or an
+    array; None if it has none, or if they count from 0."""
     if is_mapping(value):
-        return next((found for one in value.values() if (found := row_labels_of_column(one)) is not None), None)
+        indices = (getattr(one, "index", None) for one in value.values())
+        told = (_told(one) for one in indices if one is not None and not callable(one))
+        return next((one for one in told if one is not None), None)
     if is_table(value):
         return _told(value.index)
     if hasattr(value, "dims") and hasattr(value, "coords") and len(value.dims):
@@ -134,14 +136,8 @@ def row_labels(value: Any) -> Any | None:
     return None
 
 
-def row_labels_of_column(value: Any) -> Any | None:
-    """Return the labels of one column, as `row_labels`."""
-    index = getattr(value, "index", None)
-    return None if index is None or callable(index) else _told(index)
-
-
 def _told(index: Any) -> Any | None:
-    """Return an index unless it is nothing but 0, 1, 2, …"""
+    """Return an index, or None if it has no name and is nothing but 0, 1, 2, …"""
     values = np.asarray(index)
     counting = values.ndim == 1 and values.dtype.kind in "iu" and bool((values == np.arange(len(values))).all())
     return None if counting and getattr(index, "name", None) is None else index

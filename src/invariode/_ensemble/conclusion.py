@@ -91,7 +91,7 @@ def _conclude_interrupted(result: EnsembleSolution, on_interrupt: OnInterrupt) -
 
 
 def interruption(result: EnsembleSolution | EnsembleStore, text: str) -> KeyboardInterrupt:
-    """Return the exception of an ensemble that Ctrl-C has stopped, with the result so far as a SolveError has it."""
+    """Return the exception of an ensemble that Ctrl-C has stopped; its `solution` is the result so far."""
     error = KeyboardInterrupt(
         f"{text}, and are in the `solution` of this exception (in a notebook: sys.last_value.solution); "
         'on_interrupt="return" returns them'

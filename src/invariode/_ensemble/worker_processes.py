@@ -217,10 +217,8 @@ def _ctrl_c_later() -> Iterator[None]:
 
     Python runs its handlers in the main thread; elsewhere there is nothing to put off.
     """
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    usual: dict[int, Any] = {number: one for number, one in handlers.items() if callable(one)}
-    if threading.current_thread() is not threading.main_thread():
-        usual = {}
+    here = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
+    usual: dict[int, Any] = {number: one for number in here if callable(one := signal.getsignal(number))}
     heard: list[tuple[int, FrameType | None]] = []
     for number in usual:
         signal.signal(number, lambda number, frame: heard.append((number, frame)))

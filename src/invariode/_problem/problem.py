@@ -95,8 +95,8 @@ class Problem:
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
         or one of its `limits` ends it.
     y0 : array_like of shape (n,) or callable
-        Initial state, real or complex. A dict or Series of pandas goes by the names in `labels`, and without `labels`
-        gives the components its own. Or a function ``y0(*args)`` that returns it: then the initial state follows the
+        Initial state, real or complex. A dict or Series of pandas is matched with `labels`; without `labels`, its names
+        become the labels. Or a function ``y0(*args)`` that returns it: then the initial state follows the
         arguments, in `replace`, ensembles and fits, and in sensitivities.
     {describing}
     parameters : dict of str and float, optional
@@ -569,10 +569,10 @@ class Problem:
         Parameters
         ----------
         y0 : array_like of shape (N, n) or (n,), or iterator, optional
-            Initial states, one row per trajectory, or one for all; by name, of `labels`: a DataFrame, a dict of columns
-            or the like, where components without a name keep the problem's values. Default: the problem's. An iterator
-            yields pairs ``(y0, args)`` of one trajectory, with a tuple of args, or of several, with rows; N need not be
-            known, nor fit in memory.
+            Initial states, one row per trajectory, or one for all. A DataFrame, a dict of columns or the like is
+            matched with `labels`; components that it leaves out keep the problem's values. Default: the problem's. An
+            iterator yields pairs ``(y0, args)`` of one trajectory, with a tuple of args, or of several, with rows; N
+            need not be known, nor fit in memory.
         method : str, default 'ode45'
             As in `solve`.
         args : tuple, or array or list of shape (N, k), or dict, optional

@@ -415,9 +415,10 @@ def _convicted(run: Run, laws: LawNames, pairs: bool) -> str:
         return (
             f"Invariant {names[run.finding_invariant]} is contradicted by the bound of y[{run.finding_component}]: at "
             f"t = {run.finding_t:.6g} fun leads that component out of its bound, where it is held, and the invariant "
-            f"changes at the rate {run.finding_size:.6g} by it; projection has taken {run.finding_distance:.3g} "
-            "tolerances from other components instead. Correct fun, so that it does not lead there from the bound, or "
-            "leave out the bound or the invariant; check=False switches this test off."
+            f"changes at the rate {run.finding_size:.6g} because of that; projection has taken "
+            f"{run.finding_distance:.3g} tolerances from other components instead. Correct fun, so that "
+            "it does not lead there from the bound, or leave out the bound or the invariant; check=False "
+            "switches this test off."
         )
     return _not_conserved(run, laws)
 

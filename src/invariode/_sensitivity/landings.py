@@ -19,6 +19,8 @@ from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.graph.nodes import Graph, Node, in_order
 from .._functions.graph.python import Formula
+from .._functions.graph.switching_times import Crossing, Landings, landings, rates_of_time, timed
+from .._functions.graph.tables import looked_up
 from .._functions.layout import ArgumentLayout, Numbers, layout_of, place_of
 from .._functions.second_order import SecondOrder
 from .._problem.inputs import Input
@@ -27,8 +29,6 @@ from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 
 if TYPE_CHECKING:
-    from .._functions.graph.plain import PlainGraph
-    from .._functions.graph.switching_times import Crossing, Landings
     from .actions import Rate
 
 #: On which side of a landing f is evaluated: so many ulp from it, as far as no step leads.
@@ -59,8 +59,6 @@ def schedule_of(problem: Problem, parameters: ArgumentLayout, graph: Sequence[No
     """
     if problem.delays is not None and problem.y0.dtype.kind == "c":
         return None
-    from .._functions.graph.switching_times import landings, timed
-
     found = _conditions(problem, parameters) if graph is None else timed(*_fed(graph, problem))
     found = found + _of_invariants(problem)
     if not found:
@@ -96,8 +94,6 @@ def reads_time(problem: Problem) -> bool:
 
 def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
     """The conditions of f that depend on t alone."""
-    from .._functions.graph.switching_times import timed
-
     n = reals(problem.y0)
     if parts := getattr(problem.fun, "parts", ()):
         return [one for part in parts for one in _of_part(part, problem)]
@@ -119,8 +115,6 @@ def _conditions(problem: Problem, parameters: ArgumentLayout) -> list[Crossing]:
 
 def _of_part(part: Part, problem: Problem) -> list[Crossing]:
     """The conditions of a function of which f is made that depend on t alone."""
-    from .._functions.graph.switching_times import timed
-
     fun, n, second, size = part
     if isinstance(fun, OnGraph):
         found = derived(fun, n, size, _arguments(problem), second)
@@ -143,8 +137,6 @@ def of_past(outputs: Sequence[Node], count: int, n: int) -> list[Node]:
 
 def _of_invariants(problem: Problem) -> list[Crossing]:
     """The conditions of invariants that have a graph, and that depend on t alone."""
-    from .._functions.graph.switching_times import timed
-
     formulas = (getattr(one.fun, "fun", one.fun) for one in problem.invariants)
     return [one for fun in formulas if isinstance(fun, Formula) for one in timed(fun.outputs)]
 
@@ -174,7 +166,7 @@ def _arguments(problem: Problem, fun: Any = None) -> ArgumentLayout:
     return args.whole() if of_numba else args  # of all numbers in one array
 
 
-def graph_of_python(problem: Problem) -> PlainGraph | None:
+def graph_of_python(problem: Problem) -> plain.PlainGraph | None:
     """Return the graph of a Python f, of which inputs and delayed values are the first parameters; None: it has
     none."""
     fun, n = _python(problem), reals(problem.y0)
@@ -205,8 +197,6 @@ def with_inputs(outputs: Sequence[Node], inputs: Sequence[Input]) -> list[Node]:
 
 def _polynomials(given: Input, graph: Graph) -> list[Node]:
     """The values of an input at t."""
-    from .._functions.graph.tables import looked_up
-
     breaks, powers = given.pieces()
     t, inside = graph.t, breaks[1 : powers.shape[1]]
     since = t - looked_up(t, inside, breaks[: powers.shape[1]])
@@ -244,8 +234,6 @@ class LandingJump:
 
     def rates_of_time(self, t: float) -> Array:
         """∂τ/∂p of the landing at t, of shape (k,)."""
-        from .._functions.graph.switching_times import rates_of_time
-
         found = [rates_of_time(one, self._places)(t, self.schedule.p) for one in self.schedule.landings.at(t)]
         if not found:
             return np.zeros(len(self._places))

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array, real_numbers, shown
+from ..._base.labelled import is_mapping
 from ..._base.labelled import is_table as has_columns
 
 #: The name of the dimension of time in labelled arrays, which is that of `Solution.to_xarray`.
@@ -28,12 +29,8 @@ class Data(NamedTuple):
 
 def is_table(value: Any) -> bool:
     """Return whether a value is a table of data with its own times, not the times alone."""
-    return (
-        isinstance(value, Mapping)
-        or hasattr(value, "data_vars")
-        or has_columns(value)
-        or (hasattr(value, "dims") and hasattr(value, "coords") and getattr(value, "ndim", 0) == 2)
-    )
+    labelled = hasattr(value, "dims") and hasattr(value, "coords") and getattr(value, "ndim", 0) == 2
+    return isinstance(value, Mapping) or has_columns(value) or labelled  # a Dataset is a Mapping
 
 
 def read(t: Any, data: Any, m: int) -> Data:
@@ -41,11 +38,11 @@ def read(t: Any, data: Any, m: int) -> Data:
 
     Values with labels of time (the index of pandas, the coordinate "t" of xarray) are put into the order of `t`.
     """
-    if isinstance(data, Mapping) and not hasattr(data, "dims"):
+    if is_mapping(data):
         return _of_columns(t, data)
     if has_columns(data):
         columns = _columns(data)
-        if (t is None and column_of_times(columns) is None) or (t == data.index.name if isinstance(t, str) else False):
+        if (t is None and column_of_times(columns) is None) or (isinstance(t, str) and t == data.index.name):
             t = _index_of_times(data.index, columns)
         return _of_columns(t, columns)
     if hasattr(data, "data_vars"):
@@ -73,7 +70,7 @@ def in_order(t: Any, values: Any, what: str) -> Any:
 
     Raises ValueError: The labels are other times, or repeat themselves where t has an index.
     """
-    if isinstance(values, Mapping) and not hasattr(values, "dims"):
+    if is_mapping(values):
         return {name: in_order(t, one, f"{what} of {name}") for name, one in values.items()}
     if has_columns(values):
         return {name: in_order(t, one, f"{what} of {name}") for name, one in _columns(values).items()}
@@ -87,7 +84,7 @@ def in_order(t: Any, values: Any, what: str) -> Any:
             return values
         if labels.dtype.kind not in "biuf" or wanted.dtype.kind not in "biuf":
             return values  # names of rows say nothing about time
-    array = np.asarray(values.values if hasattr(values, "values") else values)
+    array = np.asarray(values)
     if labels.shape == wanted.shape and bool((labels == wanted).all()):
         return array if array.ndim == 1 else values
     order, place = np.argsort(labels, kind="stable"), np.argsort(wanted, kind="stable")

@@ -57,8 +57,8 @@ class Experiment:
     t : array_like of shape (n_t,), str, or None
         The times of the data, in any order, within the problem's t_span; times may be repeated. Infinity: the steady
         state to which the run leads. None: the column "t" or "time" of a table, otherwise the index of a DataFrame if
-        it has a name or is not of integers, or the coordinate "t" or "time" of a labelled array. A str: the name of the
-        column of times. A table may stand here alone: ``Experiment(problem, table)``.
+        it has a name or holds floats or dates, or the coordinate "t" or "time" of a labelled array. A str: the name of
+        the column of times. A table may stand here alone: ``Experiment(problem, table)``.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
         The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
         shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
@@ -66,8 +66,8 @@ class Experiment:
         `event_times`. Values that carry labels of time (the index of pandas, the coordinate `t` of xarray) are matched
         with `t` by these labels, and labels that are other times are an error; so is `sigma`.
     observe : callable, str, int, or list of these, optional
-        The measured quantities: components, by default all, or those that `data` has columns for, of which these are
-        compared; or a function ``observe(t, y, *args)`` that returns a number or an array of shape (m,). Its
+        The measured quantities: components, which also select columns of `data`; by default all, or those that `data`
+        has columns for. Or a function ``observe(t, y, *args)`` that returns a number or an array of shape (m,). Its
         keyword-only arguments, such as scales and offsets, are parameters of the fit too: ``def observe(t, y, k, *,
         scale=1.0)``.
     sigma : float, str, array_like, dict or callable, optional
