@@ -406,9 +406,10 @@ def _first_other(array: np.ndarray[Any, Any], value: object) -> str:
 def _reads_as_number(value: object) -> bool:
     """Return whether NumPy makes a number of this entry of a column, such as of digits in text."""
     try:
-        return isinstance(float(value), float)  # type: ignore[arg-type]  # what has no float() is told apart here
+        float(value)  # type: ignore[arg-type]  # what has no float() is told apart here
     except (TypeError, ValueError):
         return False
+    return True
 
 
 def require_unlabelled(name: str, value: object) -> None:

@@ -180,10 +180,10 @@ def steady_state(
     """Return the steady state to which the solution of a problem goes: f(t0, y) = 0 with the totals of y0.
 
     The solution of y' = f(t0, y) from y0 is followed until it hardly moves; Newton's method with the exact Jacobian and
-    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Invariants have their values at y0,
-    or the prescribed ones, so a mechanical system comes to rest on its constraints; one-sided ones do not count, nor do
-    those with corrections along the stages, events and breakpoints: a state that returns after each dose is not a
-    steady one.
+    the totals finishes. If f depends on t, or on inputs, their values at t0 count. Invariants keep their values at
+    y0, or the prescribed ones, so a mechanical system comes to rest on its constraints. One-sided invariants, those
+    corrected along the stages, events and breakpoints are ignored: a state that returns after each dose is not
+    steady.
 
     Parameters
     ----------

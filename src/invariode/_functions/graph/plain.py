@@ -115,9 +115,8 @@ _known: Latest[CodeType, _CodeSummary] = Latest(1024)
 
 def use_of_time(fun: Any, args: Sequence[Any] = ()) -> Literal["none", "some", "switches"]:
     """Return how the values of a function may depend on t. "none": it is a Python function that does nothing but
-    calculate, by code in which t does not occur; "switches": a Python function, one that it calls, or a table in its
-    `args` has anything that may switch with t, and its code no observable effects. This takes less than a microsecond
-    for a function that is known."""
+    calculate, by code in which t does not occur; "switches": a Python function without observable effects, one that it
+    calls, or a table in its `args` may switch with t."""
     direct = type(fun) is FunctionType and not fun.__dict__
     called = fun if direct else _called(fun)
     nothing_inside = False
