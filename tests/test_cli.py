@@ -135,6 +135,10 @@ def test_solve_prints_one_json_object_for_scripts():
         found = json.loads(done.stdout, parse_constant=pytest.fail)
         assert (done.exit_code, found["success"]) == (code, code == 0)
         assert {"method", "rtol", "atol", "message", "t_end", "y_end", "nfev", "seconds"} <= found.keys()
+    refused = invariode("solve", "prey.py:wrong", "--json")
+    found = json.loads(refused.stdout)
+    assert (refused.exit_code, found["success"], found["error"]) == (1, False, "InvariantError")
+    assert found["message"] in refused.stderr
 
 
 def test_solve_quietly_prints_nothing():
@@ -405,8 +409,9 @@ def test_check_says_that_it_does_not_know_mass_matrices():
 def test_a_run_goes_on_from_its_checkpoint(tmp_path):
     files = {name: str(tmp_path / name) for name in ("run.checkpoint", "on.npz", "whole.npz")}
     kept = ["solve", "pendulum.py", "--checkpoint", files["run.checkpoint"]]
-    assert invariode(*kept, "--max-steps", "20").exit_code == 1
-    outcome = invariode(*kept, "--resume", "-o", files["on.npz"])
+    command = [*kept, "--resume", "-o", files["on.npz"]]  # can be repeated as it stands
+    assert invariode(*command, "--max-steps", "20").exit_code == 1
+    outcome = invariode(*command)
     assert outcome.exit_code == 0, outcome.output
     assert invariode("solve", "pendulum.py", "-o", files["whole.npz"]).exit_code == 0
     on, whole = iv.load(files["on.npz"]), iv.load(files["whole.npz"])

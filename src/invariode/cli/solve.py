@@ -166,10 +166,12 @@ def solve(
     chosen, name = method_of(method)
     if t_eval is not None and dense:
         raise typer.BadParameter("--t-eval and --dense exclude each other", param_hint="--dense")
+    resumed = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
+    replaced = force or resumed is not None  # the same command has written what it had when it was stopped
     if output is not None:
-        writable(output, OUTPUTS, "--output", "data", force)
+        writable(output, OUTPUTS, "--output", "data", replaced)
     if plot is not None:
-        writable(plot, PICTURES, "--plot", "plot", force)
+        writable(plot, PICTURES, "--plot", "plot", replaced)
     elif components is not None or log:
         raise typer.BadParameter("only affects the plot: add --plot FILE", param_hint="--components, --log")
     if resume and checkpoint is None:
@@ -184,8 +186,12 @@ def solve(
         with in_passing():
             start = perf_counter()
             others: ExtensionOptions = {"progress": shown, "limits": Limits(steps=max_steps, time=time_limit)}
-            from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
-            sol = _solved(problem if project else unprojected(problem), name, options, others, from_file)
+            try:
+                sol = _solved(problem if project else unprojected(problem), name, options, others, resumed)
+            except Exception as error:
+                if as_json and not isinstance(error, typer.Exit):
+                    print(json.dumps({"success": False, "error": type(error).__name__, "message": str(error)}))
+                raise
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if sol.status == STOPPED:
