@@ -138,6 +138,28 @@ def test_labels_change_what_they_name_and_give_names_to_components_that_have_non
         iv.Problem(drug, (0, 4), [1.0, 0.0], args=PROBLEM.args).replace(y0={"gut": 1.0})
 
 
+def test_components_without_a_label_follow_the_arguments_where_y0_does():
+    """y' = -k y from (2 k, 3 k²) at other k, with A given: B(1) = 3 k² exp(-k), and dB(1)/dk, for single runs and rows
+    of an ensemble; A has the derivative of a given start."""
+
+    def start(p):
+        return [2 * p.k, 3 * p.k**2]
+
+    plain = iv.Problem(lambda t, y, p: -p.k * y, (0, 1), start, labels=["A", "B"], parameters={"k": 0.5})
+    problem, k = plain.replace(sensitivities=True), np.array([1.0, 2.0])
+    slopes = np.column_stack([-np.array([5, 7]) * np.exp(-k), (6 * k - 3 * k**2) * np.exp(-k)])
+    assert plain.replace(y0={"A": 5}).replace(y0={"B": 1}).replace(parameters={"k": 2}).y0.tolist() == [5, 1]
+    for given in ({"A": [5.0, 7.0]}, [{"A": 5.0}, {"A": 7.0}]):
+        assert plain.solve_ensemble(given, workers=1, t_eval=[0]).y[:, :, 0].tolist() == [[5, 0.75], [7, 0.75]]
+        many = problem.solve_ensemble(given, args={"k": k}, workers=1, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(many.y_end[:, 1], 3 * k**2 * np.exp(-k), rtol=1e-7)
+        np.testing.assert_allclose(many.sensitivities[:, :, 0, -1], slopes, rtol=1e-7)
+    single = problem.replace(y0={"A": 7.0}, parameters={"k": 2.0}).solve(rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(single.sensitivities[:, 0, -1], slopes[1], rtol=1e-7, atol=1e-7)
+    with pytest.raises(ValueError, match="y0 names 'C': the components are A, B"):
+        plain.replace(y0={"C": 1.0})
+
+
 def test_observe_selects_columns_of_a_table():
     both = iv.Experiment(PROBLEM, DATA)
     assert both.names == ["gut", "blood"]

@@ -298,6 +298,11 @@ def test_ensembles_of_a_model_with_events():
     np.testing.assert_allclose(
         many.y_end if hasattr(many, "y_end") else many.y[:, :, -1], [[0.3, 7], [0.5, 4], [0.5, 2]], atol=1e-6
     )
+    scan = problem.solve_ensemble(y0={"n": [2.0, 5.0]}, workers=1, rtol=1e-8)
+    np.testing.assert_allclose(scan.y_end, [[0.5, 6], [0.5, 9]], atol=1e-6)
+    for change in (problem.replace, lambda parameters: problem.solve_ensemble(args=parameters)):
+        with pytest.raises(ValueError, match=r"'n', which is a component of y: its initial value is y0\[n\]"):
+            change(parameters={"n": 3.0})
 
 
 def test_concentrations_that_events_assign_are_amounts_with_the_volume_before():

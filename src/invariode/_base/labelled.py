@@ -72,7 +72,8 @@ def by_name(what: str, value: Any, known: Sequence[str], whose: str, now: Any = 
     """Return labelled values in the order of the known names, along the last axis; values without labels unchanged.
 
     - `what`, `whose`: the values and the owners of the names in messages
-    - `now`: the values that stay for names without a label; None: each name must have one
+    - `now`: the values that stay for names without a label, or a function that returns them; None: each name must
+      have one
 
     Raises ValueError: A label is no name, or a name has no label.
     """
@@ -96,6 +97,8 @@ def in_order(
     Raises ValueError: As `by_name`.
     """
     require_names(what, found, known, whose, complete=now is None, instead=instead)
+    if callable(now) and len(found) < len(known):
+        now = now()
     chosen = [found[name] if name in found else now[i] for i, name in enumerate(known)]
     try:
         columns = np.broadcast_arrays(*(np.asarray(one) for one in chosen))

@@ -53,12 +53,18 @@ class Record(tuple[Any, ...]):
         """Names with values."""
         return zip(self.names.names, self, strict=True)
 
-    def changed(self, given: Any) -> Record:
-        """Return the record with other values of some parameters, given by name.
+    def changed(self, given: Any, components: Sequence[str] = ()) -> Record:
+        """Return the record with other values of some parameters, given by name. `components`: names of those of y.
 
         Raises TypeError, ValueError: They have no names, or a name is not one of its names.
         """
         values, given = [*self], record_of(given)
+        for name in given.keys():
+            if name in components and name not in self.names.places:
+                raise ValueError(
+                    f"parameters names {name!r}, which is a component of y: its initial value is y0[{name}], given as "
+                    f'y0={{"{name}": value}}'
+                )
         require_names("parameters", given.keys(), self.names.names, "parameters of the problem", complete=False)
         for name, value in given.items():
             values[self.names.places[name]] = value

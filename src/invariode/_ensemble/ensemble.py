@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -188,27 +188,20 @@ def _row_labels(y0: Any, args: Any) -> Any:
 def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any]:
     """Return the initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows;
     those of the problem for what is not given."""
-    states = problem.y0 if y0 is None else numbers("y0", problem.start_by_name(y0))
-    if states.ndim not in (1, 2):
-        raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
-    if states.shape[-1] != len(problem.y0) and states.size:
-        raise ValueError(
-            f"y0 of an ensemble must have n = {len(problem.y0)} columns, one for each component of the problem, got "
-            f"shape {states.shape}"
-        )
     args = _named(problem, args)
     if args is None or isinstance(args, tuple):
         own = extra_arguments(args) or problem.args
         require_taken(problem, own)
-        return np.atleast_2d(problem.start_with(own) if y0 is None else states), own
+        return np.atleast_2d(_states(problem, y0, lambda: problem.start_with(own))), own
     extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else as_array("args", args)
     if isinstance(extra, list) and len(set(map(len, extra))) > 1:
         raise ValueError(f"rows of args must be of one length, got lengths {sorted(set(map(len, extra)))}")
     if isinstance(extra, np.ndarray) and extra.ndim != 2:
         raise _no_rows(f"shape {extra.shape}")
     require_taken(problem, extra)
-    if y0 is None and problem.y0_of_args is not None:
-        states = np.array([problem.start_with(tuple(row)) for row in extra]).reshape(len(extra), len(problem.y0))
+    followed = problem.y0_of_args is not None
+    starts = (lambda: np.array([problem.start_with(tuple(row)) for row in extra])) if followed else (lambda: problem.y0)
+    states = _states(problem, y0, starts)
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
     if len(states) != len(extra):
@@ -216,6 +209,33 @@ def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any
             f"y0 has {len(states)} rows and args has {len(extra)}: give one row of args for each row of y0"
         )
     return states, extra
+
+
+def _states(problem: Problem, y0: Any, starts: Callable[[], Array]) -> Array:
+    """Return initial values as (N, n), or (n,) for all rows: `starts()`, which is of one of these shapes, for what is
+    not given."""
+    if y0 is None:
+        return starts().reshape(-1, len(problem.y0))
+    if isinstance(y0, list) and problem.y0_of_args is not None:
+        rows = cache(lambda: np.atleast_2d(starts()))
+        states = [problem.by_component("y0", one, partial(_row, rows, i)) for i, one in enumerate(y0)]
+    else:
+        states = problem.by_component("y0", y0, lambda: starts().T)
+    found = numbers("y0", states)
+    if found.ndim not in (1, 2):
+        raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {found.shape}")
+    if found.shape[-1] != len(problem.y0) and found.size:
+        raise ValueError(
+            f"y0 of an ensemble must have n = {len(problem.y0)} columns, one for each component of the problem, got "
+            f"shape {found.shape}"
+        )
+    return found
+
+
+def _row(rows: Callable[[], Array], i: int) -> Array:
+    """Return one of the rows, of which there may be one for all; their number is compared later."""
+    row: Array = rows()[min(i, len(rows()) - 1)]
+    return row
 
 
 def _named(problem: Problem, args: Any) -> Any:

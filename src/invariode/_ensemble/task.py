@@ -16,6 +16,7 @@ from .._plan.plan import Plan, solver
 from .._plan.planning import make_plan
 from .._problem.options import Options
 from .._problem.problem import Problem
+from .._problem.start import ChangedStart
 from .._run.prepared import OnCourse, kind_of, run_or_plan
 
 #: Rows with arguments of these types are of one kind, whatever the values.
@@ -85,10 +86,17 @@ class Task:
         return tuple(args.tolist()) if isinstance(args, np.ndarray) else args
 
     def _problem(self, i: int) -> Problem:
-        problem, args = self.problem, self.args_of(i)
-        if problem.y0_of_args is not None and np.array_equal(problem.start_with(args), self.y0[i]):
+        problem, args, y0 = self.problem, self.args_of(i), self.y0[i]
+        if problem.y0_of_args is None:
+            return problem.replace(y0=y0, args=args)
+        follows = problem.start_with(args) == y0  # such components follow the arguments, with their derivatives
+        if follows.all():
             return problem.replace(args=args)
-        return problem.replace(y0=self.y0[i], args=args)
+        if problem.sensitivities is None or not follows.any():
+            return problem.replace(y0=y0, args=args)
+        labels = problem.labels
+        values = {labels[j]: y0[j] for j in np.flatnonzero(~follows)}
+        return problem.replace(y0=ChangedStart(problem.y0_of_args, labels, values), args=args)
 
 
 def _numbers_alike(args: tuple[Any, ...], others: tuple[Any, ...]) -> bool:

@@ -53,7 +53,7 @@ from .options import CallingOptions, DescribingOptions, Options, ProblemArgument
 from .parameters import ParameterName, names_of_arguments, names_of_last_arguments, with_named
 from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
-from .start import follow_start
+from .start import ChangedStart, follow_start
 
 if TYPE_CHECKING:
     from .._ensemble.ensemble_solution import EnsembleSolution
@@ -307,21 +307,29 @@ class Problem:
             return given
         record = _record_in(self.args)
         if record is not None:
-            return (record.changed(changes),)
+            return (record.changed(changes, self.labels),)
         if not self.args:
             return _args_by_name(self.fun, changes)
         return with_named(self.fun, self.args, self._labels, changes, first=2 + len(self.before_args))
 
-    def by_component(self, what: str, given: Any, now: Array | None = None) -> Any:
+    def by_component(self, what: str, given: Any, now: Array | Callable[[], Array] | None = None) -> Any:
         """Labelled values in the order of the components; those without labels as they are. `now`: values of the
-        components that have no label; None: each must have one."""
+        components that have no label, or a function that returns them; None: each must have one."""
         if type(given) in (float, np.ndarray):  # the common cases
             return given
         return by_name(what, given, self.labels, "components", now)
 
     def start_by_name(self, given: Any) -> Any:
-        """The initial state that was given in place of y0: labelled values change some components, by name."""
-        return self.by_component("y0", given, self.y0 if self.y0_of_args is None else None)
+        """The initial state that was given in place of y0: labelled values change some components, by name. Where y0
+        is a function of the arguments, the others follow them as before."""
+        start = self.y0_of_args
+        if start is None or isinstance(start, StartOfHistory):
+            return self.by_component("y0", given, self.y0 if start is None else None)
+        found = named("y0", given, self.labels)
+        if found is None or set(found) >= set(self.labels):
+            return self.by_component("y0", given)
+        require_names("y0", found, self.labels, "components", complete=False)
+        return ChangedStart(start, self.labels, found)
 
     @property
     def inplace(self) -> bool:
@@ -426,7 +434,9 @@ class Problem:
             record = _record_in(self.args)
             if record is None and self.args:
                 raise TypeError('the problem has args, which change by name with replace(args={"name": value})')
-            changes["parameters"] = parameters if record is None else dict(record.changed(parameters).items())
+            changes["parameters"] = (
+                parameters if record is None else dict(record.changed(parameters, self.labels).items())
+            )
             now["args"] = ()
         return type(self)(**{**now, **changes})
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.labelled import by_name
 from .._functions.derivatives import Point, derivative_of
 from .._functions.graph.python import Formula
 from .parameters import ParameterName
@@ -26,6 +27,33 @@ class SlopesOfStart:
         at, fun = Point(0.0, y), of_t_and_y(self._start)
         made = derivative_of(fun, (n, n), at=at, args=args, names=self._names, called="y0")
         return made.columns(0.0, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
+
+
+class ChangedStart:
+    """y0 as a function of the arguments, some of whose components are replaced by values.
+
+    - `start`: the function
+    - `labels`: names of the components
+    - `values`: those that are replaced, by label
+    """
+
+    def __init__(self, start: Callable[..., Any], labels: Sequence[str], values: Mapping[str, Any]) -> None:
+        self._start, self._labels, self._values = start, [*labels], dict(values)
+        self.solves_equations = getattr(start, "solves_equations", False)
+
+    def __call__(self, *args: Any) -> list[Any]:
+        return self._changed(by_name("y0", self._start(*args), self._labels, "components"))
+
+    @property
+    def formula(self) -> Formula | None:
+        """The function as a formula, if it is one."""
+        whole = getattr(self._start, "formula", None)
+        if not isinstance(whole, Formula):
+            return None
+        return Formula("y0", lambda: self._changed(whole.outputs), whole.layout)
+
+    def _changed(self, components: Sequence[Any]) -> list[Any]:
+        return [self._values.get(name, one) for name, one in zip(self._labels, components, strict=True)]
 
 
 def of_t_and_y(start: Callable[..., Any]) -> Any:
