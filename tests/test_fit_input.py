@@ -439,3 +439,4 @@ def test_pictures_say_which_experiment_they_show():
     for draw in (fit.plot, fit.plot_residuals):
         texts = draw(experiment=1).figure.findobj(lambda one: hasattr(one, "get_text"))
         assert any("experiment 1 (0 to 1)" in one.get_text() for one in texts)
+        assert len(draw(experiment="all").figure.axes) == 2

@@ -153,7 +153,7 @@ def test_components_without_a_label_follow_the_arguments_where_y0_does():
         assert plain.solve_ensemble(given, workers=1, t_eval=[0]).y[:, :, 0].tolist() == [[5, 0.75], [7, 0.75]]
         many = problem.solve_ensemble(given, args={"k": k}, workers=1, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(many.y_end[:, 1], 3 * k**2 * np.exp(-k), rtol=1e-7)
-        np.testing.assert_allclose(many.sensitivities[:, :, 0, -1], slopes, rtol=1e-7)
+        np.testing.assert_allclose(many.sensitivities[:, :, 0, -1], slopes, rtol=1e-7, atol=1e-7)
     single = problem.replace(y0={"A": 7.0}, parameters={"k": 2.0}).solve(rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(single.sensitivities[:, 0, -1], slopes[1], rtol=1e-7, atol=1e-7)
     with pytest.raises(ValueError, match="y0 names 'C': the components are A, B"):

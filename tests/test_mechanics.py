@@ -695,6 +695,8 @@ def test_forces_at_times_are_those_of_the_continuous_solution():
     sol = system.problem((0, 3), [1, 0], [0, 0]).solve(dense_output=True)
     np.testing.assert_array_equal(system.multipliers(sol, t=sol.t), system.multipliers(sol))
     assert system.reactions(sol, t=0.5).shape == (2, 1)
+    coarse = system.problem((0, 3), [1, 0], [0, 0]).solve(t_eval=[0.0, 1.0, 3.0])
+    np.testing.assert_array_equal(system.multipliers(coarse, t=[3.0, 0.0]), system.multipliers(coarse)[:, [2, 0]])
     with pytest.raises(ValueError, match="t needs a continuous solution"):
         system.multipliers(system.problem((0, 3), [1, 0], [0, 0]).solve(), t=0.5)
     with pytest.raises(TypeError, match="sol must be a solution"):

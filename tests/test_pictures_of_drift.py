@@ -82,6 +82,9 @@ def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
         sol.plot_drift()
     (line,) = sol.plot_drift(ax=axes(), invariants=radius).lines
     np.testing.assert_allclose(line.get_ydata()[1:], np.abs(radius(0, sol.y) - 1)[1:], rtol=1e-12)
+    drift = sol.drift(invariants=radius)
+    assert drift.residual_after[0] == np.abs(radius(0, sol.y) - 1).max()
+    assert np.isnan(drift.residual_before).all()
     (line,) = sol.plot_drift(ax=axes(), invariants=iv.Invariants(radius, value=2)).lines
     np.testing.assert_allclose(line.get_ydata(), np.abs(radius(0, sol.y) - 2), rtol=1e-12)
 
@@ -118,6 +121,8 @@ def test_empty_output_has_no_drift():
     for invariants in (None, radius):
         with pytest.raises(ValueError, match="t_eval was empty"):
             sol.plot_drift(invariants=invariants)
+        with pytest.raises(ValueError, match="t_eval was empty"):
+            sol.drift(invariants=radius)
     assert legend(sol.plot(ax=axes())) == ["east", "north"]
 
 

@@ -44,6 +44,7 @@ def test_the_state_is_the_end_of_a_long_run_with_the_totals_of_the_start(name):
     long = problem.replace(t_span=(0, 1e4)).solve("radau", rtol=1e-10, atol=1e-13).y[:, -1]
     assert found.success
     assert found.stable
+    assert f"stable: {problem.labels[0]}={found.y[0]:.6g}" in str(found)
     np.testing.assert_allclose(found.y, long, rtol=1e-6, atol=1e-9)
     size = np.abs(found.totals) @ np.abs(found.y)
     assert (np.abs(found.totals @ (found.y - problem.y0)) <= 1e-14 * size).all()

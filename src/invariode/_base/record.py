@@ -59,7 +59,7 @@ class Record(tuple[Any, ...]):
         Raises TypeError, ValueError: They have no names, or a name is not one of its names.
         """
         values, given = [*self], record_of(given)
-        for name in given.keys():
+        for name in given.names.names:
             if name in components and name not in self.names.places:
                 raise ValueError(
                     f"parameters names {name!r}, which is a component of y: its initial value is y0[{name}], given as "

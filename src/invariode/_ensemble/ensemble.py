@@ -199,8 +199,12 @@ def _rows(problem: Problem, y0: ArrayLike | None, args: Any) -> tuple[Array, Any
     if isinstance(extra, np.ndarray) and extra.ndim != 2:
         raise _no_rows(f"shape {extra.shape}")
     require_taken(problem, extra)
-    followed = problem.y0_of_args is not None
-    starts = (lambda: np.array([problem.start_with(tuple(row)) for row in extra])) if followed else (lambda: problem.y0)
+
+    def starts() -> Array:
+        if problem.y0_of_args is None:
+            return problem.y0
+        return np.array([problem.start_with(tuple(row)) for row in extra]).reshape(len(extra), len(problem.y0))
+
     states = _states(problem, y0, starts)
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
@@ -215,7 +219,7 @@ def _states(problem: Problem, y0: Any, starts: Callable[[], Array]) -> Array:
     """Return initial values as (N, n), or (n,) for all rows: `starts()`, which is of one of these shapes, for what is
     not given."""
     if y0 is None:
-        return starts().reshape(-1, len(problem.y0))
+        return starts()
     if isinstance(y0, list) and problem.y0_of_args is not None:
         rows = cache(lambda: np.atleast_2d(starts()))
         states = [problem.by_component("y0", one, partial(_row, rows, i)) for i, one in enumerate(y0)]

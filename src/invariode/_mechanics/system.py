@@ -299,7 +299,7 @@ class MechanicalSystem(HasPoints):
             The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
             of the system. Give them for trajectories of ensembles and for loaded solutions.
         t : array_like of shape (n_t,), optional
-            Times of the run, for a solution with dense output. Default: those of the output.
+            Times of the run: any with dense output, otherwise those of outputs. Default: all outputs.
 
         Returns
         -------
@@ -310,7 +310,7 @@ class MechanicalSystem(HasPoints):
         Raises
         ------
         ValueError
-            A time outside the run, where the states are only extrapolated; no dense output.
+            A time outside the run, where the states are only extrapolated; without dense output, one that is no output.
         """
         columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args, t)]
         return np.array(columns).T
@@ -374,10 +374,18 @@ class MechanicalSystem(HasPoints):
         source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
         known = self.args if source is None else source.problem.args
         used = known if args is None else extra_arguments(args)
-        if t is not None and getattr(sol, "sol", None) is None:
-            raise ValueError("t needs a continuous solution: solve with dense_output=True, or these times as t_eval")
         times = np.atleast_1d(np.asarray(sol.t if t is None else t, dtype=float))
-        states: Any = sol.y if t is None else sol.sol(times, extrapolate=False)  # type: ignore[attr-defined]  # just tested
+        states: Any = sol.y
+        if t is not None and (continuous := getattr(sol, "sol", None)) is not None:
+            states = continuous(times, extrapolate=False)
+        elif t is not None:
+            among = np.atleast_1d(sol.t).tolist()
+            if not set(times.tolist()) <= set(among):
+                raise ValueError(
+                    "t needs a continuous solution: solve with dense_output=True, or these times as t_eval"
+                )
+            last = len(among) - 1  # of two outputs at one time, before and after a jump, the latter, as sol.sol has it
+            states = np.reshape(sol.y, (-1, len(among)))[:, [last - among[::-1].index(at) for at in times.tolist()]]
         rows = np.reshape(states, (-1, len(times))).T
         points = [MotionPoint(float(at), y[:n], y[n:], used) for at, y in zip(times, rows, strict=True)]
         motion = self._motion(points[0]) if points else None

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, default_labels, flag, real_numbers, shown
+from .._base.arguments import ATOL, RTOL, Array, default_labels, flag, real_numbers, shown, weights_of
 from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._core import MEMORY_VERSION, Dense, Run
-from .._laws.bound import BoundInvariants, as_columns
+from .._laws.bound import BoundInvariants, ValueJump, as_columns, bind
+from .._problem.invariants import Invariants, InvariantsLike, to_invariants
 from .sensitivity_data import SensitivityData, states_and_sensitivities
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
@@ -687,12 +688,20 @@ class Result(Deferred, dict[str, Any]):
             )
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
-    def drift(self) -> Drift:
+    def drift(self, *, invariants: InvariantsLike | None = None) -> Drift:
         """Return a table with the value of each invariant, and its largest residuals before and after projection.
 
         Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
         Jacobian are evaluated when this is called.
+
+        Parameters
+        ----------
+        invariants : callable, Invariants, or list or dict of these, optional
+            As for `plot_drift`: what to measure instead of the run's own invariants, to see how a run that did not
+            impose them drifts. Residuals before projection are NaN.
         """
+        if given := to_invariants(invariants):
+            return self._drift_of(self._bound(given))
         if self._drift.all_that_is_known is not None:
             return self._drift.all_that_is_known
         g = self._invariants
@@ -708,6 +717,27 @@ class Result(Deferred, dict[str, Any]):
             projections=self.stats.projections,
             skipped=self.stats.skipped,
         )
+
+    def _drift_of(self, g: BoundInvariants) -> Drift:
+        """Return the drift of invariants that the run did not impose."""
+        pieces, unknown = g.pieces_of_output(len(self.t)), np.full(len(g), np.nan)
+        residual = np.abs(g.residual(self.t, self.y, pieces)).max(axis=1, initial=0)
+        distance = g.distance(self.t, self.y, self._rtol, self._atol, pieces).max(axis=1, initial=0)
+        return Drift(list(g.names), g.value, unknown, unknown, residual, distance, 0.0, 0, 0)
+
+    def _bound(self, listed: list[Invariants]) -> BoundInvariants:
+        """Return invariants that the run did not have, fixed at their values at the first output and after each
+        jump."""
+        if not len(self.t):
+            raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
+        own, y0 = self._invariants, self.y[:, 0].copy()
+        g = bind(listed, float(self.t[0]), y0, own.args, weights_of(RTOL, ATOL, y0).threshold)
+        jumps = []
+        for row, t, _ in own.jumps:
+            here = slice(row, row + 1)
+            there = g.value + g.departure(self.t[here], self.y[:, here])[:, 0] if row < len(self.t) else g.value
+            jumps.append(ValueJump(row, t, np.where(g.demanded, g.value, there)))
+        return dataclasses.replace(g, jumps=tuple(jumps), forward=own.forward)
 
     @property
     def correction(self) -> Array:

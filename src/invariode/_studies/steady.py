@@ -22,6 +22,7 @@ from .._base.labelled import named, require_names
 from .._base.matrices import as_dense
 from .._base.package import public
 from .._base.rational import as_rows
+from .._base.suggestions import first_few
 from .._base.types import MethodName, OnFailure
 from .._functions.derivatives import Derivative, Point, derivative_of, has_llvm
 from .._functions.graph.function import GraphFunction
@@ -144,6 +145,7 @@ class SteadyState:
     time: float
     sensitivity_names: list[str]
     _slopes: Array | None
+    _labels: list[str]
 
     @property
     def sensitivities(self) -> Array:
@@ -165,7 +167,8 @@ class SteadyState:
     def __repr__(self) -> str:
         kind = ("stable" if self.stable else "unstable") if self.success else "not reached"
         totals = f"{len(self.totals)} total{'s' * (len(self.totals) != 1)}"
-        return f"SteadyState({kind}, residual={self.residual:.3g}, {totals})"
+        state = first_few([f"{name}={x:.6g}" for name, x in zip(self._labels, self.y, strict=True)], 12)
+        return f"SteadyState({kind}: {state}; residual={self.residual:.3g}, {totals})"
 
 
 @public
@@ -246,7 +249,8 @@ def steady_state(
     residual = np.abs(found.f).max(initial=0.0)
     if isinstance(found, NotFound):
         failed = SteadyState(
-            states.t0, found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None
+            states.t0, found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None,
+            problem.labels,
         )  # fmt: skip
         if on_failure == "raise":
             raise SolveError(found.reason, failed)
@@ -268,6 +272,7 @@ def steady_state(
         found.time,
         labels,
         found.slopes,
+        problem.labels,
     )
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._base.arguments import ATOL, EPS, RTOL, Array, weights_of
+from ..._base.arguments import EPS, Array
 from ..._base.style import LEVELS
-from ..._laws.bound import BoundInvariants, ValueJump, bind
-from ..._problem.invariants import Invariants, InvariantsLike, to_invariants
+from ..._laws.bound import BoundInvariants
+from ..._problem.invariants import InvariantsLike, to_invariants
 from ..result import Result
 from .canvas import FEW, MOST, drawable, joined, legend, log_axis, new, once, properties, unused
 from .curves import interrupted
@@ -31,7 +31,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
         raise ValueError("the run had no invariants: give those to draw, plot_drift(invariants=g)")
     if not len(sol.t):
         raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
-    g = _bound(sol, given_ones) if given_ones else sol._invariants
+    g = sol._bound(given_ones) if given_ones else sol._invariants
     pieces = g.pieces_of_output(len(sol.t))
     residual = np.abs(g.residual(sol.t, sol.y, pieces) if given_ones else sol.residual)
     largest = np.zeros(len(g)) if given_ones else sol._drift.residual[: len(g)]
@@ -99,18 +99,6 @@ def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[Boun
         raise ValueError(f"{', '.join(zero)} is held at 0, which has no relative drift: leave out relative=True")
     size = np.abs(g.value)
     return replace(g, value=np.sign(g.value)), residual / size[:, None], largest / size
-
-
-def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
-    """Return invariants that the run did not have, fixed at their values at the first output and after each jump."""
-    own, y0 = sol._invariants, sol.y[:, 0].copy()
-    g = bind(listed, float(sol.t[0]), y0, own.args, weights_of(RTOL, ATOL, y0).threshold)
-    jumps = []
-    for row, t, _ in own.jumps:
-        here = slice(row, row + 1)
-        there = g.value + g.departure(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
-        jumps.append(ValueJump(row, t, np.where(g.demanded, g.value, there)))
-    return replace(g, jumps=tuple(jumps), forward=own.forward)
 
 
 def _has_levels(g: BoundInvariants) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -364,21 +365,25 @@ class Fit:
             The first panel; all are in ``ax.figure.axes``.
         """
         if experiment == "all":
-            if ax is not None:
-                raise ValueError('experiment="all" draws a figure of its own, with a panel for each: leave ax out')
-            names = [one.problem._title or "experiment" for one in self._model.experiments]
-            panels = picture.column([f"{e}: {name}" for e, name in enumerate(names)])
-            for e, panel in enumerate(panels):
-                self.plot(experiment=e, level=level, ax=panel)
-                panel.set_xlabel("$t$" if panel is panels[-1] else "")
-            first: Axes = panels[0]
-            return first
+            return self._each(partial(self.plot, level=level), ax)
         one = self._experiment(experiment)
         t, cuts = picture.times(one, self._solutions[experiment])
         band = self.predict(t, experiment=experiment, level=level)
         return picture.draw(one, self._title(experiment), band, cuts, self._errors_of_data(experiment), level, ax)
 
-    def plot_residuals(self, *, experiment: int = 0, ax: Axes | None = None) -> Axes:
+    def _each(self, draw: Callable[..., Axes], ax: Axes | None) -> Axes:
+        """Draw all experiments below each other, and return the first panel."""
+        if ax is not None:
+            raise ValueError('experiment="all" draws a figure of its own, with a panel for each: leave ax out')
+        names = [one.problem._title or "experiment" for one in self._model.experiments]
+        panels = picture.column([f"{e}: {name}" for e, name in enumerate(names)])
+        for e, panel in enumerate(panels):
+            draw(experiment=e, ax=panel)
+            panel.set_xlabel("$t$" if panel is panels[-1] else "")
+        first: Axes = panels[0]
+        return first
+
+    def plot_residuals(self, *, experiment: int | Literal["all"] = 0, ax: Axes | None = None) -> Axes:
         """Plot the residuals of the data over time, in standard deviations.
 
         If the model and the noise are right, 95 % of the residuals are in the shaded range from −1.96 to 1.96, without
@@ -386,15 +391,18 @@ class Fit:
 
         Parameters
         ----------
-        experiment : int, default 0
-            The index of the experiment.
+        experiment : int or "all", default 0
+            The index of the experiment; "all": a panel for each one, below each other.
         ax : matplotlib.axes.Axes, optional
-            The axes. Default: a new figure.
+            The axes, of one experiment. Default: a new figure.
 
         Returns
         -------
         matplotlib.axes.Axes
+            The first panel; all are in ``ax.figure.axes``.
         """
+        if experiment == "all":
+            return self._each(self.plot_residuals, ax)
         one = self._experiment(experiment)
         return picture.draw_residuals(one, self._title(experiment), self._residuals(experiment)[0], ax)
 
