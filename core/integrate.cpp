@@ -18,7 +18,7 @@ constexpr int most_refusals = 3;         // of corrections in a step before the 
 constexpr double agreement = 0.03;
 constexpr int most_repetitions = 12;
 constexpr double slowest_agreement = 0.9;
-constexpr int most_landings = 3;           // by the continuous solution, in a step, on a bound
+constexpr int most_landings = 3;           // attempts in a step that are to end where the last one came to a bound
 constexpr std::size_t most_marks = 10000;  // that are ahead at one time
 
 }  // namespace
@@ -213,22 +213,21 @@ State Integration::advance() {
   }
 }
 
-/// An attempt, unless long linear algebra within it finds that the run is to end: it is repeated where the run goes on.
+/// An attempt, unless long linear algebra within its proposal finds that the run is to end. Nothing has been decided by
+/// then: where the run goes on, the attempt is repeated.
 Integration::Verdict Integration::attempt_or_give_up() {
-  attempting_ = true;
-  Verdict verdict = Verdict::ended;
   try {
-    verdict = attempt();
+    return attempt();
   } catch (const Interruption&) {
+    proposing_ = false;
     in_step_ = state_ == State::running;
     if (in_step_) look_at_limits();
+    return Verdict::ended;
   }
-  attempting_ = false;
-  return verdict;
 }
 
 void Integration::poll() {
-  if (!attempting_) return;
+  if (!proposing_) return;
   if (watch_ && !watch_())
     state_ = State::interrupted;
   else if (!limits_.requested() && !limits_.out_of_time())
@@ -260,7 +259,9 @@ Integration::Course Integration::meet_bounds() {
 Integration::Verdict Integration::attempt() {
   assert(aim_.defined());
   if (bounded_slope_ != nullptr) bounded_slope_->start_at(y0_.data());
+  proposing_ = true;
   Step::Attempt proposal = propose();
+  proposing_ = false;
   if (attempt_.disagrees) return reject(Cause::overlap);
   if (const Verdict verdict = test(proposal); verdict != Verdict::accepted) return verdict;
   const bool may_visit = bounded_slope_ != nullptr &&
@@ -359,11 +360,11 @@ Integration::Verdict Integration::place(StepEnds& ends) {
 
 /// Looks for a visit of a bound within the attempt, by its continuous extension.
 Integration::Course Integration::find_visit() {
-  course_.resize(step_->max_extension_size());
+  extension_.resize(step_->max_extension_size());
   std::size_t size = 0;
-  if (step_->extension_of_attempt(course_.data(), size) == Status::stop) return end(State::interrupted);
+  if (step_->extension_of_attempt(extension_.data(), size) == Status::stop) return end(State::interrupted);
   const auto values = [this, size](std::span<const double> theta, double* Y) {
-    step_->interpolate()(course_.data(), size, n_, theta, Y);
+    step_->interpolate()(extension_.data(), size, n_, theta, Y);
   };
   return unless_stopped(
       bounded_slope_->find_visit({.t0 = t0_,
@@ -374,13 +375,12 @@ Integration::Course Integration::find_visit() {
                                  weights_, y0_.data(), attempt_.landing));
 }
 
-/// The next attempt ends where this one came to the bound; if that has not been enough, h is halved too.
+/// The next attempt ends where this one came to the bound. If several such attempts do not suffice, h is halved.
 Integration::Verdict Integration::land_on_bound() {
   const double h = std::abs(aim_.h()), landing = std::exchange(attempt_.landing, 1);
   const bool shortest = h <= aim_.hmin();
   const Verdict verdict = reject(Cause::bounds);
-  if (verdict != Verdict::rejected || shortest || !(landing < 1)) return verdict;
-  if (++attempt_.landings > most_landings) return verdict;
+  if (verdict != Verdict::rejected || shortest || !(landing < 1) || ++attempt_.landings > most_landings) return verdict;
   step_->set_h(std::max(landing * h, aim_.hmin()));
   aim_.retry(t0_, step_->h());
   return verdict;

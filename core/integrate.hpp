@@ -72,8 +72,8 @@ class Integration {
   void stop_on(const std::atomic<bool>& request) { limits_.stop_on(request); }
   /// Has `watch` called within long linear algebra. If it returns false, the run ends as if a user function had raised.
   void watch_by(std::function<bool()> watch) { watch_ = std::move(watch); }
-  /// Gives up an attempt, by throwing `Interruption`, if the run is to end: for `Lapack::poll`. The start of a run and
-  /// what it does at jumps is never given up.
+  /// Gives up a proposal of the method, by throwing `Interruption`, if the run is to end: for `Lapack::poll`. Nothing
+  /// else is given up: the start of the method, decisions about an attempt, what happens at jumps.
   void poll();
 
   State start(const double* y0);
@@ -245,8 +245,8 @@ class Integration {
   Jumps jumps_;
 
   Attempted attempt_;
-  std::vector<double> course_;  // the continuous extension of an attempt, within bounds
-  double t0_ = 0;               // where the step starts
+  std::vector<double> extension_;  // of an attempt, within bounds
+  double t0_ = 0;                  // where the step starts
   std::vector<double> y0_;
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
@@ -260,9 +260,9 @@ class Integration {
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached
   bool in_step_ = false;                 // a limit was reached between two attempts
-  bool attempting_ = false;
-  std::function<bool()> watch_;  // empty: nobody does
-  bool anew_ = false;            // the memory that was read is not enough: the method starts again
+  bool proposing_ = false;               // the method is making a proposal, which can be given up
+  std::function<bool()> watch_;          // may be empty
+  bool anew_ = false;                    // the memory that was read is not enough: the method starts again
 };
 
 }  // namespace invariode

@@ -65,8 +65,8 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
-  std::int64_t clipped =
-      0;  ///< steps that ended outside the bounds, by less than the tolerance, at one (√y), or held there
+  /// Steps that ended outside the bounds by less than the tolerance, were moved to one (√y), or are held at one.
+  std::int64_t clipped = 0;
 };
 
 /// Largest values in the accepted steps: for each invariant the largest residual before projection, also as a distance

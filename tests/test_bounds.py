@@ -686,3 +686,14 @@ def test_an_invariant_that_a_bound_contradicts_is_told(method):
     np.testing.assert_allclose(sol.y[:, -1], [np.exp(-2), 0, 3 - np.exp(-2)], rtol=1e-4, atol=1e-12)
     early = iv.solve_ivp(f, (0, 0.45), [1.0, 0.5, 0.0], method, invariants=total, **options)
     assert early.stats.clipped == 0
+
+
+def test_a_jump_that_fixes_an_invariant_anew_starts_the_account_of_the_bounds_anew():
+    """Bounds add 0.1 to the sum between two doses and 0.4 in all; 100 tolerances of it are at least 0.14."""
+    about = {"nonnegative": True, "invariants": lambda t, y: y.sum()}
+    options = {"rtol": 1e-3, "atol": 1e-3, "max_step": 0.1}
+    doses = [(t, lambda t, y: [y[0], 1.0]) for t in (0.5, 1.0, 1.5)]
+    dosed = iv.Problem(lambda t, y: [-0.2, 0.2], (0, 2), [0.0, 1.0], breakpoints=doses, **about)
+    assert dosed.solve("ode45", **options).status == 0
+    with pytest.raises(iv.InvariantError, match="contradicted by the bound"):
+        iv.Problem(lambda t, y: [-0.2, 0.2], (0, 2), [0.0, 1.0], **about).solve("ode45", **options)

@@ -5,6 +5,7 @@
 #include <complex>
 #include <cstddef>
 #include <cstdint>
+#include <exception>
 #include <functional>
 #include <memory>
 #include <vector>
@@ -90,7 +91,7 @@ class MatrixFunction {
 };
 
 /// Thrown within long linear algebra where the run is to end at once (`Lapack::poll`): what was being computed is lost.
-struct Interruption {};
+class Interruption : public std::exception {};
 
 /// LAPACK's routines for LU factors of real or complex matrices, with the BLAS of elimination in blocks.
 template <class Scalar>

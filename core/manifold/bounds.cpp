@@ -251,7 +251,8 @@ struct Peak {
   template <class Function>
   void narrow(Function f) {
     const double x = b + vertex()[0];
-    if (x == b || !(a < x && x < c)) return;
+    const bool between = a < x && x < c;
+    if (!between || x == b) return;
     const double e = f(x);
     if (e >= eb) {
       (x > b ? a : c) = b, (x > b ? ea : ec) = eb;
@@ -300,19 +301,19 @@ bool BoundedSlope::may_visit(double t0, double h, const Weights& weights, const 
   return false;
 }
 
-Status BoundedSlope::find_visit(const Course& course, const Weights& weights, const double* y0, double& landing) {
+Status BoundedSlope::find_visit(const Extension& extension, const Weights& weights, const double* y0, double& landing) {
   landing = 1;
   const double rtol = weights.rtol();
   theta_.assign({0, beside_end});
-  for (std::size_t j = 1; j < course.parts; ++j)
-    theta_.push_back(static_cast<double>(j) / static_cast<double>(course.parts));
+  for (std::size_t j = 1; j < extension.parts; ++j)
+    theta_.push_back(static_cast<double>(j) / static_cast<double>(extension.parts));
   theta_.insert(theta_.end(), {1 - beside_end, 1});
   const std::size_t last = theta_.size() - 1;
-  course_.resize(theta_.size() * course.size);
-  point_.resize(course.size);
+  values_.resize(theta_.size() * extension.size);
+  point_.resize(extension.size);
   excess_.resize(theta_.size());
-  course.values(theta_, course_.data());
-  std::copy(y0, y0 + course.size, course_.begin());
+  extension.values(theta_, values_.data());
+  std::copy(y0, y0 + extension.size, values_.begin());
   for (std::size_t k = 0; k < range_.size(); ++k) {
     const Bounds::Interval one = bounds_.intervals()[k];
     if (rests(k) || mass(one.component) == 0) continue;
@@ -321,7 +322,7 @@ Status BoundedSlope::find_visit(const Course& course, const Weights& weights, co
       return std::max(one.lower - value, value - one.upper) / weights.threshold()[one.component];
     };
     const auto at = [&](double x) {
-      course.values({&x, 1}, point_.data());
+      extension.values({&x, 1}, point_.data());
       return outside(point_.data());
     };
     // Returns the first x between a and b at which the component is outside by `size`, or one a little later.
@@ -332,7 +333,7 @@ Status BoundedSlope::find_visit(const Course& course, const Weights& weights, co
       }
       return b;
     };
-    for (std::size_t j = 0; j <= last; ++j) excess_[j] = outside(course_.data() + j * course.size);
+    for (std::size_t j = 0; j <= last; ++j) excess_[j] = outside(values_.data() + j * extension.size);
     double inside = 0;  // the last θ at which the component is inside
     for (std::size_t j = 1; j <= last; ++j) {
       double x = theta_[j], most = excess_[j];
@@ -344,7 +345,7 @@ Status BoundedSlope::find_visit(const Course& course, const Weights& weights, co
       if (most > rtol) {
         const double way = first(inside, x, (rtol + most) / 2, halvings_to_way);  // half as far outside
         at(way);
-        if (evaluate_signs(course.t0 + way * course.h, point_.data()) == Status::stop) return Status::stop;
+        if (evaluate_signs(extension.t0 + way * extension.h, point_.data()) == Status::stop) return Status::stop;
         if (Bounds::leads_out(one, point_.data(), forward_, slope_.data())) {
           if (j < last && most > visited_.size) visited_ = {most, static_cast<int>(one.component)};
           landing = std::min(landing, first(inside, x, rtol / 2, halvings_to_landing));

@@ -68,7 +68,6 @@ class Bounds {
 /// step goes over the jump, whose error estimate may be small by chance.
 class BoundedSlope {
  public:
-  ///
   /// `mass`: the diagonal of a mass matrix, by which f is y' times a factor; where that is 0 the equation is algebraic,
   /// and stays. Empty: f is y'.
   BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
@@ -94,8 +93,8 @@ class BoundedSlope {
   /// `slope` there, to y1, by the slopes that f has had since `start_at`: by more than the tolerance.
   [[nodiscard]] bool may_visit(double t0, double h, const Weights& weights, const double* y0, const double* slope,
                                const double* y1);
-  /// The continuous solution of an attempt: at so many θ, Y, (count, size).
-  struct Course {
+  /// The continuous extension of an attempt: Y at several θ, (count, size).
+  struct Extension {
     double t0, h;
     std::size_t size;   ///< of Y
     std::size_t parts;  ///< into which the step is cut to be looked at
@@ -104,7 +103,7 @@ class BoundedSlope {
   /// Looks where a component leaves its bounds by more than the tolerance in an attempt from y0. If f leads it out on
   /// the way to a point before the end, which is evaluated there, it has visited the bound (`visited`). `landing`: the
   /// θ at which it is outside by half of the tolerance, or 1.
-  Status find_visit(const Course& course, const Weights& weights, const double* y0, double& landing);
+  Status find_visit(const Extension& extension, const Weights& weights, const double* y0, double& landing);
   /// Returns how far a component visited the outside in the attempt.
   [[nodiscard]] const Bounds::Excess& visited() const { return visited_; }
   /// Returns the number of evaluations of f by `begin_step`, `find_visit` and `find_arrived`.
@@ -161,7 +160,7 @@ class BoundedSlope {
   };
   std::vector<Range> range_;   // of the bounded components
   std::vector<double> times_;  // at which f was evaluated
-  std::vector<double> theta_, course_, point_, excess_;
+  std::vector<double> theta_, values_, point_, excess_;
   Bounds::Excess visited_;  // in the attempt
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;

@@ -10,11 +10,13 @@ struct Finding {
   int invariant = -1;
   int component = -1;  ///< wrong_jacobian: the column; held: the component that is held at a bound
   double t = 0;
-  double size =
-      0;  ///< off_value, jumps_off: residual; wrong_jacobian: the entry given; not_conserved, held: d/dt of it
-  double distance = 0;  ///< of the residual in units of rtol; wrong_jacobian: the difference quotient; not_conserved:
-                        ///< ρ; held: what the bounds have added to the invariant in all, in units of rtol
-  double drift = 0;     ///< not_conserved: in a step, in units of rtol; of several invariants the largest
+  /// off_value, jumps_off: residual; wrong_jacobian: the entry given; not_conserved: d/dt of it; held: what bounds
+  /// add to d/dt of it.
+  double size = 0;
+  /// Of the residual in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ; held: what the bounds
+  /// have added to the invariant, in units of rtol.
+  double distance = 0;
+  double drift = 0;  ///< not_conserved: in a step, in units of rtol; of several invariants the largest
 };
 
 }  // namespace invariode

@@ -77,6 +77,7 @@ Outcome Manifold::project_start(double t, double* y) {
 Finding Manifold::restart(double t, double* y, bool rehold, bool acted) {
   constexpr Finding stop{.kind = Finding::Kind::stop};
   if (invariants_ == nullptr) return {};
+  if (rehold) std::ranges::fill(taken_, 0);
   if (rehold && restoration_ && restoration_->restore(t, y, acted) == Status::stop) return stop;
   if (rehold && invariants_->hold(t, y) == Status::stop) return stop;
   if (const Finding finding = guard_->start_value(t, y); finding.kind != Finding::Kind::none) return finding;

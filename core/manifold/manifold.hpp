@@ -106,8 +106,7 @@ class Manifold {
   void archive_drift(Archive& archive) { archive(clipped, drift.residual, drift.distance, drift.correction); }
 
   Drift drift;
-  double clipped =
-      0;  ///< what bounds have added to the sum of the components, by moving candidates and by holding them
+  double clipped = 0;  ///< what bounds have added to the sum of the components
 
  private:
   /// The latest candidate and the bounds, if there are any.
@@ -145,7 +144,7 @@ class Manifold {
   Outside outside_;
   Projected projected_;                    // of the accepted candidate
   double correction_ = 0;                  // of the latest candidate
-  std::vector<double> taken_;              // what bounds have taken from f in each invariant, as a distance
+  std::vector<double> taken_;              // what bounds have added to each invariant since it was held, as a distance
   std::vector<double> settled_;            // the candidate, with components that rest at their bounds
   std::vector<double> y1_;                 // the projected candidate
   std::vector<double> before_, after_;     // the values of the invariants on the two sides of a breakpoint

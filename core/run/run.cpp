@@ -128,12 +128,10 @@ void Run::keep_within_bounds() {
   manifold_.bounds = &*problem.bounds;
   if (series_) series_->bounds = &*problem.bounds;
   std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
-  const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
-  if (mass) {
-    bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit(), std::move(*mass));
-  } else {
-    bounded_slope_.emplace(f_, *problem.bounds, forward, *rate());
-  }
+  if (mass)
+    bounded_slope_.emplace(f_, *problem.bounds, forward(), solver_.method().implicit(), std::move(*mass));
+  else
+    bounded_slope_.emplace(f_, *problem.bounds, forward(), *rate());
   if (series_) bounded_slope_->see_ends_alone();
   bounded_f_ = bounded_slope_->callback();
   method_f_ = &bounded_f_;

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "check.hpp"
+#include "methods/runge_kutta_kernel.hpp"
 #include "methods/stability.hpp"
 
 namespace invariode::test::tableaux_laws {

@@ -40,7 +40,7 @@ class LaneIntegrator {
   LaneIntegrator(const Job& job, const LaneRows<W>& rows, LaneMethod<W>& stepper, Host& host)
       : job_(job),
         host_(host),
-        rows_(rows.of),
+        rows_(rows.layout),
         now_(rows.now),
         y_(now_ + Rows::y),
         p_(now_ + rows_.parameters),

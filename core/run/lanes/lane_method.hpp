@@ -14,10 +14,11 @@ namespace invariode::lanes::INVARIODE_LANES {
 /// The rows of the trajectories in lanes, and of those that are ready to take their places.
 template <int W>
 struct LaneRows {
-  Rows of;
+  Rows layout;
   Pack<W>*now, *ready;
 
-  LaneRows(const Job& job, Host& host) : of(job), now(take<W>(host, of.size)), ready(take<W>(host, of.size)) {}
+  LaneRows(const Job& job, Host& host)
+      : layout(job), now(take<W>(host, layout.size)), ready(take<W>(host, layout.size)) {}
 };
 
 /// What the loop needs to know of a method.
@@ -32,14 +33,12 @@ struct LaneTraits {
 /// A method in W lanes, LanePair or LaneTaylor: the operations of which attempts have no or few. Those of each attempt
 /// are a part of the loop, which is compiled for each method as far as that:
 ///
-///   P attempt(const LaneStep<W>& at, P* candidate, M& odd)   the candidates and their errors; where something is odd
-///   M bends(step, candidate, error, double nearly)           where single runs look for a jump of f that the errors
-///   may
-///                                                            not show (`may_miss_jumps`), and nearly where they do
-///   M finish(const LaneStep<W>& step)                        evaluates the rest at the ends; where that is not defined
-///   P accept(const M& accepted, step, error, hmin, retries)  takes these steps; |h| of the next attempt, as the
-///   method's
-///                                                            `accept` and `reject` choose it in single runs
+///   P attempt(step, candidate, M& odd)               the candidates and their errors; where something is not finite
+///   M bends(step, candidate, error, nearly)          where single runs look for a jump of f that the errors may not
+///                                                    show, and nearly where they do (if `may_miss_jumps`)
+///   M finish(step)                                   evaluates the rest at the ends; where that is not defined
+///   P accept(accepted, step, error, hmin, retries)   takes these steps; |h| of the next attempt, as `accept` and
+///                                                    `reject` of the method choose it in single runs
 template <int W>
 class LaneMethod {
  public:

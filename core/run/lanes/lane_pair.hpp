@@ -32,13 +32,13 @@ class LanePair final : public LaneMethod<W> {
       : LaneMethod<W>({T.degree, nested_polynomial<P>, Kernel::real_limit, W / 8 + 1}),
         job_(job),
         y_(rows.now + Rows::y),
-        p_(rows.now + rows.of.parameters),
-        thresholds_(rows.now + rows.of.thresholds),
-        ready_thresholds_(rows.ready + rows.of.thresholds),
-        first_(rows.ready + rows.of.memory),
+        p_(rows.now + rows.layout.parameters),
+        thresholds_(rows.now + rows.layout.thresholds),
+        ready_thresholds_(rows.ready + rows.layout.thresholds),
+        first_(rows.ready + rows.layout.memory),
         stage_(take<W>(host, job.all)),
         slopes_(take<W>(host, job.all * (stages() - 1))) {
-    k_[0] = rows.now + rows.of.memory;
+    k_[0] = rows.now + rows.layout.memory;
     for (std::size_t k = 1; k < stages(); ++k) k_[k] = slopes_ + (k - 1) * job.all;
   }
 
