@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -238,6 +239,21 @@ def test_what_cannot_be_written_is_said(monkeypatch):
     outcome = invariode("solve", "pendulum.py", "-o", "a.npz")
     assert outcome.exit_code == 1
     assert outcome.output.endswith("a.npz cannot be written: Permission denied\n")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is full")
+def test_a_full_disk_behind_standard_output_is_not_blamed_on_the_functions():
+    code = "from invariode.cli import main\nmain()"
+    for option in ((), ("--json",)):
+        with open("/dev/full", "w") as full:
+            done = subprocess.run(
+                [sys.executable, "-c", code, "solve", "pendulum.py", *option],
+                stdout=full,
+                stderr=subprocess.PIPE,
+                text=True,
+                check=False,
+            )
+        assert (done.returncode, done.stderr) == (1, "The output cannot be written: No space left on device\n")
 
 
 @pytest.mark.parametrize(

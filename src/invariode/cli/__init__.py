@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import io
+import os
 import sys
 
 __all__ = ["main"]
@@ -14,7 +15,8 @@ _EXTRA = ("typer", "rich")
 
 
 def main() -> None:
-    """Run the command line; one line says what is missing from the installation, with exit code 1."""
+    """Run the command line; one line says what is missing from the installation, or that its output cannot be written,
+    with exit code 1."""
     try:
         from .app import app
     except ModuleNotFoundError as missing:
@@ -27,4 +29,15 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     atexit.register(gc.freeze)  # the process ends: a last search for cycles would take longer than a short run
-    app()
+    try:
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        print(f"The output cannot be written: {error.strerror}", file=sys.stderr)
+        os._exit(1)  # the interpreter would try again

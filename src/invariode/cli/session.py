@@ -62,8 +62,10 @@ def stop(message: str, code: int) -> typer.Exit:
 
 
 def _is_ours(frame: FrameType) -> bool:
-    """Return whether code of this package runs in a frame; that of dataclasses is in no file."""
-    return _ours(frame.f_code.co_filename) or frame.f_globals.get("__name__", "").partition(".")[0] == "invariode"
+    """Return whether code of this package, or of rich, which writes for it, runs in a frame; that of dataclasses is in
+    no file."""
+    package = frame.f_globals.get("__name__", "").partition(".")[0]
+    return _ours(frame.f_code.co_filename) or package in ("invariode", "rich")
 
 
 def print_traceback(error: BaseException) -> None:
