@@ -270,6 +270,8 @@ def test_functions_whose_tracing_could_be_noticed_are_not_traced():
 
 
 FROM, TO = 40.0, 40.5
+#: With others after the end.
+PULSES = [(FROM + 100 * k, TO + 100 * k) for k in range(30)]
 
 
 def between(t, times):
@@ -324,6 +326,7 @@ def ways():
     held, table, simple = Held(), {"times": [FROM, TO]}, types.SimpleNamespace(low=FROM, high=TO, at=np.array([FROM]))
     by_name = {"record": record_of({"low": FROM, "high": TO}), "tuple": Named(FROM, TO), "slots": Slotted(FROM, TO)}
     by_name |= {"namespace": simple, "class": Space}
+    columns = np.array([(FROM, TO)], dtype=[("low", float), ("high", float)])
     pair, given, doubled = (held.pulse, held), {"times": (FROM, TO)}, np.array([80, 81])
     yield "numbers", lambda t, a, b: 1.0 if a <= t < b else 0.0, (FROM, TO)
     yield "a dict", lambda t: between(t, table["times"]), ()
@@ -336,6 +339,14 @@ def ways():
     yield "an object that is called", held, ()
     yield "an array of a namespace", lambda t: 1.0 if simple.at[0] <= t < simple.at[0] + 0.5 else 0.0, ()
     yield "a partial function", partial(between, times=(FROM, TO)), ()
+    yield "any", lambda t: 1.0 if any(a <= t < b for a, b in PULSES) else 0.0, ()
+    yield "all", lambda t: 0.0 if all(t < a or t >= b for a, b in PULSES) else 1.0, ()
+    yield "sum", lambda t: 1.0 * sum(a <= t < b for a, b in PULSES), ()
+    yield "next", lambda t: next((1.0 for a, b in PULSES[:1] if a <= t < b), 0.0), ()
+    yield "piecewise", lambda t: np.piecewise(t, [(a <= t) & (t < b) for a, b in PULSES], [1.0] * len(PULSES)), ()
+    yield "functions of piecewise", lambda t: np.piecewise(t, (t >= FROM) & (t < TO), [lambda s: s / s, 0.0]), ()
+    yield "columns", lambda t: 1.0 if columns["low"][0] <= t < columns["high"][0] else 0.0, ()
+    yield "columns among args", lambda t, of: 1.0 if of["low"][0] <= t < of["high"][0] else 0.0, (columns,)
     yield "a table", iv.Input([0.0, FROM, TO], [0.0, 1.0, 0.0]), ()
     for name, one in by_name.items():
         yield f"attributes: {name}", lambda t, of=one: 1.0 if of.low <= t < of.high else 0.0, ()
@@ -428,6 +439,17 @@ def test_a_switch_in_time_is_a_landing_by_whatever_function_it_enters():
             if not abs(found - right) <= 2e-6 * right:
                 lost.append((way, face, found))
     assert not lost
+
+
+def test_a_table_with_names_is_one_of_its_columns():
+    """Runs are the same, bit for bit, whether a table is read as one array with names or as two arrays."""
+    times = np.linspace(0.0, 9.0, 37)
+    table = np.zeros(37, dtype=[("t", float), ("u", float)])
+    table["t"], table["u"] = times, np.sin(times**2)
+    of_table = iv.ode45(lambda t, y: [np.interp(t, table["t"], table["u"]) - y[0]], (0, 9), [0.0], rtol=1e-8)
+    of_columns = iv.ode45(lambda t, y: [np.interp(t, times, np.sin(times**2)) - y[0]], (0, 9), [0.0], rtol=1e-8)
+    assert np.array_equal(of_table.y, of_columns.y)
+    assert np.isin(times, of_table.t).all()
 
 
 def test_a_function_is_traced_for_what_it_uses_when_it_runs():

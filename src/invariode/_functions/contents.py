@@ -199,6 +199,13 @@ def is_copied(kind: type) -> bool:
     return kind is SimpleNamespace or (has_own_code(kind) and not has_slots)
 
 
+def is_of_numbers(dtype: np.dtype[Any]) -> bool:
+    """Return whether arrays hold real numbers, or columns of them with names, as tables that are read have."""
+    if dtype.names is not None:
+        return all(dtype[name].kind in "fiub" for name in dtype.names)
+    return dtype.kind in "fiub"
+
+
 def has_own_code(kind: type) -> bool:
     return isinstance(getattr(kind, "__dict__", {}).get("__init__", None), FunctionType) or any(
         isinstance(found, FunctionType) for one in kind.__mro__[:-1] for found in vars(one).values()

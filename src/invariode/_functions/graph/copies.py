@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import CompiledFunction
-from ..contents import has_own_code, is_of_others
+from ..contents import has_own_code, is_of_numbers, is_of_others
 from .complexes import pair
 from .nodes import ELEMENTARY, Node, TraceError
 from .selections import MOST_CODES, helpers, selecting
@@ -142,9 +142,9 @@ class Copies:
 
     def _constants(self, value: Any) -> Any:
         """An array from outside that cannot be changed; one of floats, whose methods then take traced values."""
-        if type(value) is not np.ndarray or value.dtype.kind not in "fiub" or value.size > _MOST_CONSTANTS:
+        if type(value) is not np.ndarray or not is_of_numbers(value.dtype) or value.size > _MOST_CONSTANTS:
             return value
-        if value.dtype.kind != "f":  # which may be indices
+        if value.dtype.kind != "f":  # which may be indices, or columns with names
             made = value.copy()
             made.flags.writeable = False
             return made

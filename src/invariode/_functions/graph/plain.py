@@ -26,7 +26,7 @@ from ..._base.latest import Latest
 from ..._base.record import Record
 from ..._core import StateFirst
 from ..compiled import CompiledFunction
-from ..contents import is_copied, is_of_others, nested
+from ..contents import is_copied, is_of_numbers, is_of_others, nested
 from ..forms import Filling, FirstOrderForm
 from ..layout import TRUTHS, ArgumentLayout, Entry, Listed, Numbers
 from .nodes import Node, TraceError
@@ -55,7 +55,7 @@ _ALLOWED = (
 _OF_GENERATORS = ("RETURN_GENERATOR", "YIELD_VALUE", "RERAISE")
 #: Python's functions that it may call.
 _BUILTINS = {"abs", "min", "max", "float", "int", "bool", "len", "range", "sum", "enumerate", "zip", "pow", "list"}
-_BUILTINS |= {"tuple", "divmod", "round"}
+_BUILTINS |= {"tuple", "divmod", "round", "any", "all", "next"}
 #: NumPy's functions besides the universal ones, and the attributes and methods of arrays, that it may use.
 _NUMPY = {"array", "asarray", "zeros", "ones", "empty", "full", "zeros_like", "ones_like", "empty_like", "full_like"}
 _NUMPY |= {
@@ -425,8 +425,8 @@ class _UsedValues:
         kind = type(value)
         if value is None or issubclass(kind, _NUMBERS):
             return kind, repr(value)
-        if kind is np.ndarray and value.dtype.kind in "fiub" and value.size <= _MOST_NUMBERS:
-            return kind, value.dtype.str, value.shape, value.tobytes()
+        if kind is np.ndarray and is_of_numbers(value.dtype) and value.size <= _MOST_NUMBERS:
+            return kind, repr(value.dtype), value.shape, value.tobytes()
         if id(value) in self._seen:
             return "again", self._seen[id(value)]
         self._seen[id(value)] = len(self._seen)

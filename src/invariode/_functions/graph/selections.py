@@ -133,6 +133,22 @@ class _Rewriter(ast.NodeTransformer):
         parts = [self._condition(node.test), _lazy(self.visit(node.body)), _lazy(self.visit(node.orelse))]
         return ast.copy_location(ast.Call(_name("choose"), parts, []), node)
 
+    def visit_Compare(self, node: ast.Compare) -> Any:
+        if len(node.ops) == 1 or _assigns(node):
+            return self.generic_visit(node)
+        self.count += 1
+        return self._condition(node)
+
+    def visit_Call(self, node: ast.Call) -> Any:
+        """``any`` and ``all`` of what a comprehension makes: conditions, joined in one node."""
+        of = node.args[0] if len(node.args) == 1 else None
+        named = isinstance(node.func, ast.Name) and node.func.id in ("any", "all")
+        if not named or node.keywords or not isinstance(of, (ast.GeneratorExp, ast.ListComp)) or _assigns(of):
+            return self.generic_visit(node)
+        self.count += 1
+        of.elt, of.generators = self._condition(of.elt), [self.visit(one) for one in of.generators]
+        return ast.copy_location(ast.Call(_name("over"), [node.func, of], []), node)
+
     def visit_If(self, node: ast.If) -> Any:
         return self._block([node], returns=False)
 
@@ -351,6 +367,22 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
         node = _as_condition(value)
         return not value if node is None else wrapped(node.graph.make("not", node), decide)
 
+    def over(function: Any, items: Iterable[Any]) -> Any:
+        if function not in (any, all):  # the user's own
+            return function(items)
+        joined = None
+        try:
+            for one in items:
+                node = _as_condition(one)
+                if node is None and bool(one) is (function is any):
+                    return function is any
+                if node is not None:
+                    op = "or" if function is any else "and"
+                    joined = node if joined is None else node.graph.make(op, joined, node)
+        except (ArithmeticError, ValueError) as error:  # of one that need not be asked: the paths end before it
+            raise TraceError(str(error)) from error
+        return function is all if joined is None else wrapped(joined, decide)
+
     def value(get: Callable[[], Any]) -> Any:
         try:
             return get()
@@ -375,7 +407,7 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
         "both": _joined("and", False, decide),
         "either": _joined("or", True, decide),
     }
-    found |= {"negated": negated, "value": value, "copy": copied, "fill": filled}
+    found |= {"negated": negated, "over": over, "value": value, "copy": copied, "fill": filled}
     return {_OURS + name: one for name, one in found.items()}
 
 

@@ -82,7 +82,13 @@ def trace(
     """
     args, limits = ArgumentLayout() if args is None else args, limits or TraceLimits()
     given = (fun, n - second, second, args, inplace, limits, is_complex, conditions)
-    found = _Tracing(*given).traced(alone=True)
+    first = _Tracing(*given)
+    try:
+        found = first.traced(alone=True)
+    except TraceError:  # of too many decisions, say, of which selections need none
+        if not first.decides:
+            raise
+        found = None
     if found is not None:
         return found
     try:
@@ -131,6 +137,11 @@ class _Tracing:
         self._fun = self._copies.of(fun)
         self._decisions: list[tuple[Node, bool, bool]] = []  # condition, answer, whether the other one has been given
         self._at = 0
+
+    @property
+    def decides(self) -> bool:
+        """True if a condition has been decided on the path that was followed last."""
+        return bool(self._decisions)
 
     def traced(self, alone: bool = False) -> Traced | None:
         """The graph, or None if it has several paths and `alone` is true."""

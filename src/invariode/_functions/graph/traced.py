@@ -599,6 +599,29 @@ def _select(graph: Graph, condlist: Any, choicelist: Any, default: Any = 0.0) ->
     return found
 
 
+def _piecewise(graph: Graph, x: Any, condlist: Any, funclist: Any, *args: Any, **options: Any) -> Any:
+    """The value of the last condition that holds, as NumPy has it."""
+    shape = np.shape(x)
+    alone = not isinstance(condlist, (list, tuple)) and np.ndim(condlist) == len(shape)
+    conditions = [condlist] if alone else condlist
+
+    def value(of: Any) -> Any:
+        if not callable(of):
+            return cells_of(of, graph)
+        if np.size(x) != 1:
+            raise TraceError("numpy.piecewise with functions of several points")
+        return cells_of(of(np.reshape(x, 1), *args, **options), graph).reshape(shape)
+
+    if len(funclist) not in (len(conditions), len(conditions) + 1):
+        raise ValueError("numpy.piecewise needs as many values as conditions, or one more")
+    otherwise = funclist[-1] if len(funclist) > len(conditions) else 0.0
+    found = mapped(lambda _, v: number(v), cells_of(x, graph), value(otherwise))
+    for condition, of in zip(conditions, funclist, strict=False):
+        given = [cells_of(condition, graph), value(of)]
+        found = mapped(lambda c, a, b: graph.select(truth(c), number(a), b), *given, found)
+    return found
+
+
 def _polyval(graph: Graph, p: Any, x: Any) -> Any:
     """By Horner's rule."""
     first, *others = [*mapped(number, cells_of(p, graph).ravel())] or [graph.node(0.0)]
@@ -697,6 +720,7 @@ def _like(value: float) -> Callable[..., Any]:
 OWN: dict[str, Callable[..., Any]] = {
     "where": _where,
     "select": _select,
+    "piecewise": _piecewise,
     "polyval": _polyval,
     "gradient": _gradient,
     "clip": _clip,
