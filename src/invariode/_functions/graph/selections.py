@@ -367,22 +367,6 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
         node = _as_condition(value)
         return not value if node is None else wrapped(node.graph.make("not", node), decide)
 
-    def over(function: Any, items: Iterable[Any]) -> Any:
-        if function not in (any, all):  # the user's own
-            return function(items)
-        joined = None
-        try:
-            for one in items:
-                node = _as_condition(one)
-                if node is None and bool(one) is (function is any):
-                    return function is any
-                if node is not None:
-                    op = "or" if function is any else "and"
-                    joined = node if joined is None else node.graph.make(op, joined, node)
-        except (ArithmeticError, ValueError) as error:  # of one that need not be asked: the paths end before it
-            raise TraceError(str(error)) from error
-        return function is all if joined is None else wrapped(joined, decide)
-
     def value(get: Callable[[], Any]) -> Any:
         try:
             return get()
@@ -407,7 +391,7 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
         "both": _joined("and", False, decide),
         "either": _joined("or", True, decide),
     }
-    found |= {"negated": negated, "over": over, "value": value, "copy": copied, "fill": filled}
+    found |= {"negated": negated, "over": _over(decide), "value": value, "copy": copied, "fill": filled}
     return {_OURS + name: one for name, one in found.items()}
 
 
@@ -440,6 +424,27 @@ def _joined(op: str, last: bool, decide: Callable[[Node], bool]) -> Callable[...
                 continue
             value = wrapped(node.graph.make(op, node, truth(further)), decide)
         return value
+
+    return of
+
+
+def _over(decide: Callable[[Node], bool]) -> Callable[..., Any]:
+    """``any`` or ``all`` of conditions."""
+
+    def of(function: Any, items: Iterable[Any]) -> Any:
+        if function not in (any, all):  # the user's own
+            return function(items)
+        op, joined = "or" if function is any else "and", None
+        try:
+            for one in items:
+                node = _as_condition(one)
+                if node is not None:
+                    joined = node if joined is None else node.graph.make(op, joined, node)
+                elif bool(one) is (function is any):
+                    return function is any
+        except (ArithmeticError, ValueError) as error:  # of one that need not be asked: the paths end before it
+            raise TraceError(str(error)) from error
+        return function is all if joined is None else wrapped(joined, decide)
 
     return of
 
