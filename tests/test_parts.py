@@ -177,6 +177,8 @@ def test_dask_and_a_worker_that_dies(tmp_path: Path) -> None:
         stored = iv.solve_ensemble(compiled, SPAN, mortal(), executor=client, chunk=10, store=tmp_path / "a.zarr")
         same(stored.load(), whole)
     assert zarr.open_group(tmp_path / "a.zarr", mode="r")["status"].shape == (120,)
+    with pytest.raises(ValueError, match="client of Dask that has been closed"):
+        iv.solve_ensemble(compiled, SPAN, states, args=args, executor=client)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -32,9 +32,11 @@ class Executor(Protocol):
 def executor_of(given: Any) -> Executor:
     """Return an executor, from one or from a client of Dask.
 
-    Raises TypeError: It is neither.
+    Raises TypeError: It is neither. ValueError: It is a client that has been closed.
     """
     if hasattr(given, "get_executor") and hasattr(given, "nthreads"):
+        if getattr(given, "status", None) == "closed":
+            raise ValueError("executor is a client of Dask that has been closed: give one that is connected")
         executor: Executor = given.get_executor(pure=False)
         return executor
     if not callable(getattr(given, "submit", None)):
