@@ -133,10 +133,10 @@ def test_results_depend_on_no_instructions_threads_or_neighbours(name, instructi
 @pytest.mark.parametrize("invariant", [ENERGY, FROM_GRAPH], ids=["its gradient given", "not given"])
 def test_an_invariant_is_held_as_without_lanes(instructions, invariant, monkeypatch):
     monkeypatch.setattr(lanes, "FORCED", instructions)
-    alone = solve(COMPILED["quartic"], rtol=1e-6, lanes=1, invariants=invariant)
+    alone = solve(COMPILED["quartic"], lanes=1, invariants=invariant)
     assert alone.stats.lanes == "one at a time: lanes=1"
     for workers in (1, 3):
-        found = solve(COMPILED["quartic"], rtol=1e-6, workers=workers, invariants=invariant)
+        found = solve(COMPILED["quartic"], workers=workers, invariants=invariant)
         same(found, alone)
         assert found.stats.lanes.endswith(f"lanes, {instructions}")
     assert (found.residual_after < 1e-9).all()
@@ -268,7 +268,7 @@ def test_failures_are_told_as_without_lanes():
 
 
 def test_a_limit_of_steps_is_that_of_single_solves():
-    found, alone = (solve(COMPILED["quartic"], rtol=1e-6, max_steps=66, **how) for how in ({}, {"lanes": 1}))
+    found, alone = (solve(COMPILED["quartic"], max_steps=40, **how) for how in ({}, {"lanes": 1}))
     assert found.messages.keys() == alone.messages.keys()  # they tell the seconds
     found.messages = alone.messages
     same(found, alone)
