@@ -20,7 +20,7 @@ inline constexpr double largest_slope = 100;
 
 // Where f jumps inside a step, a divided difference of its slopes is about as large as the jump; where f is smooth, it
 // is much smaller than the range of the slopes, or the error estimate tells of it (docs/algorithms.md, 'Jumps of f').
-inline constexpr double bend_of_jump = 0.1;  // of the range of the slopes: any jump leaves more
+inline constexpr double bend_of_jump = 0.2;  // of the range of the slopes: any jump leaves more than 0.5
 inline constexpr double harmless_bend = 20;  // |h| times the difference, in units of rtol
 inline constexpr double told_bend = 100;     // the same, in units of the error estimate
 
@@ -124,13 +124,13 @@ struct Kernel {
     static constexpr auto d = bend_weights<T>();
     Norm difference, range;
     for (std::size_t i = 0; i < n; ++i) {
-      const Real reciprocal = Real(1) / weight(i);
-      difference.add(dot<T.stages>(k, [](auto j) { return d[j]; }, i) * reciprocal);
+      const Real w = weight(i);
+      difference.add(dot<T.stages>(k, [](auto j) { return d[j]; }, i) / w);
       Real least = k[T.bends[0]][i], most = least;
       [&]<std::size_t... J>(std::index_sequence<J...>) {
         ((least = smaller(least, k[T.bends[J + 1]][i]), most = larger(most, k[T.bends[J + 1]][i])), ...);
       }(std::make_index_sequence<T.bends.size() - 1>{});
-      range.add((most - least) * reciprocal);
+      range.add((most - least) / w);
     }
     return {difference.value(), range.value()};
   }

@@ -40,8 +40,8 @@ struct Tableau {
   std::array<std::array<double, all_stages>, all_stages> A;
   std::array<double, Stages> E;
   std::array<double, Stages> crude{};
-  /// Five stages in the order of their times, as accurate as there are, whose slopes show a jump of f in the step that
-  /// E may not show: see `Kernel::bend`. Empty: E suffices.
+  /// Five accurate stages in the order of their times, whose slopes show a jump of f in the step that E may not show:
+  /// see `Kernel::bend`. Empty: E suffices.
   std::array<std::size_t, 5> bends{};
   std::array<std::array<double, Degree>, all_stages> B;
 

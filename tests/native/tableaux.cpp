@@ -129,7 +129,7 @@ void check_bends() {
       part += difference[T.bends[i]];
       const bool last = i + 1 == T.bends.size();
       CHECK(std::abs(part) <= 1 + tableau_roundoff);
-      CHECK(last ? std::abs(part) <= tableau_roundoff : std::abs(part) > runge_kutta::bend_of_jump);
+      CHECK(last ? std::abs(part) <= tableau_roundoff : std::abs(part) > 0.5);
       most = std::max(most, std::abs(part));
     }
     CHECK(std::abs(most - 1) <= tableau_roundoff);
