@@ -16,6 +16,7 @@ constexpr double sharp = 1e-3;
 // attempts fail may be those of a solution that sticks (docs/algorithms.md, 'Jumps of f').
 constexpr double many = 1e3, shorter = 8;
 constexpr double failing = 1.0 / 16;  // of the steps
+constexpr double near = 8;            // steps, within which such a solution meets the jump
 constexpr int meetings = 2;           // one after the other, with a jump that f leads onto
 constexpr int pause = 8;              // looks after one that has found nothing
 constexpr double most_of_jump = 5;    // tolerances of error that a step over a jump may have
@@ -176,7 +177,7 @@ Status DiscontinuityDetector::watch_pace(double t, const double* y, const double
   if (sticks_since_ || !slow || pause_-- > 0 || !may_search(counts.steps + counts.failed, evaluations_ahead_))
     return Status::ok;
   pause_ = 0;
-  const double length = std::copysign(std::min(way, rest), target - t);
+  const double length = std::copysign(std::min(near * h, rest), target - t);
   make_room();
   const std::int64_t before = search_->calls();
   JumpSearch::Result result = JumpSearch::Result::none;
@@ -199,8 +200,8 @@ Status DiscontinuityDetector::watch_pace(double t, const double* y, const double
     pause_ = pause;
     return Status::ok;
   }
-  if (meetings_++ == 0) first_meeting_ = search_->t();
-  if (meetings_ == meetings) sticks_since_ = (first_meeting_ - t) * (target - t) > 0 ? t : first_meeting_;
+  if (meetings_++ == 0) first_meeting_ = t;
+  if (meetings_ == meetings) sticks_since_ = first_meeting_;
   return Status::ok;
 }
 

@@ -154,7 +154,7 @@ class DiscontinuityDetector {
   std::vector<double> found_;
   double pace_t_ = 0, fastest_ = 0;  // where the latest call of `watch_pace` was, and the longest way between two
   int meetings_ = 0;                 // so often in a row there was such a jump ahead,
-  double first_meeting_ = 0;         // the first of them here
+  double first_meeting_ = 0;         // at first here
   int pause_ = 0;                    // calls that do not look
   std::int64_t evaluations_ahead_ = 0;
   std::optional<double> sticks_since_;
