@@ -330,9 +330,8 @@ Integration::Verdict Integration::pass_jump(const double* candidate) {
   if (trust == Step::Trust::always) return Verdict::accepted;
   const double h = std::abs(aim_.h());
   double longest = h;
-  if (ended(unless_stopped(discontinuities_.passes(t0_, y0_.data(), step_->slope(), aim_.t1(), candidate,
-                                                   trust == Step::Trust::never, counts_.steps + counts_.failed,
-                                                   longest))))
+  if (ended(unless_stopped(discontinuities_.passes(t0_, y0_.data(), aim_.t1(), candidate, trust == Step::Trust::never,
+                                                   counts_.steps + counts_.failed, longest))))
     return Verdict::ended;
   if (longest >= h || h <= aim_.hmin()) return Verdict::accepted;
   ++counts_.failed;

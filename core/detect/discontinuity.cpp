@@ -12,11 +12,11 @@ constexpr double kept = 1.0 / 8;  // of the change, which a jump keeps: less is 
 constexpr double grown = 2;       // more than this times the change is a pole, which no breakpoint helps
 // Of a step that failed: a change within this is a jump, though f may be smooth on a finer scale.
 constexpr double sharp = 1e-3;
-// Steps of which the rest of the interval would take so many, or so much shorter than the longest, or of which so many
-// attempts fail may be those of a solution that sticks (docs/algorithms.md, 'Jumps of f').
-constexpr double many = 1e3, shorter = 8;
+// Steps of which the rest of the interval would take so many, or so much shorter than the longest, may be those of a
+// solution that sticks (docs/algorithms.md, 'Jumps of f'); once f has been seen to jump, or was suspected to in a step
+// that passed its error test, those that are shorter, or of which attempts fail, too.
+constexpr double very_many = 1e5, much_shorter = 300, shorter = 8;
 constexpr double failing = 1.0 / 16;  // of the steps
-constexpr double near = 8;            // steps, within which such a solution meets the jump
 constexpr int meetings = 2;           // one after the other, with a jump that f leads onto
 constexpr int pause = 8;              // looks after one that has found nothing
 constexpr double most_of_jump = 5;    // tolerances of error that a step over a jump may have
@@ -170,14 +170,16 @@ Status DiscontinuityDetector::watch_pace(double t, const double* y, const double
   const double way = std::abs(t - std::exchange(pace_t_, t)), h = way / static_cast<double>(steps);
   fastest_ = std::max(fastest_, way);
   const double rest = std::abs(target - t);
+  const bool suspected = !found_.empty() || evaluations_passing_ > 0;
   const bool fails = static_cast<double>(counts.failed) > failing * static_cast<double>(counts.steps);
-  const bool slow = limited || fails || shorter * way < fastest_ || (std::isfinite(rest) && many * h < rest);
+  const bool slow = limited || (suspected ? fails || shorter * way < fastest_ : much_shorter * way < fastest_) ||
+                    (std::isfinite(rest) && very_many * h < rest);
   endless_ = sticks_since_ && std::isfinite(rest) && endless_from * h < rest;
   if (sticks_since_ || !slow) meetings_ = 0;
   if (sticks_since_ || !slow || pause_-- > 0 || !may_search(counts.steps + counts.failed, evaluations_ahead_))
     return Status::ok;
   pause_ = 0;
-  const double length = std::copysign(std::min(near * h, rest), target - t);
+  const double length = std::copysign(std::min(way, rest), target - t);
   make_room();
   const std::int64_t before = search_->calls();
   JumpSearch::Result result = JumpSearch::Result::none;
@@ -213,23 +215,18 @@ Status DiscontinuityDetector::look(double t0, const double* y0, double t1, const
   return search(series_.from_t(), from_.data(), t1, y1, series_.latest());
 }
 
-Status DiscontinuityDetector::passes(double t0, const double* y0, const double* slope, double t1, const double* y1,
-                                     bool bent, std::int64_t attempts, double& longest) {
+Status DiscontinuityDetector::passes(double t0, const double* y0, double t1, const double* y1, bool bent,
+                                     std::int64_t attempts, double& longest) {
   const double h = std::abs(t1 - t0), harmless = most_of_jump * weights_.rtol();
   if ((!bent && !series_.suspicious(h)) || !may_pass(attempts, evaluations_passing_)) return Status::ok;
   make_room();
-  // Stages may lead beyond the jump though y1 does not. A jump bends y1 away from where y' leads, and where the
-  // solution sticks only y' leads over it.
-  for (const bool along_y : {true, false}) {
-    for (std::size_t i = 0; i < ahead_.size(); ++i)
-      ahead_[i] = along_y ? y1[i] + overshoot * (y1[i] - y0[i]) : y0[i] + (t1 - t0) * slope[i];
-    const JumpSearch::Result result = search_->bracket(t0, y0, t1, ahead_.data(), harmless);
-    evaluations_passing_ += search_->evaluations();
-    if (result == JumpSearch::Result::stop) return Status::stop;
-    if (result == JumpSearch::Result::found && h * search_->jump() > harmless)
-      longest = std::min(longest, std::max(std::abs(search_->before() - t0), harmless / search_->jump()));
-    if (!bent) break;
-  }
+  for (std::size_t i = 0; i < ahead_.size(); ++i)  // stages may lead beyond the jump though y1 does not
+    ahead_[i] = y1[i] + overshoot * (y1[i] - y0[i]);
+  const JumpSearch::Result result = search_->bracket(t0, y0, t1, ahead_.data(), harmless);
+  evaluations_passing_ += search_->evaluations();
+  if (result == JumpSearch::Result::stop) return Status::stop;
+  if (result == JumpSearch::Result::found && h * search_->jump() > harmless)
+    longest = std::max(std::abs(search_->before() - t0), harmless / search_->jump());
   return Status::ok;
 }
 

@@ -88,9 +88,9 @@ class DiscontinuityDetector {
   /// The attempt from (t0, y0) to (t1, y1), one of `attempts`, has passed the error test of a pair. An estimate that is
   /// small by chance says nothing of the error of a step over a jump of f, which is up to |h| times the jump. Where a
   /// series of failures or the slopes (`bent`) suggest that there is one, `longest` becomes the |h| of an attempt up to
-  /// it, or over it with a small error, if that is shorter. `slope`: y' at t0.
-  Status passes(double t0, const double* y0, const double* slope, double t1, const double* y1, bool bent,
-                std::int64_t attempts, double& longest);
+  /// it, or over it with a small error, if that is shorter.
+  Status passes(double t0, const double* y0, double t1, const double* y1, bool bent, std::int64_t attempts,
+                double& longest);
   /// The attempt from (t0, y0) to t1 failed, and none can be shorter. `slope`: y' at t0; f is not evaluated past
   /// `target`.
   Status gave_up(double t0, const double* y0, const double* slope, double t1, double target);
