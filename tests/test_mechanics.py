@@ -688,6 +688,11 @@ def test_the_function_that_is_not_finite_is_named(name):
         message = system.problem((0, 3), [1, 0], [0, 0]).solve(method).message
         assert re.search(rf"y' \(by ({name}|MechanicalSystem)\)|Invariant constraint", message), message
         assert "fun" not in message
+    driven = MechanicalSystem([1, 1], gravity, lambda t, q: [q @ q - 1, q[0] - t])  # it locks at x = 1
+    locked = driven.problem((0, 3), [0, 1], [1, 0]).solve()
+    assert locked.t_end == pytest.approx(1, abs=1e-6)
+    assert re.search(r"\(v2\), .* dead or locking position", locked.message), locked.message
+    assert "mass=" not in locked.message
 
 
 def test_forces_at_times_are_those_of_the_continuous_solution():

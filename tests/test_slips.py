@@ -58,7 +58,15 @@ SLIPS: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a mass matrix that depends on y": (
         lambda: iv.solve_ivp(*CALL, "ode15s", mass=lambda t, y: np.eye(2)),
-        "M(t, y) is not supported",
+        "M(t, y) is not supported, solve M y' = f for y' in fun; MechanicalSystem(M, force)",
+    ),
+    "an event of ode15i with y'": (
+        lambda: iv.ode15i(lambda t, y, yp: yp + y, (0, 1), [1.0], [-1.0], events=lambda t, y, yp: y[0] - 0.5),
+        "make it an unknown of its own, u, with the equation u - y' = 0",
+    ),
+    "an event of dde23 with Z": (
+        lambda: iv.dde23(lambda t, y, Z: -Z[:, 0], [1.0], [1.0], (0, 1), events=lambda t, y, Z: y[0]),
+        "events are called as event(t, y, *args), also with delays",
     ),
     "an action of a breakpoint without t": (
         lambda: iv.solve_ivp(*CALL, breakpoints=[(0.5, lambda y: y)]),

@@ -34,9 +34,9 @@ from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.switching_times import timed
 from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
-from .._plan.call_errors import require_called
+from .._plan.call_errors import require_called, takes
 from .._problem.bounds import to_bounds
-from .._problem.events import to_events
+from .._problem.events import titled, to_events
 from .._problem.invariants import Invariants
 from .._problem.methods import find_method
 from .._problem.options import Options
@@ -624,7 +624,14 @@ class Dae:
         atol = self._atol(reduction, options)
         describing = {"sensitivities": sensitivities, **self._bounds(reduction, nonnegative, bounds)}
         if events is not None:
-            describing["events"] = [through.event(one) for one in to_events(events)]
+            listed = to_events(events)
+            for one in listed:
+                if not takes(one.fun, self.args):
+                    raise TypeError(
+                        f"{titled(one.__name__)} cannot be called as event(t, y, *args): for one on y', make it an "
+                        "unknown of its own, u, with the equation u - y' = 0"
+                    )
+            describing["events"] = [through.event(one) for one in listed]
         problem = self._problem(reduction, starts, x, fixed, span, atol, **describing)
         return self._presented(problem.solve(method, **options), reduction, on_failure)
 

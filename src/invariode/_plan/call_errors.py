@@ -14,6 +14,7 @@ from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._functions.second_order import SecondOrder
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.events import titled
+from .._problem.given_options import INSTEAD_OF_MASS
 from .._problem.problem import Problem
 
 #: This many functions are named in a message.
@@ -32,11 +33,16 @@ def explain(error: TypeError | ValueError, problem: Problem, options: Mapping[st
             error.add_note("callback: called with t and y alone, after each step; it returns True to stop the run")
             return
         if callable(mass := problem.matrices.mass) and not takes_time(mass) and takes(mass, ()):
-            error.add_note("mass is a function of t alone: M(t, y) is not supported, solve M y' = f for y' in fun")
+            error.add_note(f"mass is a function of t alone: M(t, y) is not supported, {INSTEAD_OF_MASS}")
             return
         found = _not_taking(problem, options.get("breakpoints")) if _is_of_the_call(error) else []
         if "fun" in found and problem.delays is not None:
             error.add_note("with delays, fun is called as fun(t, y, z, *args), where z[j] is y(t - delays[j])")
+        elif problem.delays is not None and any(not takes(one.fun, problem.args) for one in problem.events):
+            error.add_note(
+                "events are called as event(t, y, *args), also with delays: y(t - delay) passes a level by a delay "
+                "later than y"
+            )
         elif found and not problem.args:
             error.add_note(f"{' and '.join(found)}: called with t and y alone; args=(a, b) passes further arguments")
         elif found:

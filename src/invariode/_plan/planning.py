@@ -40,7 +40,7 @@ from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.core_problem import CoreProblem, DelayTerms, LinearTerms
 from .._problem.delays import Undelayed, stacked
 from .._problem.events import RootOf, event_spec, vector_specs
-from .._problem.given_options import checked
+from .._problem.given_options import INSTEAD_OF_MASS, checked
 from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
@@ -153,8 +153,7 @@ def _require_fitting(problem: Problem, method: Method) -> None:
     """The problem is one for this method, and a warning for what the method ignores."""
     if problem.matrices.mass is not None and "mass" not in method.options:
         raise ValueError(
-            f"mass: {method.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
-            "y' in fun"
+            f"mass: {method.name} is explicit and cannot use a mass matrix; use ode15s or radau, or {INSTEAD_OF_MASS}"
         )
     if method.equations == "second-order":
         require_second_order(problem, method)

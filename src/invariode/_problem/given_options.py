@@ -12,6 +12,10 @@ from .._base.types import MethodName
 from .methods import Method, find_method
 from .options import TABLE, DescribingOptions, ManyOptions, Options, ProblemArguments, table_of
 
+#: What to write instead of a mass matrix that a method, or all of them, cannot take.
+INSTEAD_OF_MASS = (
+    "solve M y' = f for y' in fun; MechanicalSystem(M, force) takes M(t, q), and solve_dae any F(t, y, y') = 0"
+)
 #: Names of options elsewhere, in lower case: of MATLAB's odeset, SciPy's odeint and ode, Julia, and of arguments that
 #: belong to a value of several fields; and their counterparts here.
 _STEPS = "steps follow from rtol and atol: limit them by max_step=, and set output times by t_eval="
@@ -37,7 +41,7 @@ _ELSEWHERE: Mapping[str, str] = {
     "initialy": "pass y0=",
     "normcontrol": "errors are controlled by component; atol may be an array",
     "outputsel": "callback(t, y) receives all components",
-    **dict.fromkeys(("mstatedependence", "mvpattern"), "mass depends on t at most: solve M y' = f for y' in fun"),
+    **dict.fromkeys(("mstatedependence", "mvpattern"), f"mass depends on t at most: {INSTEAD_OF_MASS}"),
     **dict.fromkeys(("masssingular", "initialslope"), "not needed: found from mass, and consistent values computed"),
     "mass_matrix": "pass mass=",
     "solver": "pass method=",

@@ -135,8 +135,18 @@ _INSTEAD_OF_ACCUMULATING = (
 )
 
 
-def blamed_on(name: str, message: str) -> str:
-    """Return a message about fun as one about the function from which fun was made."""
+#: What is said of a singularity of an f without a mass matrix, and of a mechanism instead.
+_ALGEBRAIC = " If an entry of fun is an algebraic equation, 0 = g(t, y), pass mass=."
+OF_MECHANISM = (
+    " If constraints become dependent there, this is a dead or locking position, beyond which the mechanism cannot "
+    "move as its constraints prescribe."
+)
+
+
+def blamed_on(name: str, message: str, singular: str = "") -> str:
+    """Return a message about fun as one about the function from which fun was made, which has no mass=. `singular`:
+    what is said of a singularity instead."""
+    message = message.replace(_ALGEBRAIC, singular)
     return re.sub(r"\bfun\b", name, re.sub(r" of fun\b", f" of y' (by {name})", message))
 
 
@@ -306,9 +316,11 @@ def _singular(run: Run, stated: Stated) -> str:
     if run.fastest is None:
         return ""
     i, y, slope = run.fastest
-    algebraic = "" if stated.mass else " If an entry of fun is an algebraic equation, 0 = g(t, y), pass mass=."
+    algebraic = "" if stated.mass else _ALGEBRAIC
+    i = i // 2 if stated.pairs else i
+    label = "" if stated.labels is None else f" ({stated.labels[i]})"
     return (
-        f"y[{i // 2 if stated.pairs else i}], {y:.3g} there, changes at the rate {slope:.3g}: the solution seems to "
+        f"y[{i}]{label}, {y:.3g} there, changes at the rate {slope:.3g}: the solution seems to "
         f"have a singularity. Stop it earlier with a terminal event, or check signs, units and parameters of "
         f"fun.{algebraic}"
     )

@@ -41,6 +41,7 @@ from .._problem.parameters import values_of
 from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
+    OF_MECHANISM,
     accumulating,
     below_zero,
     blamed_on,
@@ -335,7 +336,7 @@ def _carried_out(
     sol.stats.mechanics = _work(core, fun)
     if sol["status"] == FAILED and isinstance(fun, CoreFunction):
         called = fun.undefined_near(sol.t_end, sol.y_end, run.h, source.problem.args)
-        sol["message"] = blamed_on(called or "MechanicalSystem", sol.message)
+        sol["message"] = blamed_on(called or "MechanicalSystem", sol.message, OF_MECHANISM)
     if find_method(source.method)[0].equations == "second-order":
         require_no_velocities(source.problem, sol)
     return sol
