@@ -149,7 +149,8 @@ class LaneTaylor final : public LaneMethod<W> {
  private:
   [[nodiscard]] bool projects() const { return job_.invariant != nullptr; }
   [[nodiscard]] const P* last_rows(const P* c) const { return c + (job_.order - 1) * job_.n; }
-  P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin, const M& retries) const {
+  [[nodiscard]] P next(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin,
+                       const M& retries) const {
     const P size = absolute(step.h), longest = choose(retries, size, taylor::largest_growth * size);
     const P grown = taylor::with_exact_square(smaller(reach(next_, next_unit_), longest));
     if (!any(~accepted)) return grown;
