@@ -50,9 +50,10 @@ _ALLOWED = (
     *("POP_JUMP", "GET_ITER", "FOR_ITER", "END_FOR", "POP_ITER", "UNPACK_SEQUENCE", "EXTENDED_ARG", "MAKE_FUNCTION"),
     *("SET_FUNCTION_ATTRIBUTE", "NOT_TAKEN", "CALL_INTRINSIC_1", "BUILD_MAP", "BUILD_CONST_KEY_MAP", "MAP_ADD"),
     *("DICT_MERGE", "DICT_UPDATE"),
+    "RERAISE",  # of comprehensions, from 3.12 on; what handles exceptions itself has other instructions too
 )
 #: Of generator expressions, besides.
-_OF_GENERATORS = ("RETURN_GENERATOR", "YIELD_VALUE", "RERAISE")
+_OF_GENERATORS = ("RETURN_GENERATOR", "YIELD_VALUE")
 #: Python's functions that it may call.
 _BUILTINS = {"abs", "min", "max", "float", "int", "bool", "len", "range", "sum", "enumerate", "zip", "pow", "list"}
 _BUILTINS |= {"tuple", "divmod", "round", "any", "all", "next"}
