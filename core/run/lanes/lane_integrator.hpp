@@ -427,7 +427,7 @@ class LaneIntegrator {
 
 // ------------------------------------------------------------------------------------------------- what the host calls
 
-/// Lets the loop do what it is asked for with a method.
+/// Makes the loop and its method for a job, and calls the operation with both.
 template <class Method, class Operation>
 void with(const Job& job, Host& host, Operation operation) {
   const LaneRows<Method::width> rows(job, host);

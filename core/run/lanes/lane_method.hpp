@@ -21,10 +21,10 @@ struct LaneRows {
       : layout(job), now(take<W>(host, layout.size)), ready(take<W>(host, layout.size)) {}
 };
 
-/// What the loop needs to know of a method.
+/// Constants of a method and its continuous extension, as the loop over attempts uses them.
 template <int W>
 struct LaneTraits {
-  std::size_t degree;  ///< of the extension
+  std::size_t degree;  ///< of the continuous extension in θ
   LaneExtension<W>* evaluate_extension;
   double limit;      ///< of |h λ|, where the formula is stable
   int fewest_lanes;  ///< trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py)

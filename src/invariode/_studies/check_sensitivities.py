@@ -38,7 +38,7 @@ class SensitivityReport:
     derivatives : str
         The reference: 'traced' (exact, from expressions), 'complex step' or 'differences'.
     findings : list of str
-        A description of each wrong entry; empty if there are none.
+        A description of each wrong entry; empty if all are right.
     ok : bool
         Whether there are no findings.
     """

@@ -85,7 +85,7 @@ class Reference:
         return _FLOOR * max(self.agreement, EPS)
 
     def below_zero(self, y0: Array, lowest: Lowest, atol: float) -> BelowZero | None:
-        """Return the component that becomes negative although it does not along the solution; None if there is none."""
+        """Return the component that becomes negative here but not along the solution, or None."""
         return None if self.lowest is None else below_zero(y0, lowest.values, self.lowest, atol)
 
     def error(self, y: Array) -> float:

@@ -28,7 +28,7 @@ from .formulas import Expression, Translator
 from .library import UnsupportedError
 from .reading import ModelContents
 
-#: The factor of the rates of fast reactions, whose limit is asked for by ``fast="limit"``.
+#: The factor that multiplies the rates of fast reactions; ``fast="limit"`` approaches their infinitely fast limit.
 FAST = 1e7
 
 #: Operations across which values may jump.
@@ -184,7 +184,7 @@ class ModelEquations:
         return found
 
     def _number(self, name: str) -> float:
-        """Return the number in the file; NaN if there is none."""
+        """Return the number that the file gives, or NaN if it gives none."""
         contents = self.contents
         if name in contents.species:
             return contents.species[name].initial

@@ -143,7 +143,7 @@ def _index_of_times(index: Any, columns: Iterable[Any]) -> Array:
 def _times_of(labelled: Any) -> Array:
     """Return the coordinate of times of an array or Dataset of xarray.
 
-    Raises ValueError: There is none.
+    Raises ValueError: No coordinate is named t or time.
     """
     name = column_of_times(labelled.coords)
     if name is None:

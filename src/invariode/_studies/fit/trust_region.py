@@ -63,7 +63,7 @@ def minimise(
 ) -> End:
     """Return a local minimum within the bounds.
 
-    - `at`: the cost at u; None where there is none: such a step is refused. It is not None at the start.
+    - `at`: the model of the cost at u, or None where it cannot be evaluated, which `start` must not be
     - `start`, `lower`, `upper`, (k,): where the search starts, and the bounds
     - `ends`: the reason to end at u without success, or None
     """
