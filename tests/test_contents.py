@@ -43,6 +43,16 @@ class Line:
         return self.at(t)
 
 
+class Rebuilt:
+    """Copies are made from a list that lasts no longer than the copying."""
+
+    def __init__(self, slopes: list[float]) -> None:
+        self.slopes = tuple(slopes)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Rebuilt, ([*self.slopes],)
+
+
 def line(slope: float) -> Callable[[float], float]:
     return lambda t: slope * t
 
@@ -102,6 +112,7 @@ def test_contents_are_equal_exactly_if_values_are() -> None:
         lambda a: Line(a).at,
         lambda a: CubicSpline(TIMES, a * TIMES),
         lambda a: make_interp_spline(TIMES, a * TIMES),
+        lambda a: [Rebuilt([1.0]), Rebuilt([a])],
         lambda a: {"x": [a, (a, None)], "y": np.array([a])},
         lambda a: np.array([a, {"k": a}], dtype=object),
     ]

@@ -7,9 +7,11 @@ import json
 import os
 import pickle
 import struct
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import invariode as iv
 from interrupted import differences
@@ -133,6 +135,9 @@ def test_what_a_checkpoint_says_is_seen_to_be_possible(what, tmp_path):
 # The code of the functions
 
 
+GRID = np.linspace(0.0, 2.0, 9)
+
+
 def twin(t, y):
     return [-2 * y[0] + y[1] * y[2], 2 * y[0] - y[1] * y[2] - 5 * y[1] ** 3, 5 * y[1] ** 3]
 
@@ -182,6 +187,15 @@ def powered(values):
     return lambda t, y: rates(t, [y[0], y[1] ** values[0], y[2]])
 
 
+def through(function):
+    """Functions of y₁ that are 0 at 0."""
+    return lambda t, y: rates(t, [y[0], function(y[1]), y[2]])
+
+
+class Power(NamedTuple):
+    value: int
+
+
 CODES = {
     "fun": (dict(fun=twin), {}, "fun"),
     "jac": (dict(jac=lambda t, y: np.zeros((3, 3))), {}, "jac"),
@@ -195,6 +209,10 @@ CODES = {
     "object": (dict(fun=powered(Reactions(2))), {}, "fun"),
     "list": (dict(fun=powered([2])), {}, "fun"),
     "dict": (dict(fun=powered({0: 2})), {}, "fun"),
+    "named tuple": (dict(fun=powered(Power(2))), {}, "fun"),
+    "function of NumPy": (dict(fun=through(np.sin)), {}, "fun"),
+    "interpolator": (dict(fun=through(CubicSpline(GRID, GRID**2))), {}, "fun"),
+    "wrapped function": (dict(fun=through(np.vectorize(lambda x: x**2))), {}, "fun"),
     "method": (dict(events=Reactions(2).event), {}, "event 0"),
     "class": (dict(events=Others(1).by_class), {}, "event 0"),
     "action that is a method": (
@@ -214,6 +232,10 @@ FIRST = {
     "object": dict(fun=powered(Reactions(1))),
     "list": dict(fun=powered([1])),
     "dict": dict(fun=powered({0: 1})),
+    "named tuple": dict(fun=powered(Power(1))),
+    "function of NumPy": dict(fun=through(np.tan)),
+    "interpolator": dict(fun=through(CubicSpline(GRID, GRID))),
+    "wrapped function": dict(fun=through(np.vectorize(lambda x: 2 * x))),
     "method": dict(events=Reactions(1).event),
     "class": dict(events=Reactions(1).by_class),
     "action that is a method": dict(events=iv.Event(crossing(0.5), action=Reactions(1).action)),

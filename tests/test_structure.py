@@ -188,7 +188,7 @@ ONLY_IN = {
     r"^def (compared|takes_complex|somewhere|sizes)\b": {"_functions/increments.py"},
     r"__signature__ = .*Problem|Problem\.__init__\.__qualname__": set(),
     r"\.__reduce_ex__\(|\.co_code\b": {"_functions/contents.py", "_files/code_digest.py"},
-    r"^class \w*Contents\(Contents\)": {"_files/code_digest.py"},
+    r"^class \w+\(Contents\)": {"_files/code_digest.py"},
 }
 
 #: Names of `invariode.petab`, which are PEtab's, beside those of the package.

@@ -6,16 +6,16 @@ from __future__ import annotations
 import dis
 import hashlib
 import inspect
+import itertools
 from collections.abc import Iterator
 from functools import partial
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from .._functions.compiled import CompiledFunction, CoreFunction
-from .._functions.contents import ATOMS, Contents, captured, nested
-from .._functions.forms import FirstOrderForm
+from .._functions.contents import ATOMS, Contents, captured, named_elsewhere, nested
 from .._functions.graph.python import Formula
 
 #: Instructions that change the items of what stands before them in the source,
@@ -24,95 +24,142 @@ _CHANGES_ITEMS = ("STORE_SUBSCR", "DELETE_SUBSCR", "STORE_SLICE")
 _CHANGES = {"add", "append", "clear", "extend", "fill", "insert", "pop", "remove", "setdefault", "sort", "update"}
 #: Instructions that load, bind or delete something else than local variables of the function, by their endings.
 _KINDS = {"GLOBAL": "name", "DEREF": "name", "ATTR": "attribute", "METHOD": "attribute"}
-
-
-class BoundFunction(NamedTuple):
-    """A function, and the object whose attributes it uses: None if it is a function alone."""
-
-    function: FunctionType
-    owner: Any
-
-
-class _PortableContents(Contents):
-    """Takes values apart into what is equal in every process: no types of users, and no identity of equal values.
-    Arrays become digests; other objects are noted."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.others: list[Any] = []
-
-    def of(self, value: Any) -> Any:
-        if isinstance(value, ATOMS):
-            return repr(value)
-        if isinstance(value, np.ndarray) and value.dtype != object:
-            return str(value.dtype), hashlib.sha256(value.tobytes()).digest()
-        around = id(value) in self._seen
-        found = super().of(value)
-        if not around:
-            del self._seen[id(value)]
-        return found
-
-    def other(self, value: Any) -> None:
-        self.others.append(value)
+#: Wrappers, and the attribute that is the function inside.
+_INSIDE: list[tuple[Any, str]] = [
+    (property, "fget"),
+    (partial, "func"),
+    ((MethodType, staticmethod, classmethod), "__func__"),
+]
+#: Attributes that count without being named by the code: those of callable objects of other modules, without caches.
+_DATA = (np.ndarray, float, complex, tuple, FunctionType, MethodType)
+#: Containers, whose subclasses count as they do.
+_CONTAINERS = (list, tuple, set, frozenset, dict)
 
 
 def digest(value: Any) -> str:
     """Return a short number for numbers, text and arrays, alone or in containers; other objects do not count."""
-    return hashlib.blake2b(repr(_PortableContents().of(value)).encode(), digest_size=6).hexdigest()
+    return hashlib.blake2b(repr(_Portable().of(value)).encode(), digest_size=6).hexdigest()
 
 
 def digest_of_code(value: Any) -> str | None:
     """Return a number for the code of a function; None: it has no code of Python's."""
-    if isinstance(value, partial):
-        inner = digest_of_code(value.func)
-        return inner and digest((inner, value.args, value.keywords))
     if isinstance(value, CoreFunction):
         codes = [digest_of_code(one) for one in value.functions]
         return digest(codes) if any(codes) else None
     formula = value.fun if isinstance(value, CompiledFunction) else value
     if isinstance(formula, Formula):
         return digest(formula.text)
-    method = _method(value)
-    if method is None or (method.function.__module__ or "").startswith("invariode."):
+    function = _python_function(value)
+    if function is None or (function.__module__ or "").startswith("invariode."):
         return None
-    return digest(_code(method))
+    code = _Portable(function.__module__)
+    found, names = code.of(value), -1
+    while code.names > names:  # those that functions found last use or change count for all
+        names = code.names
+        found = code.again(value)
+    return digest(repr(found))
 
 
-def _method(value: Any) -> BoundFunction | None:
-    """Return the Python function that underlies a function or a callable object, if there is one."""
-    if isinstance(value, CompiledFunction):
-        value = value.fun
-    value = value.fun if isinstance(value, FirstOrderForm) else value
-    value = getattr(value, "py_func", value)  # numba's
-    if not isinstance(value, (FunctionType, type)):  # a cfunc of numba's, what functools.cache returns, a `Filling`
-        value = inspect.getattr_static(value, "__wrapped__", value)
-    value = value.__func__ if isinstance(value, (staticmethod, classmethod)) else value
-    value = value.fget if isinstance(value, property) else value
-    owner = None
-    if isinstance(value, MethodType):
-        owner, value = value.__self__, value.__func__
-    elif not isinstance(value, (FunctionType, type)):
-        owner, value = value, inspect.getattr_static(type(value), "__call__", None)
-    return BoundFunction(value, owner) if isinstance(value, FunctionType) else None
+def _wrapped(value: Any) -> Any:
+    """Return the function inside a method, a property, a compiled function or another wrapper, or None."""
+    if isinstance(value, (FunctionType, type)):
+        return None
+    if type(value).__module__.partition(".")[0] == "invariode":
+        return getattr(value, "fun", None)
+    for kind, name in _INSIDE:
+        if isinstance(value, kind):
+            return getattr(value, name)
+    # functions and cfuncs of numba, and what functools.cache returns
+    places = (inspect.getattr_static(value, name, None) for name in ("py_func", "_pyfunc", "__wrapped__"))
+    return next((one for one in places if callable(one)), None)
 
 
-# ----------------------------------------------------------------------------------------------------------------------
-# What a function uses
+def _python_function(value: Any) -> FunctionType | None:
+    """Return the function of Python's that runs when a function or a callable object is called, if there is one."""
+    while (inner := _wrapped(value)) is not None:
+        value = inner
+    if not isinstance(value, (FunctionType, type)):
+        value = inspect.getattr_static(type(value), "__call__", None)
+    return value if isinstance(value, FunctionType) else None
 
 
-class _Uses:
-    """Names that the code of one function uses, and names that it changes, which are its state and not its code."""
+class _Portable(Contents):
+    """Takes values apart into what is equal in every process: no types, and no identity of equal containers. Arrays
+    become digests. Functions become their code and what they use, or their name if another module has it, and other
+    objects those attributes that this code names. Variables and attributes that the code changes are its state, and do
+    not count.
 
-    def __init__(self, method: BoundFunction) -> None:
-        function, owner = method
-        self.codes = list(nested(function.__code__))
-        free = set(function.__code__.co_freevars)
-        instructions = [list(dis.get_instructions(code)) for code in self.codes]
-        self.changed = {change for one in instructions for change in _changes(one, free)}
-        used = list(captured(function))
-        objects = [one for one in (owner, *(value for *_, value in used)) if one is not None and _has_attributes(one)]
-        attributes = dict.fromkeys(one.argval for part in instructions for one in part if _kind(one) == "attribute")
-        self.values = [("name", name, value) for name, _, value in used] + _attributes(objects, list(attributes))
+    - `module`: the name of the module of the first function
+    """
+
+    def __init__(self, module: str | None = None) -> None:
+        super().__init__()
+        self._module = module
+        self._attributes = {"__call__"}  # names of those that the code uses
+        self._changed: set[tuple[str, str]] = set()
+
+    @property
+    def names(self) -> int:
+        """Number of the names that have been found so far."""
+        return len(self._attributes) + len(self._changed)
+
+    def again(self, value: Any) -> Any:
+        """Return the content of a value, where all names known by now count."""
+        self._seen.clear()
+        self._count = itertools.count()
+        return self.of(value)
+
+    def of(self, value: Any) -> Any:
+        if isinstance(value, CodeType):
+            return value.co_code, value.co_names, value.co_varnames, self.of(value.co_consts)
+        if isinstance(value, ATOMS):
+            return repr(value)
+        if isinstance(value, np.ndarray) and value.dtype != object:
+            return str(value.dtype), value.shape, hashlib.sha256(value.tobytes()).digest()
+        plain = next((kind for kind in _CONTAINERS if isinstance(value, kind)), None)
+        if plain is None or id(value) in self._seen:
+            return super().of(value)
+        if type(value) is plain:
+            found = super().of(value)
+        else:
+            self._seen[id(value)] = next(self._count), value
+            found = super().of(plain(value)), self.other(value)
+        del self._seen[id(value)]
+        return found
+
+    def other(self, value: Any) -> Any:
+        if isinstance(value, FunctionType):
+            return value.__qualname__ if named_elsewhere(value, self._module) else self._function(value)
+        if isinstance(value, MethodType):
+            return self.of(value.__func__), self.of(value.__self__)
+        if (inner := _wrapped(value)) is not None:
+            return self.of(inner)
+        if isinstance(value, (ModuleType, BuiltinFunctionType, np.ufunc)):
+            return value.__name__
+        if not hasattr(value, "__dict__") and not hasattr(type(value), "__slots__"):
+            return None
+        names = self._attributes
+        if callable(value) and type(value).__module__ != self._module:  # such as an interpolator
+            slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
+            own = (*slots, *getattr(value, "__dict__", ()))
+            names = names.union(name for name in own if isinstance(_attribute(value, name), _DATA))
+        kept = sorted(name for name in names if ("attribute", name) not in self._changed)
+        return [(name, self.of(_attribute(value, name))) for name in kept]
+
+    def _function(self, value: FunctionType) -> Any:
+        free = set(value.__code__.co_freevars)
+        for code in nested(value.__code__):
+            instructions = list(dis.get_instructions(code))
+            self._attributes.update(one.argval for one in instructions if _kind(one) == "attribute")
+            self._changed.update(_changes(instructions, free))
+        uses = [(name, self.of(one)) for name, _, one in captured(value) if ("name", name) not in self._changed]
+        return self.of(value.__code__), uses
+
+
+def _attribute(value: Any, name: str) -> Any:
+    """Return an attribute of an object, a property or method as a function; None without it."""
+    found = inspect.getattr_static(value, name, None)
+    return getattr(value, name, None) if inspect.ismemberdescriptor(found) else found  # a slot
 
 
 def _kind(one: dis.Instruction) -> str | None:
@@ -137,67 +184,3 @@ def _changes(instructions: list[dis.Instruction], free: set[str]) -> Iterator[tu
 def _place(one: dis.Instruction) -> tuple[int | None, int | None] | None:
     where = one.positions
     return None if where is None else (where.lineno, where.col_offset)
-
-
-def _has_attributes(value: Any) -> bool:
-    """Return whether a value is an object, or a class, whose attributes are not code that is seen otherwise."""
-    if isinstance(value, (ModuleType, FunctionType, MethodType, BuiltinFunctionType, np.ndarray, np.generic, np.ufunc)):
-        return False
-    return hasattr(value, "__dict__") or hasattr(type(value), "__slots__")
-
-
-def _attributes(objects: list[Any], names: list[str]) -> list[tuple[str, str, Any]]:
-    """Return the attributes of these names, of the objects and of those among their attributes; for methods and
-    properties the function with its object."""
-    found: list[tuple[str, str, Any]] = []
-    seen: set[int] = set()
-    while objects:
-        one = objects.pop(0)
-        if id(one) in seen:
-            continue
-        seen.add(id(one))
-        for name in names:
-            value = inspect.getattr_static(one, name, None)
-            if inspect.ismemberdescriptor(value):  # a slot
-                value = getattr(one, name, None)
-            inner = value.fget if isinstance(value, property) else value
-            if isinstance(inner, FunctionType) and not isinstance(one, type):
-                value = MethodType(inner, one)
-            elif _has_attributes(value):
-                objects.append(value)
-            found.append(("attribute", name, value))
-    return found
-
-
-def _reached(first: BoundFunction) -> list[_Uses]:
-    """Return the uses of a function and of the functions of its module that it calls."""
-    found: list[_Uses] = []
-    waiting, seen = [first], set()
-    while waiting:
-        method = waiting.pop(0)
-        if (key := (id(method.function), id(method.owner))) in seen:
-            continue
-        seen.add(key)
-        found.append(_Uses(method))
-        values = _PortableContents()
-        values.of([value for _, _, value in found[-1].values])
-        inner = [_method(one) for one in values.others if callable(one)]
-        waiting += [one for one in inner if one and one.function.__module__ == method.function.__module__]
-    return found
-
-
-def _code(method: BoundFunction) -> list[Any]:
-    """Return the code of a function and of those that it uses, with their constants, and what they use."""
-    reached = _reached(method)
-    changed = set().union(*(uses.changed for uses in reached))
-    return [
-        (
-            [(code.co_code, code.co_names, code.co_varnames, _without_code(code.co_consts)) for code in uses.codes],
-            [value for kind, name, value in uses.values if (kind, name) not in changed],
-        )
-        for uses in reached
-    ]
-
-
-def _without_code(constants: tuple[Any, ...]) -> list[Any]:
-    return [one for one in constants if not isinstance(one, CodeType)]

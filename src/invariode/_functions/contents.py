@@ -8,6 +8,7 @@ contents of their closures and the globals that they use; other objects by the s
 from __future__ import annotations
 
 import inspect
+import itertools
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -48,7 +49,8 @@ class Contents:
     """Takes values apart into nested tuples: numbers, text, arrays and containers by value, others by `other`."""
 
     def __init__(self) -> None:
-        self._seen: dict[int, int] = {}
+        self._seen: dict[int, tuple[int, Any]] = {}  # values by identity, which lasts as long as they are kept
+        self._count = itertools.count()
         self._module: str | None = None  # of the function whose captured values are taken apart
 
     def of(self, value: Any) -> Any:
@@ -57,8 +59,8 @@ class Contents:
         if isinstance(value, ATOMS):
             return kind, value if kind in (int, bool, str, bytes) or isinstance(value, CodeType) else repr(value)
         if id(value) in self._seen:
-            return "again", self._seen[id(value)]
-        self._seen[id(value)] = len(self._seen)
+            return "again", self._seen[id(value)][0]
+        self._seen[id(value)] = next(self._count), value
         if isinstance(value, np.ndarray):
             entries = tuple(map(self.of, value.ravel().tolist())) if value.dtype == object else value.tobytes()
             return kind, value.dtype.str, value.shape, entries
@@ -97,7 +99,7 @@ class Contents:
         return kind, _Opaque(maker), self.of(arguments), *map(self.of, parts)
 
     def _function(self, value: FunctionType) -> Any:
-        if _named_elsewhere(value, self._module):
+        if named_elsewhere(value, self._module):
             return _Opaque(value)
         before, self._module = self._module, value.__module__ if self._module is None else self._module
         uses = tuple((name, self.of(one)) for name, _, one in captured(value))
@@ -105,7 +107,7 @@ class Contents:
         return type(value), value.__code__, uses
 
 
-def _named_elsewhere(function: FunctionType, module: str | None) -> bool:
+def named_elsewhere(function: FunctionType, module: str | None) -> bool:
     """Return whether a function belongs to a module other than `module` and is found there by its name, so that its
     code and its globals are that module's."""
     if module is None or function.__module__ == module:
