@@ -8,7 +8,8 @@ import pytest
 import invariode as iv
 from cases import METHODS, SERIES, dealt
 from invariode._base.matrices import as_matrix
-from invariode._functions.derivatives import Point, derivative_of
+from invariode._functions.derivatives import derivative_of
+from invariode._functions.with_arguments import Point
 from invariode._studies.fit import fit as fitting
 from invariode._studies.fit.uncertainty import _inverse
 

@@ -7,7 +7,8 @@ import pytest
 
 import invariode as iv
 from cases import ALGEBRAIC, dealt, explicit_and_implicit, families, families_and_series
-from invariode._functions.derivatives import Point, derivative_of
+from invariode._functions.derivatives import derivative_of
+from invariode._functions.with_arguments import Point
 from parametric import RATES, ROBERTSON, TOLERANCES, kept, lotka_volterra, of_swinging, robertson, spring, swinging
 
 

@@ -11,7 +11,8 @@ from scipy import sparse
 
 import invariode as iv
 import invariode.scipy
-from invariode._functions.derivatives import Given, Point, derivative_of
+from invariode._functions.derivatives import Given, derivative_of
+from invariode._functions.with_arguments import Point
 from invariode._problem.parameters import parameter_names, values_of, with_values
 from parametric import ROBERTSON, TOLERANCES, decay, robertson
 

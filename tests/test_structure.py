@@ -177,7 +177,7 @@ ONLY_IN = {
     r"^class (\w+Spec|\w+Terms|CoreProblem)\b": {"_problem/core_problem.py"},
     r"(Settings|Plan|Course)\._make\(": set(),
     r"^def derivative_of\b|^class Derivative\b": {"_functions/derivatives.py"},
-    r"^def way_of\b|def _mended\b|\b_Sides\(": {"_functions/derivatives.py"},
+    r"^def way_of\b|def _mended\b|\bSides\(self": {"_functions/derivatives.py"},
     r"\bway_of\(": {"_functions/derivatives.py", "_linear/linear_terms.py", "_laws/bound.py"},
     r"^def as_matrix\b": {"_base/matrices.py"},
     r"\bOnCourse\(": {"_run/prepared.py", "_solve/prepared_solver.py"},

@@ -32,8 +32,9 @@ from .._base.failures import SolveError
 from .._base.forks import cached_property
 from .._base.types import MethodName
 from .._functions.compiled import is_native
-from .._functions.derivatives import Derivative, Point, derivative_of
+from .._functions.derivatives import Derivative, derivative_of
 from .._functions.layout import layout_of
+from .._functions.with_arguments import Point
 from .._plan.call_errors import takes
 from .._plan.plan import Plan, solver
 from .._plan.planning import longest_step, make_plan, ordered_breakpoints

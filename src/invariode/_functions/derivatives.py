@@ -7,11 +7,10 @@ agree with finite differences. Finite differences are the last resort.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from copy import copy
 from importlib.util import find_spec
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +24,8 @@ from .compiled import (
     NativeWithInputs,
     Shape,
     as_python,
-    event_value,
     form_jacobians_by,
     is_native,
-    to_native,
 )
 from .forms import Filling
 from .graph.derived import Derived, derived, native
@@ -37,29 +34,12 @@ from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula
 from .graph.switches import Switch, conditions, evaluated, has_steps, surface, switches
-from .increments import INCREMENT, NOT_COMPLEX, TINY, sizes, somewhere, takes_complex
-from .layout import NO_ARGUMENTS, TRUTHS, layout_of, numbers_at_places, place_of, with_numbers
-
-#: One-sided differences are repeated with this part of the increment; where a derivative exists, they grow at most by
-#: this factor.
-_PART, _GROWTH = 1 / 8, 1.01
-
+from .increments import NOT_COMPLEX, ByIncrements, Sides
+from .layout import NO_ARGUMENTS, TRUTHS, layout_of, place_of, with_numbers
+from .with_arguments import ParameterPlace, Point, WithArguments, as_floats, numbers_at
 
 #: Where the entries of each row of a matrix begin, and their columns.
 RowPattern: TypeAlias = tuple[Sequence[int], Sequence[int]]
-
-
-class ParameterPlace(Protocol):
-    """A number among the arguments, or an initial value, on which no function depends directly."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def index(self) -> int: ...
-    @property
-    def item(self) -> int | None: ...
 
 
 class Given(NamedTuple):
@@ -110,7 +90,7 @@ def _matrix(
     """Return the value of a matrix that a user gives as a constant, a function or machine code."""
     shape = shape if bands is None else (sum(bands) + 1, shape[1])
     if is_native(given):
-        values = _WithArguments(given, args, (), shape[0] * shape[1], name, event=False)(t, y)
+        values = WithArguments(given, args, (), shape[0] * shape[1], name, event=False)(t, y)
         return as_matrix(name, values.reshape(shape) if values.size == shape[0] * shape[1] else values, shape, at=t)
     found = given(t, y.copy(), *args) if callable(given) else given
     return as_matrix(name, found, shape, banded=bands is not None, at=t)
@@ -133,13 +113,6 @@ def way_of(
             if (source := make()) is not None:
                 return how, source
     return "differences", None
-
-
-class Point(NamedTuple):
-    """Point (t, y) at which F is defined."""
-
-    t: float
-    y: Array
 
 
 def derivative_of(
@@ -175,7 +148,7 @@ def derivative_of(
 
     Raises TypeError: A parameter is an integer, and F takes no other number in its place.
     """
-    evaluate = _WithArguments(function, args, names, shape[0], called or call_name(function, "fun"), event)
+    evaluate = WithArguments(function, args, names, shape[0], called or call_name(function, "fun"), event)
     if evaluate.m is None:
         evaluate.m = len(evaluate(at.t, at.y))
     graph = OfGraph.of(function, evaluate, shape[1], unnoticed=traces == "unnoticed") if traces else None
@@ -190,7 +163,7 @@ class Derivative:
     - `args`, `names`, `called`: as given to `derivative_of`
     """
 
-    def __init__(self, evaluate: _WithArguments, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
+    def __init__(self, evaluate: WithArguments, at: Point, moves_t: bool, given: Given, graph: OfGraph | None) -> None:
         self.n, self.m, self.k = len(at.y), evaluate.size, len(evaluate.names)
         self.args, self.names, self.called = evaluate.args, evaluate.names, evaluate.called
         self._evaluate, self._at, self._moves_t, self.graph = evaluate, at, moves_t, graph
@@ -199,12 +172,12 @@ class Derivative:
             evaluate.require_numbers(at)
 
     @cached_property
-    def _steps(self) -> _ByIncrements | None:
+    def _steps(self) -> ByIncrements | None:
         """Complex steps or differences; None: they are not needed."""
         given = self._given
         if self.graph is not None or not (given.jac is None or (given.dfdp is None and self.k) or self._moves_t):
             return None
-        return _ByIncrements(self._evaluate, self._at, self._moves_t)
+        return ByIncrements(self._evaluate, self._at, self._moves_t)
 
     @cached_property
     def how(self) -> str:
@@ -230,7 +203,7 @@ class Derivative:
         if self._steps is None or self._steps.how != "complex step":
             return True
         try:
-            return _ByIncrements(self._evaluate, at, self._moves_t).how == "complex step"
+            return ByIncrements(self._evaluate, at, self._moves_t).how == "complex step"
         except NOT_COMPLEX:
             return True  # F is not defined there, whatever the numbers
 
@@ -277,7 +250,7 @@ class Derivative:
         """Return `found` (c, m) with one-sided finite differences in place of entries that are not finite though F is,
         such as 0 · ∞ where a formula is singular and the function is not. Entries that these do not give stay: there F
         has no derivative along this direction, or is not defined."""
-        found, sides = found.copy(), _Sides(self._evaluate, self.n)
+        found, sides = found.copy(), Sides(self._evaluate, self.n)
         for row, one in zip(found, zip(dt, dy, dp, strict=True), strict=True):
             gaps = ~np.isfinite(row)
             if gaps.any():
@@ -363,15 +336,6 @@ def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
     return any(place is not None and bool(known[before + place]) for place in places)
 
 
-def as_floats(args: tuple[Any, ...], names: Sequence[ParameterPlace]) -> dict[int, dict[int, float]]:
-    """Return the parameters among the arguments as floats: an integer may be an index, a parameter may not."""
-    places = [(one.index, one.item) for one in names if one.kind == "args"]
-    changes: dict[int, dict[int, float]] = {}
-    for (index, item), number in zip(places, numbers_at_places(args, places), strict=True):
-        changes.setdefault(index, {})[item or 0] = float(number)
-    return changes
-
-
 def with_graph(fun: Any) -> Any:
     """Return F in a form that may have a graph; None if it is machine code, or belongs to the core."""
     inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
@@ -406,7 +370,7 @@ class OfGraph:
         self._codes: dict[str, Callable[[float, Array, Array], Array]] = {}
 
     @classmethod
-    def of(cls, fun: Any, evaluate: _WithArguments, n: int, *, unnoticed: bool) -> OfGraph | None:
+    def of(cls, fun: Any, evaluate: WithArguments, n: int, *, unnoticed: bool) -> OfGraph | None:
         """Return the derivatives of a function from its graph; None: it has none, or a parameter is a constant of it,
         such as the count of a loop."""
         args, names, m = evaluate.args, evaluate.names, evaluate.size
@@ -557,13 +521,6 @@ def derived_unnoticed(fun: Any, n: int, m: int, args: tuple[Any, ...]) -> Derive
     return found
 
 
-def numbers_at(t: float, fun: Any, p: Array) -> Array:
-    """Return the parameters of machine code: the values of inputs at t, then the numbers of the arguments."""
-    if not isinstance(fun, NativeWithInputs):
-        return p
-    return np.concatenate([*(one.evaluate(np.array([t]))[0] for one in fun.inputs), p])
-
-
 def is_finite(values: Array) -> bool:
     """Return whether all numbers are finite. The sum of squares is a faster test, unless it overflows."""
     flat = values.ravel()
@@ -573,183 +530,6 @@ def is_finite(values: Array) -> bool:
 def has_llvm() -> bool:
     """Return whether llvmlite, which makes machine code of graphs, is installed."""
     return find_spec("llvmlite") is not None
-
-
-class _WithArguments:
-    """Function (t, y) -> F with its arguments, or with other values of the parameters."""
-
-    def __init__(
-        self, fun: Any, args: tuple[Any, ...], names: Sequence[ParameterPlace], m: int | None, called: str, event: bool
-    ) -> None:
-        self.args, self.names, self.called = args, names, called
-        self._fun, self.m, self._event = fun, m, event
-        self._own = [one for one in names if one.kind == "args"]
-        #: Which of the parameters are in the arguments.
-        self.own = np.array([one.kind == "args" for one in names], dtype=bool)
-        places = [place_of(args, one.index, one.item) for one in self._own]
-        self.p = np.zeros(len(names))
-        self.p[self.own] = layout_of(args).numbers[places]
-
-    def __call__(self, t: Any, y: Array, p: Array | None = None) -> Array:
-        """The values (m,); t, y and p may be complex if F takes that."""
-        return self.with_args(t, y, self.args if p is None else self._with(p[self.own]))
-
-    @property
-    def size(self) -> int:
-        """Number of its values."""
-        if self.m is None:
-            raise ValueError(f"{self.called} fills an array: say how many values it has")
-        return self.m
-
-    def of_args(self, args: tuple[Any, ...]) -> _WithArguments:
-        """Return F with other arguments."""
-        return _WithArguments(self._fun, args, self.names, self.m, self.called, self._event)
-
-    def with_args(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
-        """The values with other arguments."""
-        inside = self._fun.fun if isinstance(self._fun, NativeWithInputs) else self._fun
-        if is_native(inside) and not isinstance(inside, (CompiledFunction, CoreFunction)):
-            return self._of_machine_code(t, y, args)
-        given = [*self._inputs(t), *args]
-        if isinstance(inside, CompiledFunction):
-            return self._of_compiled(inside, t, y, given)
-        return np.ravel(np.asarray(inside(t, y.copy(), *given)))
-
-    def require_numbers(self, at: Point) -> None:
-        """Raise a TypeError unless F also accepts floating-point values for integer parameters."""
-        given = numbers_at_places(self.args, ((one.index, one.item) for one in self._own))
-        for one, number in zip(self._own, given, strict=True):
-            if not isinstance(number, (int, np.integer)):
-                continue
-            try:
-                self.with_args(at.t, at.y, with_numbers(self.args, as_floats(self.args, [one])))
-            except (TypeError, IndexError) as error:
-                raise TypeError(
-                    f"{self.called} has no derivative with respect to {one.name} = {number}, which has to be an "
-                    f"integer ({error}): name the other parameters"
-                ) from error
-
-    def _with(self, p: Array) -> tuple[Any, ...]:
-        changes: dict[int, dict[int, Any]] = {}
-        for one, value in zip(self._own, p.tolist(), strict=True):
-            changes.setdefault(one.index, {})[one.item or 0] = value
-        return with_numbers(self.args, changes)
-
-    def _inputs(self, t: Any) -> list[Any]:
-        """Return the values of the inputs at t, in the shapes that F takes."""
-        if not isinstance(self._fun, NativeWithInputs):
-            return []
-        rows = [one.evaluate(np.array([np.real(t)]))[0] for one in self._fun.inputs]
-        return [row.reshape(shape)[()] for row, shape in zip(rows, self._fun.shapes, strict=True)]
-
-    def _of_compiled(self, fun: CompiledFunction, t: Any, y: Array, given: list[Any]) -> Array:
-        """Call the Python function of a compiled F with the arguments as it was traced or, failing that, with all
-        numbers in one array, as numba takes it."""
-        numbers = [np.concatenate([np.ravel(np.asarray(one)) for one in given])] if given else []
-        out: Array | None = None
-        if fun.inplace:
-            out = np.full(self.size, np.nan, dtype=np.result_type(y, float, *numbers))
-        filled = [] if out is None else [out]
-        try:
-            returned = fun.fun(t, y.copy(), *filled, *given)
-        except (TypeError, IndexError):
-            returned = fun.fun(t, y.copy(), *filled, *numbers)
-        return out if out is not None else np.ravel(np.asarray(returned))
-
-    def _of_machine_code(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
-        if np.iscomplexobj(t) or np.iscomplexobj(y) or self.m is None:
-            raise TypeError(f"{self.called} is machine code for real numbers")
-        arguments = layout_of(args)
-        p = numbers_at(t, self._fun, arguments.numbers)
-        if self._event:
-            code = to_native(self.called, self._fun, len(y), 1, arguments, event=True)
-            return np.array([event_value(code, t, np.ascontiguousarray(y), p)])
-        return as_python(to_native(self.called, self._fun, len(y), self.m, arguments), self.m)(t, y, p)
-
-
-class _Sides:
-    """Derivatives from one side, along a direction, by differences of three values: where a function is singular on
-    one side, or its formula is."""
-
-    def __init__(self, evaluate: _WithArguments, n: int) -> None:
-        self._evaluate, self._n = evaluate, n
-
-    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
-        """Return the derivative along a direction, of shape (m,); NaN where neither side has a derivative."""
-        p = self._evaluate.p
-        x, direction = np.concatenate([[t], y, p]), np.concatenate([[dt], dy, dp])
-        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), _sizes_of(p)])
-        length = np.max(np.abs(direction) / size)
-        if length < np.finfo(float).tiny:
-            return np.zeros(self._evaluate.m or 0)
-        found, h = np.full(self._evaluate.m or 0, np.nan), INCREMENT / length
-        for side in (h, -h):
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore")
-                try:
-                    wide, narrow = (self._quotient(x, part * side * direction) / (part * side) for part in (1, _PART))
-                except (ValueError, ArithmeticError):  # F is not defined on this side
-                    continue
-                grows = ~(np.abs(narrow) <= _GROWTH * np.abs(wide))  # as it does where it is infinite
-                one = np.where(grows, np.nan, narrow)
-            found = np.where(np.isfinite(found), found, one)
-        return found
-
-    def _quotient(self, x: Array, step: Array) -> Array:
-        """The derivative along a step, by the parabola through three values."""
-        here, near, far = (self._values(x + part * step) for part in (0, 1, 2))
-        return np.asarray((4 * near - far - 3 * here) / 2)
-
-    def _values(self, x: Array) -> Array:
-        return self._evaluate(float(x[0]), x[1 : 1 + self._n], x[1 + self._n :]).astype(float)
-
-
-class _ByIncrements:
-    """Derivatives by complex steps, if these give what differences give; else by central differences."""
-
-    def __init__(self, evaluate: _WithArguments, at: Point, moves_t: bool) -> None:
-        self._evaluate, self._n = evaluate, len(at.y)
-        p, self._size_of_p = evaluate.p, _sizes_of(evaluate.p)
-        direction = np.concatenate(
-            [[max(abs(at.t), 1.0) if moves_t else 0.0], somewhere(at.y), somewhere(p, self._size_of_p)]
-        )
-        beside = np.append(0.0, direction[1:])
-        beside[1 + self._n :] = 0
-        works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
-        self.how = "complex step" if works else "differences"
-
-    def of(self, evaluate: _WithArguments) -> _ByIncrements:
-        """Return these steps through F with other arguments."""
-        made = copy(self)
-        made._evaluate, made._size_of_p = evaluate, _sizes_of(evaluate.p)
-        return made
-
-    def _values(self, z: Array) -> Array:
-        t, y, p = z[0], z[1 : 1 + self._n], z[1 + self._n :]
-        values = self._evaluate(t if np.iscomplexobj(t) and t.imag else float(t.real), y, p)
-        if np.iscomplexobj(z):
-            return values
-        return values.astype(float)
-
-    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
-        """The derivative along a direction."""
-        x, direction = np.concatenate([[t], y, self._evaluate.p]), np.concatenate([[dt], dy, dp])
-        if not direction.any():
-            return np.zeros(self._evaluate.m or 0)
-        if self.how == "complex step":
-            with np.errstate(all="ignore"):
-                try:
-                    return np.imag(self._values(x + 1j * TINY * direction)) / TINY
-                except NOT_COMPLEX:  # at this point, such as in a branch that compares numbers
-                    pass
-        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
-        h = INCREMENT / np.max(np.abs(direction) / size)
-        up, down = (self._values(x + side * h * direction) for side in (1, -1))
-        return np.asarray((up - down) / (2 * h))
-
-
-def _sizes_of(p: Array) -> Array:
-    return np.where(p == 0, 1.0, np.abs(p))
 
 
 def _of_compiled(fun: CompiledFunction, t: float, y: Array, args: tuple[Any, ...]) -> Derivative:

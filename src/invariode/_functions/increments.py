@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from .. import _core
 from .._base.arguments import EPS, Array
 from .compiled import CompiledFunction, NativeWithInputs, complex_form, is_native
 from .layout import ArgumentLayout
+from .with_arguments import Point, WithArguments
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 TINY = 1e-40
@@ -246,3 +248,93 @@ def _require_complex(found: Comparison) -> None:
             "conj, norms and rounding it would not: write them for complex y (np.sqrt(x * x) for np.abs(x)), "
             f"{_INSTEAD}"
         )
+
+
+#: One-sided differences are repeated with this part of the increment; where a derivative exists, they grow at most by
+#: this factor.
+_PART, _GROWTH = 1 / 8, 1.01
+
+
+class Sides:
+    """Derivatives from one side, along a direction, by differences of three values: where a function is singular on
+    one side, or its formula is."""
+
+    def __init__(self, evaluate: WithArguments, n: int) -> None:
+        self._evaluate, self._n = evaluate, n
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """Return the derivative along a direction, of shape (m,); NaN where neither side has a derivative."""
+        p = self._evaluate.p
+        x, direction = np.concatenate([[t], y, p]), np.concatenate([[dt], dy, dp])
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), _sizes_of(p)])
+        length = np.max(np.abs(direction) / size)
+        if length < np.finfo(float).tiny:
+            return np.zeros(self._evaluate.m or 0)
+        found, h = np.full(self._evaluate.m or 0, np.nan), INCREMENT / length
+        for side in (h, -h):
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                try:
+                    wide, narrow = (self._quotient(x, part * side * direction) / (part * side) for part in (1, _PART))
+                except (ValueError, ArithmeticError):  # F is not defined on this side
+                    continue
+                grows = ~(np.abs(narrow) <= _GROWTH * np.abs(wide))  # as it does where it is infinite
+                one = np.where(grows, np.nan, narrow)
+            found = np.where(np.isfinite(found), found, one)
+        return found
+
+    def _quotient(self, x: Array, step: Array) -> Array:
+        """The derivative along a step, by the parabola through three values."""
+        here, near, far = (self._values(x + part * step) for part in (0, 1, 2))
+        return np.asarray((4 * near - far - 3 * here) / 2)
+
+    def _values(self, x: Array) -> Array:
+        return self._evaluate(float(x[0]), x[1 : 1 + self._n], x[1 + self._n :]).astype(float)
+
+
+class ByIncrements:
+    """Derivatives by complex steps, if these give what differences give; else by central differences."""
+
+    def __init__(self, evaluate: WithArguments, at: Point, moves_t: bool) -> None:
+        self._evaluate, self._n = evaluate, len(at.y)
+        p, self._size_of_p = evaluate.p, _sizes_of(evaluate.p)
+        direction = np.concatenate(
+            [[max(abs(at.t), 1.0) if moves_t else 0.0], somewhere(at.y), somewhere(p, self._size_of_p)]
+        )
+        beside = np.append(0.0, direction[1:])
+        beside[1 + self._n :] = 0
+        works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
+        self.how = "complex step" if works else "differences"
+
+    def of(self, evaluate: WithArguments) -> ByIncrements:
+        """Return these steps through F with other arguments."""
+        made = copy(self)
+        made._evaluate, made._size_of_p = evaluate, _sizes_of(evaluate.p)
+        return made
+
+    def _values(self, z: Array) -> Array:
+        t, y, p = z[0], z[1 : 1 + self._n], z[1 + self._n :]
+        values = self._evaluate(t if np.iscomplexobj(t) and t.imag else float(t.real), y, p)
+        if np.iscomplexobj(z):
+            return values
+        return values.astype(float)
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """The derivative along a direction."""
+        x, direction = np.concatenate([[t], y, self._evaluate.p]), np.concatenate([[dt], dy, dp])
+        if not direction.any():
+            return np.zeros(self._evaluate.m or 0)
+        if self.how == "complex step":
+            with np.errstate(all="ignore"):
+                try:
+                    return np.imag(self._values(x + 1j * TINY * direction)) / TINY
+                except NOT_COMPLEX:  # at this point, such as in a branch that compares numbers
+                    pass
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
+        h = INCREMENT / np.max(np.abs(direction) / size)
+        up, down = (self._values(x + side * h * direction) for side in (1, -1))
+        return np.asarray((up - down) / (2 * h))
+
+
+def _sizes_of(p: Array) -> Array:
+    return np.where(p == 0, 1.0, np.abs(p))

@@ -11,8 +11,9 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.matrices import as_matrix, is_sparse
-from .._functions.derivatives import Derivative, Point, RowPattern, derivative_of, has_llvm
+from .._functions.derivatives import Derivative, RowPattern, derivative_of, has_llvm
 from .._functions.increments import somewhere
+from .._functions.with_arguments import Point
 
 #: From this many components on a trace pays: it takes 10 to 100 ms once, and replaces two to four times as many calls
 #: of g in each step (benchmarks/manifolds.py).

@@ -11,10 +11,11 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
-from .._functions.derivatives import Point, derivative_of
+from .._functions.derivatives import derivative_of
 from .._functions.graph.derived import derived, native
 from .._functions.increments import sizes, somewhere
 from .._functions.layout import ArgumentLayout
+from .._functions.with_arguments import Point
 
 #: From this many entries on it is worth knowing which of them are always zero.
 _LARGE = 500

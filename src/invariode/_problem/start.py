@@ -10,8 +10,9 @@ import numpy as np
 
 from .._base.arguments import Array
 from .._base.labelled import by_name
-from .._functions.derivatives import Point, derivative_of
+from .._functions.derivatives import derivative_of
 from .._functions.graph.python import Formula
+from .._functions.with_arguments import Point
 from .parameters import ParameterName
 from .sensitivities import Sensitivities
 

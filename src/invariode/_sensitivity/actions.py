@@ -23,7 +23,8 @@ import numpy as np
 
 from .._base.arguments import EPS, RTOL, Array, Weights, warn
 from .._functions.compiled import CoreFunction
-from .._functions.derivatives import Derivative, Point, derivative_of
+from .._functions.derivatives import Derivative, derivative_of
+from .._functions.with_arguments import Point
 from .._laws.imposing import impose
 from .._problem.events import Event, RootOf, Roots, titled
 from .._problem.invariants import AccuracyWarning, Invariants

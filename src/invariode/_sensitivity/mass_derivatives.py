@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
 from .._base.matrices import as_dense, as_matrix
-from .._functions.derivatives import Derivative, Point, derivative_of
+from .._functions.derivatives import Derivative, derivative_of
 from .._functions.layout import with_numbers
+from .._functions.with_arguments import Point
 from .._problem.parameters import ParameterName, values_of
 from .._problem.problem import Problem
 from .algebraic import Algebraic, dense_mass

@@ -16,8 +16,9 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import is_native
-from .._functions.derivatives import Derivative, Point
+from .._functions.derivatives import Derivative
 from .._functions.increments import somewhere
+from .._functions.with_arguments import Point
 from .._problem.breakpoints import Breakpoint
 from .._problem.events import Event, roots_among
 from .._problem.invariants import Invariants

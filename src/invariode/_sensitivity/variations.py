@@ -15,10 +15,11 @@ from .. import _core
 from .._base.arguments import EPS, Array, Weights, warn
 from .._base.forks import cached_property
 from .._functions.compiled import is_native
-from .._functions.derivatives import Derivative, Given, Point, derivative_of, has_llvm
+from .._functions.derivatives import Derivative, Given, derivative_of, has_llvm
 from .._functions.graph.nodes import Node
 from .._functions.layout import ArgumentLayout, layout_of
 from .._functions.second_order import SecondOrder
+from .._functions.with_arguments import Point
 from .._problem.breakpoints import Breakpoint
 from .._problem.core_problem import EventSpec, InvariantSpec, VariationTerms
 from .._problem.events import Event, RootOf, event_spec, roots_among, titled

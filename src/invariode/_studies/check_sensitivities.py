@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, number, shown, state
 from .._base.matrices import as_dense
 from .._base.package import public
-from .._functions.derivatives import Derivative, Given, Point, derivative_of
+from .._functions.derivatives import Derivative, Given, derivative_of
 from .._functions.increments import somewhere
+from .._functions.with_arguments import Point
 from .._problem.problem import Problem
 from .._sensitivity.variations import given_derivatives
 

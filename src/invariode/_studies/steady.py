@@ -24,12 +24,13 @@ from .._base.package import public
 from .._base.rational import as_rows
 from .._base.suggestions import first_few
 from .._base.types import MethodName, OnFailure
-from .._functions.derivatives import Derivative, Point, derivative_of, has_llvm
+from .._functions.derivatives import Derivative, derivative_of, has_llvm
 from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import in_order
 from .._functions.graph.python import Formula
 from .._functions.graph.structure import linear_totals, replaced, staying_zero
 from .._functions.layout import layout_of, place_of
+from .._functions.with_arguments import Point
 from .._problem.grouped import Limits
 from .._problem.invariants import Invariants
 from .._problem.parameters import ParameterName

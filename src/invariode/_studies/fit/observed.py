@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array, number, warn
-from ..._functions.derivatives import Derivative, Point, derivative_of
+from ..._functions.derivatives import Derivative, derivative_of
 from ..._functions.graph.array_code import ArrayFunction
 from ..._functions.graph.differentiation import jacobian
 from ..._functions.graph.function import GraphFunction
 from ..._functions.graph.nodes import Node, in_order
 from ..._functions.graph.python import Formula
 from ..._functions.layout import place_of, with_numbers
+from ..._functions.with_arguments import Point
 from ..._problem.invariants import AccuracyWarning
 from ..._problem.parameters import ParameterName
 

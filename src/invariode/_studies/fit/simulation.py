@@ -16,10 +16,11 @@ from ..._base.latest import Latest
 from ..._base.types import MethodName
 from ..._functions.compile import compile
 from ..._functions.compiled import is_native
-from ..._functions.derivatives import Point, has_llvm
+from ..._functions.derivatives import has_llvm
 from ..._functions.graph.nodes import in_order
 from ..._functions.graph.python import Formula
 from ..._functions.layout import layout_of, place_of
+from ..._functions.with_arguments import Point
 from ..._problem.events import titled
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
