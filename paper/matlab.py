@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from invariode._base.arguments import Array
 from invariode._base.method_names import OwnName
 from invariode._problem.events import Event
-from invariode._results.result import StiffnessWarning
+from invariode._results.records import StiffnessWarning
 from invariode._results.solution import Solution
 from invariode._solve.ivp import solve_ivp
 from invariode._solve.ode_functions import ode15s, ode45

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from invariode._results.result import Stats
+from invariode._results.records import Stats
 
 from .published import PAPER
 

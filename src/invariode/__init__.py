@@ -26,7 +26,8 @@ from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
 from ._problem.problem import Problem
 from ._problem.sensitivities import Sensitivities
-from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Marks, Stats, Steps, StiffnessWarning
+from ._results.records import DiscontinuityWarning, Drift, Marks, Stats, Steps, StiffnessWarning
+from ._results.result import DenseSolution
 from ._results.solution import Solution
 from ._solve.ivp import solve_ivp
 from ._solve.loading import load

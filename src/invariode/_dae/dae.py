@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from importlib.util import find_spec
@@ -28,12 +27,11 @@ from .._base.arguments import (
 )
 from .._base.suggestions import first_few, meant, naming_arguments
 from .._base.types import EventsLike, MethodName, OnFailure, Span
-from .._functions.compiled import CompiledFunction, Shape
-from .._functions.graph.function import GraphFunction, TracedFunction
-from .._functions.graph.nodes import Node, in_order
+from .._functions.graph.function import GraphFunction
+from .._functions.graph.nodes import Node
 from .._functions.graph.python import Formula
 from .._functions.graph.switching_times import timed
-from .._functions.layout import TRUTHS, Listed, Numbers, layout_of
+from .._functions.layout import layout_of
 from .._plan.call_errors import require_called, takes
 from .._problem.bounds import to_bounds
 from .._problem.events import titled, to_events
@@ -48,10 +46,11 @@ from .._run.run import concluded
 from .checks import impasse, jump, passage, point_of, require_no_jump, violation
 from .consistent_start import ConsistentPoint, Starts
 from .dae_solution import Unknowns, in_unknowns
-from .expressions import is_zero, leaves, primed, row_of, substituted
+from .expressions import leaves, primed, substituted
 from .functions_of_unknowns import ThroughUnknowns
 from .reduction import GivenValues, Reduction, Variable
 from .structural_analysis import GenericPoints, Structure
+from .traced_equations import aliases, traced_equations
 
 #: Changes of initial values below this part of them are roundoff, above the second they are reported in a warning.
 _MOVED, _LARGE_MOVE = 1e-10, 1e-6
@@ -112,18 +111,6 @@ class _StartOfArgs:
             y0 = np.array([x[one] for one in self._states])
             self._latest = p, y0  # one assignment: threads may call
         return y0
-
-
-class UntracedError(TypeError):
-    """F has no graph: its structure is not known."""
-
-
-class _TracedEquations(NamedTuple):
-    """F as a graph of t, y, y', ..., and the parameters that stay variable."""
-
-    outputs: list[Node]
-    args: tuple[Any, ...]
-    names: tuple[str, ...]
 
 
 @naming_arguments
@@ -223,7 +210,7 @@ class Dae:
         self.name = call_name(F, "dae")
         self.names = [f"y[{j}]" for j in range(n)] if names is None else distinct_labels(names, n)
         self.equations = [f"F[{i}]" for i in range(n)] if equations is None else _names(equations, n)
-        traced = _traced(self.F, self.args, n, self.order)
+        traced = traced_equations(self.F, self.args, n, self.order)
         if len(traced.outputs) != n:
             raise ValueError(
                 f"F returns {len(traced.outputs)} residuals for {n} unknowns: as many equations as unknowns are needed"
@@ -234,7 +221,7 @@ class Dae:
 
     def _analyse(self, outputs: list[Node]) -> None:
         n, graph = len(self.y0), outputs[0].graph
-        renamed, gone = _aliases(outputs, n)
+        renamed, gone = aliases(outputs, n)
         kept = [j for j in range(n) if j not in renamed]
         place = {j: b for b, j in enumerate(kept)}
         self._of = [
@@ -747,93 +734,3 @@ def _names(names: Sequence[str], n: int) -> list[str]:
     if len(found) != n or not all(isinstance(one, str) for one in found):
         raise ValueError(f"equations must be {n} names, one for each residual, got {shown(names)}")
     return found
-
-
-def _traced(F: Any, args: tuple[Any, ...], n: int, order: int) -> _TracedEquations:
-    """Return the graph of F. Arguments without which it cannot be traced, such as counts of loops, are constants of
-    it."""
-    fun = F.fun if isinstance(F, TracedFunction) else F
-    if isinstance(F, CompiledFunction) and fun is F:
-        raise TypeError("F must be a Python function, or one that compile has traced")
-
-    def residuals(t: Any, z: Any, *rest: Any) -> Any:
-        return fun(t, *(z[level * n : (level + 1) * n] for level in range(order + 1)), *rest)
-
-    residuals.__name__ = residuals.__qualname__ = call_name(fun, "F")
-    arguments = layout_of(args)
-    size = _size(residuals, args, n, order)
-    made = TracedFunction(residuals, inplace=False, elementary="own", by="trace")
-    try:
-        shape = made.known(Shape((order + 1) * n, size, arguments, event=False))
-    except TypeError as error:
-        why = str(error).removesuffix(', or leave by="trace" out').removesuffix(". Change that")
-        raise UntracedError(
-            f"F cannot be traced: {why.partition(': ')[2].removeprefix('F cannot be traced: ') or why}"
-        ) from None
-    outputs = made.graph(shape)
-    assert outputs is not None
-    rank = made.constants(arguments)
-    names, place = _argument_names(fun, len(args), order), 0
-    renumbered: dict[int, int] = {}
-    kept, kept_names = [], []
-    for one, entry, name in zip(args, arguments.entries, names, strict=True):
-        count = layout_of([one]).size
-        if _is_variable(entry, rank):
-            for k in range(count):
-                renumbered[place + k] = len(renumbered)
-            kept.append(one)
-            kept_names.append(name)
-        place += count
-    graph = outputs[0].graph
-    used = [node for node in in_order(outputs) if node.op == "p"]
-    outputs = substituted(outputs, {node: graph.p(renumbered[node.value]) for node in used})
-    return _TracedEquations(outputs, tuple(kept), tuple(kept_names))
-
-
-def _is_variable(entry: Any, rank: int) -> bool:
-    if isinstance(entry, Numbers):
-        return entry.rank > max(rank, TRUTHS)
-    return isinstance(entry, Listed) and all(_is_variable(one, rank) for one in entry.entries)
-
-
-def _size(residuals: Any, args: tuple[Any, ...], n: int, order: int) -> int:
-    """Return the number of values of F: as many as unknowns, unless a call shows otherwise."""
-    try:
-        with np.errstate(all="ignore"):
-            return int(np.size(residuals(0.0, np.ones((order + 1) * n), *args)))
-    except (ArithmeticError, ValueError, IndexError):
-        return n
-
-
-def _argument_names(fun: Any, count: int, order: int) -> list[str]:
-    try:
-        known = [one.name for one in inspect.signature(fun).parameters.values() if one.kind in (0, 1)][2 + order :]
-    except (TypeError, ValueError):
-        known = []
-    return [known[i] if i < len(known) else f"args[{i}]" for i in range(count)]
-
-
-def _aliases(equations: Sequence[Node], n: int) -> tuple[dict[int, GivenValues], set[int]]:
-    """Find equations x_k = ±x_j^(order), such as u = x': which unknowns they rename, and the equations.
-
-    Without them the first-order form of an equation has the structure of the equation itself.
-    """
-    found: dict[int, GivenValues] = {}
-    gone: set[int] = set()
-    for i, equation in enumerate(equations):
-        used = sorted(leaves([equation]))
-        if len(used) != 2 or any(one.op in ("t", "p") for one in in_order([equation])):
-            continue
-        row = row_of(equation, used)
-        if len(row) < 2 or any(one.op != "number" or abs(one.value) != 1 for one in row.values()):
-            continue
-        graph = equation.graph
-        if not is_zero(substituted([equation], {graph.y(one): graph.node(0.0) for one in used})[0]):
-            continue
-        low, high = used
-        k, (order, j) = low % n, divmod(high, n)
-        if low >= n or k == j or k in found or j in found or any(k == one.j for one in found.values()):
-            continue
-        found[k] = GivenValues(j, order, -row[high].value / row[low].value)
-        gone.add(i)
-    return found, gone

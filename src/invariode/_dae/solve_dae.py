@@ -14,8 +14,9 @@ from .._problem.given_options import refused
 from .._problem.options import Options
 from .._problem.sensitivities import SensitivitiesLike
 from .._results.solution import Solution
-from .dae import Dae, UntracedError
+from .dae import Dae
 from .residual import ResidualForm, solve_residual
+from .traced_equations import UntracedError
 
 if TYPE_CHECKING:
     from .._problem.accepted import run_options

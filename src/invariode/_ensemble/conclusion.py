@@ -15,7 +15,7 @@ from .._plan.plan import Plan
 from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import names_of_arguments
 from .._results.messages import accumulating_in, below_zero, harmful_projection
-from .._results.result import DiscontinuityWarning, StiffnessWarning
+from .._results.records import DiscontinuityWarning, StiffnessWarning
 from .ensemble_solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .outcomes import UNSOLVED, Outcomes, counts_by_name
 from .store import EnsembleStore

@@ -22,7 +22,8 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, ByEvent, DataRecord, Drift, Names, Stats, at_events
+from .._results.records import BeforeProjection, ByEvent, DataRecord, Drift, Stats, at_events
+from .._results.result import Names
 from .._results.saving import OCCURRENCES, apart, field_of, kept, restored, together
 from .._results.sensitivity_data import SensitivityData
 from .._results.solution import Solution

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from .._base.arguments import choice, shown
-from .compiled import CompiledFunction, numba_or_say_so
+from .compiled import CompiledFunction
 from .derivatives import has_llvm
 from .forms import Filling
 from .graph.function import TracedFunction
+from .numba_code import numba_or_say_so
 from .second_order import SecondOrder
 
 

@@ -18,15 +18,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, call_name
 from .._base.forks import cached_property
 from .._base.matrices import as_matrix
-from .compiled import (
-    CompiledFunction,
-    CoreFunction,
-    NativeWithInputs,
-    Shape,
-    as_python,
-    form_jacobians_by,
-    is_native,
-)
+from .compiled import CompiledFunction, CoreFunction, NativeWithInputs, as_python, form_jacobians_by, is_native
 from .forms import Filling
 from .graph.derived import Derived, derived, native
 from .graph.differentiation import singular_where
@@ -35,7 +27,7 @@ from .graph.nodes import Node, in_order, in_words
 from .graph.python import Formula
 from .graph.switches import Switch, conditions, evaluated, has_steps, surface, switches
 from .increments import NOT_COMPLEX, ByIncrements, Sides
-from .layout import NO_ARGUMENTS, TRUTHS, layout_of, place_of, with_numbers
+from .layout import NO_ARGUMENTS, TRUTHS, Shape, layout_of, place_of, with_numbers
 from .with_arguments import ParameterPlace, Point, WithArguments, as_floats, numbers_at
 
 #: Where the entries of each row of a matrix begin, and their columns.

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
 from .._base.forks import compiling
-from .compiled import Compiled, Shape, made_by_compile
+from .compiled import Compiled, made_by_compile
 from .graph.function import OnGraph
+from .layout import Shape
 
 if TYPE_CHECKING:
     from .graph.objects import MachineCode

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
@@ -303,3 +303,33 @@ def _changed(value: Any, numbers: Mapping[int, Any], places: Iterator[int]) -> A
     if is_listed(value):
         return _kind(value)(_changed(one, numbers, places) for one in value)
     return value
+
+
+class Shape(NamedTuple):
+    """Sizes of the arguments and results of machine code."""
+
+    n: int
+    size: int
+    parameters: ArgumentLayout
+    event: bool
+    second: int = 0  # components of a second vector, of the n
+    is_complex: bool = False
+    real_time: bool = False  # of a complex one: t is no part of y_
+
+    @property
+    def complex_time(self) -> bool:
+        return self.is_complex and not self.real_time
+
+    @property
+    def vectors(self) -> list[str]:
+        return ["y", "v"] if self.second else ["y"]
+
+    def unpacked(self) -> list[str]:
+        """Lines that bind what the function takes, from y_: (t,) q and v, in succession."""
+        first = int(self.complex_time)
+        middle = first + self.n - self.second
+        if not first and not self.second:
+            return [f"y = given(carray(y_, ({self.n},)))"]
+        lines = [f"x = given(carray(y_, ({first + self.n},)))", f"y = x[{first}:{middle}]"]
+        lines += ["t = x[0]"] if first else []
+        return [*lines, *([f"v = x[{middle}:{first + self.n}]"] if self.second else [])]

@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._base.arguments import Array
-from .._functions.compiled import CompiledFunction, Shape, is_native
+from .._functions.compiled import CompiledFunction, is_native
 from .._functions.graph.differentiation import Row, jacobian, tangent
 from .._functions.graph.function import TracedFunction
 from .._functions.graph.nodes import Graph, Node
+from .._functions.layout import Shape
 
 
 class OfState(NamedTuple):

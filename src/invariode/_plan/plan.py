@@ -39,7 +39,8 @@ from .._results.messages import (
     status_and_message,
     sticking,
 )
-from .._results.result import LIMIT_REACHED, NOT_CONSERVED, DiscontinuityWarning, Names, StiffnessWarning
+from .._results.records import DiscontinuityWarning, StiffnessWarning
+from .._results.result import LIMIT_REACHED, NOT_CONSERVED, Names
 from .._sensitivity.landings import Schedule
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from .. import _core
 from .._base.arguments import Array, default_labels, warn
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import about_jumps_of_fun, below_zero, harmful_projection, limited_by_stability
-from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning
+from .._results.records import DiscontinuityWarning, StiffnessWarning
+from .._results.result import DenseSolution
 from .plan import Plan, solver
 
 #: Before this many steps nothing can be said about harm: one step in eight is examined.

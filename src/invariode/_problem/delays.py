@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, call_name, extra_arguments, interval, items, number, reals, shown
 from .._base.labelled import named
 from .._base.types import Span
-from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, numba_or_say_so, to_native
+from .._functions.compiled import CompiledFunction, NativeWithInputs, as_python, is_native, to_native
 from .._functions.derivatives import derivative_of
 from .._functions.graph.function import GraphFunction, OnGraph, TracedFunction
 from .._functions.layout import NO_ARGUMENTS, ArgumentLayout, place_of
+from .._functions.numba_code import numba_or_say_so
 from .._functions.with_arguments import Point
 from .core_problem import DelayTerms
 from .parameters import ParameterName, parameter_names, values_of

@@ -12,7 +12,8 @@ import numpy as np
 
 from .._base.arguments import LONGEST_INT, Array, shown, warn
 from .._base.formats import GROUP, Field, Kind
-from .result import Names, Result, Stats
+from .records import Stats
+from .result import Names, Result
 
 #: How deep lists and dicts may be nested in fields that the user adds.
 _DEEPEST = 50

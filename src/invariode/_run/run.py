@@ -30,7 +30,7 @@ from .._laws.jacobians import TracedJacobian
 from .._plan.call_errors import error_at_start, explain
 from .._plan.events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .._plan.nystrom_requirements import require_no_velocities
-from .._plan.plan import Plan, say_established, solver
+from .._plan.plan import Plan, solver
 from .._plan.planning import make_plan, ordered_breakpoints
 from .._problem.breakpoints import to_breakpoints, warn_of_idle_actions
 from .._problem.given_options import changed, keeping_arrays
@@ -42,33 +42,20 @@ from .._problem.problem import Problem
 from .._results.messages import (
     MESSAGES,
     OF_MECHANISM,
-    accumulating,
     below_zero,
     blamed_on,
     complex_steps_left,
     formed,
-    harmful_projection,
     misfit,
 )
-from .._results.result import (
-    FAILED,
-    LIMIT_REACHED,
-    NOT_CONSERVED,
-    STOPPED,
-    BeforeProjection,
-    ByEvent,
-    DenseSolution,
-    DiscontinuityWarning,
-    Origin,
-    Stats,
-    Steps,
-    at_events,
-)
+from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
+from .._results.result import FAILED, LIMIT_REACHED, NOT_CONSERVED, STOPPED, DenseSolution, Origin
 from .._results.sensitivity_data import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared
 from .prepared import OnCourse, run_or_plan
+from .run_warnings import _UNRESOLVED, warn_of_projection, warn_of_steps
 
 if TYPE_CHECKING:
     from .._sensitivity.variations import Variations
@@ -421,7 +408,7 @@ def presented(finished: Finished) -> Solution:
         _require_start(finished)
     sol = _solution(finished)
     if finished.general.names and (run.harmed >= 0 or run.dropped or max(run.unresolved, default=0.0) > _UNRESOLVED):
-        _warn_of_projection(run, finished.plan, sol)
+        warn_of_projection(run, finished.plan, sol)
     if not run.ordinary:
         _warn(finished)
         if run.below_zero is not None:
@@ -450,21 +437,7 @@ def _warn(finished: Finished) -> None:
         if run.misfit is not None:
             warn(misfit(run.misfit, plan.functions.complex))
     if run.remarkable:
-        _warn_of_steps(run, plan)
-
-
-def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
-    """Warn of what the steps have shown, as far as it was not said while the run went on."""
-    told_stiffness, told_discontinuities, told_sticking = run.told
-    say_established(
-        plan.method.name,
-        run.stiff_since if run.stiff and not told_stiffness else None,
-        [] if told_discontinuities or plan.follows(run) else run.discontinuities,
-        None if told_sticking else run.sticks_since,
-    )
-    if run.accumulation is not None:
-        event, t, interval, count = run.accumulation
-        warn(f"{plan.method.name}: {accumulating(plan.event_names[event], t, interval, count)}", DiscontinuityWarning)
+        warn_of_steps(run, plan)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
@@ -480,27 +453,6 @@ def _keep(checkpoint: RunFiles, core: _core.Solver, plan: Plan, source: Solved, 
     sol = _solution(Finished(part, plan, source, core.members, checkpoint=checkpoint))
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
     checkpoint.keep(sol)
-
-
-#: Roundoff of an invariant, in tolerances, from which on it is a warning.
-_UNRESOLVED = 10.0
-
-
-def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
-    at_rest = (np.abs(sol.y.T - plan.y0) <= plan.atol + plan.rtol * np.abs(plan.y0)).all()  # g is stationary there
-    if (dropped := run.dropped) and not at_rest:
-        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
-    for name, tolerances in zip(plan.names, run.unresolved, strict=False):
-        if tolerances > _UNRESOLVED:
-            warn(
-                f"invariant {name} is so large that its roundoff is a change of y by {tolerances:.2g} tolerances: it "
-                "is imposed no more accurately than that. Subtract its offset within the function",
-                AccuracyWarning,
-            )
-    harmed = run.harmed
-    if harmed >= 0 and sol.success:
-        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
-        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)
 
 
 def _integrated(
@@ -602,33 +554,6 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         stats.stiff_since = run.stiff_since if run.stiff else None
         stats.discontinuities = tuple(run.discontinuities)
     return stats
-
-
-def _warn_dropped(
-    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
-) -> None:
-    listed = ", ".join(names[i] for i in dropped)
-    several = len(dropped) > 1
-    off = max(drift.distance[i] for i in dropped)
-    if off <= 1:
-        then = f"That does no harm: {'they were' if several else 'it was'} off by at most {off:.2g} of the tolerance."
-    else:
-        then = (
-            f"{'They were' if several else 'It was'} off by up to {off:.2g} tolerances before a projection: impose "
-            "fewer invariants, or try a smaller rtol."
-        )
-    if along_steps:
-        warn(
-            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
-            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
-            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
-        )
-        return
-    warn(
-        f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
-        f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
-        f"{'were' if several else 'was'} left out in such steps. {then}"
-    )
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -27,7 +27,8 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._results.result import BeforeProjection, ByEvent, DenseSolution, Names, Origin, Stats, Steps, at_events
+from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
+from .._results.result import DenseSolution, Names, Origin
 from .._results.saving import OUTCOME, SOLUTION, apart, restored
 from .._results.sensitivity_data import AtEvents, SensitivityData
 from .._results.solution import Solution

@@ -22,7 +22,8 @@ from .._laws.bound import BoundInvariants
 from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
 from .._problem.problem import Problem
-from .._results.result import LIMIT_REACHED, StiffnessWarning
+from .._results.records import StiffnessWarning
+from .._results.result import LIMIT_REACHED
 from .._results.solution import Solution
 
 #: With and without projection.

@@ -10,12 +10,12 @@ from .. import _core
 from .._base.arguments import reals, warn
 from .._base.package import extra
 from .._functions.compile import compile
-from .._functions.compiled import CompiledFunction, CoreFunction, Shape, is_native
+from .._functions.compiled import CompiledFunction, CoreFunction, is_native
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph, TracedFunction
 from .._functions.graph.kinks import is_analytic, kinks
 from .._functions.graph.nodes import Node
-from .._functions.layout import ArgumentLayout, layout_of
+from .._functions.layout import ArgumentLayout, Shape, layout_of
 from .._functions.second_order import SecondOrder
 from .._problem.bounds import Bounds
 from .._problem.core_problem import EventSpec

@@ -20,17 +20,8 @@ from .complexes import pair
 from .nodes import ELEMENTARY, Node, TraceError
 from .selections import MOST_CODES, helpers, selecting
 from .tables import TracedTable, is_table
-from .traced import (
-    _BINARY,
-    _UNARY,
-    TracedArray,
-    cells_of,
-    has_traced,
-    is_complex,
-    number,
-    standing_for,
-    wrapped,
-)
+from .traced import TracedArray, cells_of, has_traced, is_complex, standing_for, wrapped
+from .universal import BINARY, UNARY, number
 
 #: Larger arrays from outside stay arrays of floats.
 _MOST_CONSTANTS = 10_000
@@ -422,12 +413,12 @@ class _Math:
 
 
 _MATHEMATICAL: dict[str, Callable[..., Node]] = {
-    **{name: _UNARY[name] for name in ELEMENTARY},
-    **{name: _UNARY[name] for name in ("fabs", "floor", "ceil", "trunc", "degrees", "radians", "isnan", "isfinite")},
+    **{name: UNARY[name] for name in ELEMENTARY},
+    **{name: UNARY[name] for name in ("fabs", "floor", "ceil", "trunc", "degrees", "radians", "isnan", "isfinite")},
     "pow": lambda a, b: a**b,
     "atan2": lambda a, b: a.graph.make("atan2", a, b),
     "hypot": lambda a, b: a.graph.make("hypot", a, b),
-    "fmod": _BINARY["fmod"],
+    "fmod": BINARY["fmod"],
     "copysign": lambda a, b: a.graph.select(
         a.graph.make("less", b, a.graph.node(0.0)), -a.graph.make("abs", a), a.graph.make("abs", a)
     ),

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..._base.forks import cached_property
-from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
-from ..layout import NO_ARGUMENTS, ArgumentLayout
+from ..compiled import NativeWithInputs, made_by_compile, to_native
+from ..layout import NO_ARGUMENTS, ArgumentLayout, Shape
 from .differentiation import Row, dependences, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
 from .nodes import Node, in_order

@@ -12,8 +12,8 @@ import numpy as np
 from ... import _core
 from ..._base.arguments import Array
 from ..._base.forks import compiling
-from ..compiled import CompiledFunction, Shape, condition_value
-from ..layout import NO_ARGUMENTS, TRUTHS, ArgumentLayout, Constant
+from ..compiled import CompiledFunction, condition_value
+from ..layout import NO_ARGUMENTS, TRUTHS, ArgumentLayout, Constant, Shape
 from .nodes import Node, TraceError, in_order
 from .python import Formula
 

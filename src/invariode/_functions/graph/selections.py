@@ -19,7 +19,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from .nodes import Node, TraceError
-from .traced import JOURNALS, TracedArray, cells_of, has_traced, number, truth, wrapped
+from .traced import JOURNALS, TracedArray, cells_of, has_traced, wrapped
+from .universal import number, truth
 
 #: Names in the rewritten function begin with this.
 _OURS = "_invariode_"

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from .nodes import Graph, Node, TraceError
-from .traced import OWN, TracedArray, cells_of, has_traced, mapped, number
+from .traced import OWN, TracedArray, cells_of, has_traced, mapped
+from .universal import number
 
 #: SciPy's interpolators, which a function may also make.
 _KINDS = (

@@ -18,13 +18,8 @@ from ..layout import ArgumentLayout, Numbers
 from .complexes import TracedComplex, pair
 from .copies import Copies
 from .nodes import Graph, Node, TraceError
-from .traced import (
-    TracedArray,
-    cells_of,
-    condition,
-    number,
-    wrapped,
-)
+from .traced import TracedArray, cells_of, wrapped
+from .universal import condition, number
 
 
 class TraceLimits(NamedTuple):

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.style import COLOURS
-from ..result import Result, Steps
+from ..records import Steps
+from ..result import Result
 from .canvas import joined, legend, log_axis, new_panels, positive, properties, unused
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.package import public
-from ..._results.result import DataRecord
+from ..._results.records import DataRecord
 from .likelihood import FittedModel, ModelValues
 from .search import Optimum
 
