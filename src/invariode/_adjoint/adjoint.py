@@ -182,7 +182,7 @@ class _Adjoint:
 
     def _follow(self, sol: Result) -> None:
         """λ is that along this solution."""
-        self._sol, self._y = sol, sol._origin.continuous(sol)
+        self._sol, self._y = sol, sol._run.continuous(sol)
         if self._y is None:
             raise ValueError(
                 "gradient needs the continuous solution, or checkpoints, which are not in files: solve with "
@@ -192,7 +192,7 @@ class _Adjoint:
             self._sol, self._y = with_pairs(sol), AsPairs(self._y)
 
     def _end_of_run(self) -> Array:
-        end = np.asarray(self._run.solution._origin.y)
+        end = np.asarray(self._run.solution._run.y)
         return end.view(float) if self._is_complex else end
 
     def _conditions(self) -> list[Switching]:
@@ -629,7 +629,7 @@ def _require_integrand(g: Any, run: Forward) -> None:
             f"integrand is called with t, y and args = {shown(problem.args)}, and does not take them: define it with "
             "(t, y, *args)"
         )
-    for t, y in ((problem.t_span[0], problem.y0), (run.t, run.solution._origin.y)):
+    for t, y in ((problem.t_span[0], problem.y0), (run.t, run.solution._run.y)):
         value = np.asarray(g(t, y.copy(), *problem.args))
         if value.size != 1:
             raise ValueError(f"integrand must return one number, got {shown(value)}")

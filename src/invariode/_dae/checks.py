@@ -88,7 +88,7 @@ def jump(sol: Solution, reduction: Reduction, p: Array) -> str:
     """Return the message for a run that ended where a constraint jumps with t; '' if none does."""
     if sol._origin is None or not len(sol.t):
         return ""
-    end, state = float(sol.t_end), np.asarray(sol._origin.y)
+    end, state = float(sol.t_end), np.asarray(sol._run.y)
     near = _NEAR * max(abs(end), abs(end - float(sol.t[0])))
     wide, close = ((end - part, end + part) for part in (near, near / 10))
     if (found := _jumping(reduction, end, state, p, wide, close)) is None:
@@ -148,7 +148,7 @@ def impasse(sol: Solution, reduction: Reduction, p: Array) -> str:
     """Return why a run could not go on, if the equations no longer determine an unknown where it ended; else ''."""
     if sol._origin is None or not len(sol.t):
         return ""
-    now = conditions(reduction, point_of(reduction, float(sol.t_end), np.asarray(sol._origin.y), p))
+    now = conditions(reduction, point_of(reduction, float(sol.t_end), np.asarray(sol._run.y), p))
     at_start = conditions(reduction, point_of(reduction, float(sol.t[0]), sol.y[:, 0], p))
     for one, before in zip(now, at_start, strict=True):
         if one.is_singular or not one.quality > _SINGULAR * before.quality:
@@ -168,9 +168,9 @@ def passage(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -
     """
     if not unknowns.rests.nodes or not len(sol.t):
         return ""
-    problem, jumps = sol._origin.source.problem, _jumps(sol)
+    problem, jumps = sol._source.problem, _jumps(sol)
     times = np.array([problem.t_span[0], *sol.t, sol.t_end])
-    states = np.column_stack([problem.y0, sol.y, sol._origin.y])
+    states = np.column_stack([problem.y0, sol.y, sol._run.y])
     values = iter(unknowns.rests(times, states, p))
     for block, rest in reduction.rests:
         rows, columns = np.array([(i, j) for i, row in enumerate(rest) for j in row]).T
@@ -191,7 +191,7 @@ def passage(sol: Solution, unknowns: Unknowns, reduction: Reduction, p: Array) -
 
 def _jumps(sol: Solution) -> list[float]:
     """Return the times at which actions may have changed the state."""
-    source = sol._origin.source
+    source = sol._source
     points = to_breakpoints("breakpoints", source.options.get("breakpoints") or [])
     events = zip(source.problem.events or (), sol.t_events or (), strict=False)
     at_events = [float(t) for event, times in events if event.action is not None for t in times]

@@ -673,13 +673,8 @@ class Dae:
         Solution
             As that of `solve_dae`.
         """
-        source = getattr(sol._origin, "source", None)
-        if source is None:
-            raise ValueError(
-                "the solution comes from a file or a pickle: load it with its problem, load(path, problem)"
-            )
         for reduction, functions in self._made.items():
-            if functions.slope is source.problem.fun:
+            if functions.slope is sol._source.problem.fun:
                 return self._presented(sol, reduction)
         raise ValueError("the solution is not one of a problem of this Dae: solve what dae.problem(t_span) returns")
 
@@ -693,7 +688,7 @@ class Dae:
     def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
         """Return a solution of the reduced problem in the unknowns of F; a violated equation is a failure."""
         unknowns = self._functions(reduction).unknowns
-        source = sol._origin.source
+        source = sol._source
         p = layout_of(source.problem.args).numbers
         found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
         has_failed = sol.status in (FAILED, NOT_CONSERVED)

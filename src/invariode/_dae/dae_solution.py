@@ -24,7 +24,7 @@ from .._laws.bound import BoundInvariants
 from .._problem.options import ExtensionOptions
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.messages import blamed_on
-from .._results.result import Names, Origin
+from .._results.result import Names, Origin, RunSource
 from .._results.sensitivity_data import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .expressions import leaves, substituted
@@ -226,6 +226,8 @@ class _OriginOfUnknowns(Origin):
         times (m,). None: F has no expressions.
     """
 
+    source: RunSource
+
     def __init__(
         self,
         reduced: Solution,
@@ -236,7 +238,7 @@ class _OriginOfUnknowns(Origin):
     ) -> None:
         self.reduced, self.reduction, self.present, self.unknowns = reduced, reduction, present, unknowns
         self.derivatives = derivatives
-        self.source, self.y = reduced._origin.source, reduced._origin.y
+        self.source, self.y = reduced._source, reduced._run.y
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         """See `Solution.extend`."""
@@ -285,7 +287,7 @@ class _OriginOfUnknowns(Origin):
 
     def parameters(self) -> Array | None:
         """See `Origin.parameters`: the reduced problem has the same ones."""
-        return self.reduced._origin.parameters()
+        return self.reduced._run.parameters()
 
 
 class DaeSolution(Solution):
@@ -390,10 +392,10 @@ def _sensitivities(sol: Solution, unknowns: Any, p: Array) -> SensitivityData | 
     known = sol._sensitivities
     if known is None:
         return None
-    problem = sol._origin.source.problem
+    problem = sol._source.problem
     places = tuple(_place(one, problem.args) for one in problem.parameter_names())
     values = unknowns.sensitivities(sol.t, sol.y, known.values, p, places)
-    end = unknowns.sensitivities(np.array([sol.t_end]), sol._origin.y[:, None], known.end[:, :, None], p, places)
+    end = unknowns.sensitivities(np.array([sol.t_end]), sol._run.y[:, None], known.end[:, :, None], p, places)
     return SensitivityData(known.names, values, end[:, :, 0], _at_events(sol, unknowns, p, places))
 
 
@@ -424,7 +426,7 @@ def _derivatives(
         return None
 
     def found(times: Array, names: Sequence[Any]) -> tuple[Array, Array]:
-        args, s, m = sol._origin.source.problem.args, len(sol.y), len(times)
+        args, s, m = sol._source.problem.args, len(sol.y), len(times)
         if sol.sol is not None:
             states = sol.sol(times)
         else:

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import ATOL, RTOL, Array, default_labels, flag, real_numbers, weights_of
+from .._base.types import MethodName
 from .._core import MEMORY_VERSION, Dense
 from .._laws.bound import BoundInvariants, ValueJump, as_columns, bind
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
+from .._problem.options import Options
+from .._problem.problem import Problem
 from .records import BeforeProjection, ByEvent, Deferred, Drift, Marks, Stats, Steps
 from .sensitivity_data import SensitivityData, states_and_sensitivities
 
@@ -21,17 +24,27 @@ from .sensitivity_data import SensitivityData, states_and_sensitivities
 LIMIT_REACHED, NOT_CONSERVED, FAILED, STOPPED = -3, -2, -1, 2
 
 
+class RunSource(Protocol):
+    """Problem, method and options of a run."""
+
+    method: MethodName
+    options: Options
+
+    @property
+    def problem(self) -> Problem: ...
+
+
 class Origin(Protocol):
     """Origin of a solution, which can continue it and differentiate it; by default a run without its functions.
 
-    - `source`: problem, method and options
+    - `source`: problem, method and options; None: of a file, without functions
     - `y`: the state at the end of the run
     - `memory`, `memory_version`: the internal state of the method there, as bytes of this version
     - `roots`: what each `Roots` remembers of the run
     - `imposed`: the solution was projected afterwards, and so will be its extension
     """
 
-    source: Any
+    source: RunSource | None
     y: Array
     memory: bytes = b""
     memory_version: int = MEMORY_VERSION
@@ -232,7 +245,7 @@ class Result(Deferred, dict[str, Any]):
     _names: Names
     _sensitivities: SensitivityData | None
     _y_end: Array
-    _origin: Origin | Any  # None: of a pickle
+    _origin: Origin | None  # None: of a pickle
 
     def __init__(
         self,
@@ -290,6 +303,23 @@ class Result(Deferred, dict[str, Any]):
 
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
+
+    @property
+    def _run(self) -> Origin:
+        """Origin of the solution. Raises a ValueError if there is none."""
+        if self._origin is None:
+            raise ValueError(
+                "this solution comes from a file or a pickle, without the functions of its problem: it can neither be "
+                "extended nor differentiated. Solve the problem again, or from the final state of this solution"
+            )
+        return self._origin
+
+    @property
+    def _source(self) -> RunSource:
+        """Problem, method and options of the run. Raises a ValueError without them."""
+        if (source := self._run.source) is None:
+            raise ValueError("the solution comes from a file: load it with its problem, load(path, problem)")
+        return source
 
     @property
     def y_end(self) -> Array:

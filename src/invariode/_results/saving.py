@@ -1,19 +1,27 @@
-"""Solutions in files: what they hold, and where in a `Solution` it is."""
+"""Solutions in files: what they hold, where in a `Solution` it is, and the solution that is made of it again."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from operator import attrgetter
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, NoReturn, TypedDict, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .._base.arguments import LONGEST_INT, Array, shown, warn
-from .._base.formats import GROUP, Field, Kind
-from .records import Stats
-from .result import Names, Result
+from .._base.formats import GROUP, Field, Kind, under
+from .._core import Dense
+from .._functions.layout import NO_ARGUMENTS
+from .._laws.bound import BoundInvariants, ValueJump
+from .records import BeforeProjection, ByEvent, Stats, Steps, at_events
+from .result import DenseSolution, Names, Result
+from .sensitivity_data import AtEvents, SensitivityData
+
+R = TypeVar("R", bound=Result)
 
 #: How deep lists and dicts may be nested in fields that the user adds.
 _DEEPEST = 50
@@ -63,6 +71,34 @@ def _dense(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
     parts = {} if sol.sol is None else sol.sol._dense.parts()
     arrays = {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
     return {name: parts[name] for name in _Dense.__annotations__ if parts} or None, arrays
+
+
+def stored_dense(parts: list[dict[str, Any]], n: int, end: float) -> Dense | None:
+    """Return the continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few
+    times."""
+    wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
+    if 0 < len(wholes) < len(parts):
+        raise ValueError("not all of its parts have a continuous solution")
+    if any(first.knots()[-1] != then.knots()[0] for first, then in itertools.pairwise(wholes)):
+        raise ValueError("the parts of the continuous solution do not follow one another")
+    if wholes and n > 0 and wholes[-1].knots()[-1] != end:
+        raise ValueError("the continuous solution does not end where the run does")
+    while len(wholes) > 1:
+        pairs = itertools.zip_longest(wholes[::2], wholes[1::2])
+        wholes = [first if then is None else first.joined(then) for first, then in pairs]
+    return wholes[0] if wholes else None
+
+
+def _dense_part(part: dict[str, Any], n: int) -> Dense:
+    arrays = under("dense", part)
+    if part["dense"]["m"] != part["jumps.value"].shape[1]:
+        raise ValueError("invariants do not match")
+    if arrays["y"].shape[1:] != (n,) or part["dense"]["complex"] != (part["y"].dtype.kind == "c"):
+        raise ValueError("components do not match")
+    try:
+        return Dense.from_parts(**{"scale": None, **arrays, **part["dense"]})
+    except TypeError:  # its text would be the signature of the binding
+        raise ValueError("the parts of the continuous solution do not match") from None
 
 
 def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> dict[str, Array]:
@@ -237,3 +273,124 @@ SOLUTION = Kind(
         "added": Field(dict[str, Any], GROUP, _added),
     },
 )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# From the fields of a file, each of which is right by itself
+
+
+def solution_of(fields: dict[str, Any], kind: type[R]) -> R:
+    """Return the stored solution of this class, without `sol`."""
+    y, names, stats = fields["y"], fields["invariants"], fields["stats"]
+    if len(fields["drift.residual"]) < len(names):
+        raise ValueError("drifts do not match")
+    each = None if fields["events"] is None else apart(under("events", fields), fields["events"])
+    called = Names(**fields["names"])
+    at_outputs = None
+    if "invariants.residual" in fields:  # unless it is a checkpoint
+        at_outputs = fields["invariants.residual"], fields["invariants.distance"]
+    jumps = zip(fields["jumps.row"].tolist(), fields["jumps.t"].tolist(), fields["jumps.value"], strict=True)
+    g = StoredInvariants(
+        [],
+        fields["invariants.value"],
+        names,
+        (),
+        NO_ARGUMENTS,
+        None,
+        jumps=tuple(ValueJump(*jump) for jump in jumps),
+        forward=fields["forward"],
+        at_outputs=at_outputs,
+        outputs=y,
+    )
+    solution = kind(
+        {
+            "_invariants": g,
+            "_rtol": fields["rtol"].tolist(),
+            "_atol": fields["atol"].tolist(),
+            "_drift": BeforeProjection(
+                fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])
+            ),
+            "_names": called,
+            "_sensitivities": _sensitivities(fields, each),
+            "_y_end": fields["y_end"],
+            "_origin": None,
+        },
+        t=fields["t"],
+        y=y,
+        sol=None,
+        t_events=None if each is None else ByEvent(called.events, [one["t"] for one in each]),
+        y_events=None if each is None else ByEvent(called.events, [at_events(one["y"]) for one in each]),
+        **{name: fields[name] for name in OUTCOME if name != "t_end"},
+        stats=Stats(
+            **{
+                **stats,
+                "discontinuities": tuple(stats["discontinuities"]),
+                "marks": tuple(map(tuple, stats["marks"])),
+            }
+        ),
+        steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
+        t_end=fields["t_end"],
+    )
+    solution.update(restored(fields, solution.keys()))
+    return solution
+
+
+def _sensitivities(fields: dict[str, Any], each: list[dict[str, Array]] | None) -> SensitivityData | None:
+    names = fields["sensitivities"]
+    if names is None:
+        return None
+    if "S" not in fields or "S_end" not in fields:
+        raise ValueError("sensitivities do not match")
+    events = None if each is None else AtEvents(*([one[name] for one in each] for name in AtEvents._fields))
+    return SensitivityData(names, fields["S"], fields["S_end"], events)
+
+
+def _steps(rows: Array, methods: list[str]) -> Steps:
+    if not np.isin(rows[:, 5], np.arange(len(methods))).all():
+        raise ValueError("steps do not match")
+    return Steps(rows, methods)
+
+
+@dataclasses.dataclass
+class StoredInvariants(BoundInvariants):
+    """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
+
+    at_outputs: tuple[Array, Array] | None = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
+    outputs: Array = dataclasses.field(kw_only=True)  # y of the file
+
+    def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        return self._at(y)[0]
+
+    def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
+        return self._at(y)[1]
+
+    def _at(self, y: Array) -> tuple[Array, Array]:
+        if self.at_outputs is None or not (
+            len(self) == 0 or y is self.outputs or np.array_equal(y, self.outputs, equal_nan=True)
+        ):
+            raise ValueError(
+                f"the functions of the invariants {', '.join(self.names)} are not in the file, which has their "
+                "residuals only at its outputs, and y has changed: give them, invariode.load(path, invariants=...)"
+            )
+        return self.at_outputs
+
+    def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> NoReturn:
+        raise ValueError(
+            f"the functions of the invariants {', '.join(self.names)} are not in the file: give them, "
+            "invariode.load(path, invariants=...), or use invariode.impose(invariants, solution)"
+        )
+
+
+class Unprojected(DenseSolution):
+    """The continuous solution of a file, which needs functions to project and has none."""
+
+    _told = False
+
+    def __call__(self, t: ArrayLike, *, extrapolate: bool = True) -> Array:
+        if not self._told and (self._imposed or not np.isin(t, self.ts).all()):
+            self._told = True
+            warn(
+                "sol(t) is not projected onto the invariants: their functions are not in the file; give them, "
+                "invariode.load(path, invariants=...)"
+            )
+        return DenseSolution(self._dense, self._dtype, self._invariants)(t, extrapolate=extrapolate)

@@ -169,14 +169,9 @@ class Solution(Exports):
         for name in options:
             if name not in ExtensionOptions.__annotations__:
                 raise _of_the_run(name)
-        if self._origin is None:
-            raise ValueError(
-                "this solution comes from a file or a pickle, without the functions of its problem: it cannot be "
-                "extended. Solve from its final state"
-            )
         if TYPE_CHECKING:
             extension_options(**options)  # editors complete options from this call
-        extended: Solution = self._origin.extend(self, t_end, options)
+        extended: Solution = self._run.extend(self, t_end, options)
         return extended
 
     def gradient(
@@ -241,12 +236,7 @@ class Solution(Exports):
         >>> bool(np.allclose(sol.gradient([1.0], wrt=["rate", "y0"]), [-np.exp(-2), np.exp(-2)], rtol=1e-6))
         True
         """
-        if self._origin is None:
-            raise ValueError(
-                "this solution comes from a file or a pickle, without the functions of its problem: solve it again"
-            )
-        found: Array = self._origin.gradient(self, dG_dy, dG_dp, wrt, t, integrand)
-        return found
+        return self._run.gradient(self, dG_dy, dG_dp, wrt, t, integrand)
 
     def plot(
         self,

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, NoReturn, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, warn, weights_of
+from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, weights_of
 from .._base.files import PathLike, damage_of, unreadable
 from .._base.formats import read, under
 from .._base.package import version
 from .._core import MEMORY_VERSION, Dense
 from .._files.checkpoint import CHECKPOINT, read_checkpoint
 from .._files.identity import Identity, known_identity, options_of, require_same
-from .._functions.layout import NO_ARGUMENTS
-from .._laws.bound import BoundInvariants, ValueJump, bind
+from .._laws.bound import BoundInvariants, bind
 from .._problem.events import roots_among
 from .._problem.given_options import checked
 from .._problem.grouped import Checkpoint
@@ -27,10 +24,14 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
-from .._results.result import DenseSolution, Names, Origin
-from .._results.saving import OUTCOME, SOLUTION, apart, restored
-from .._results.sensitivity_data import AtEvents, SensitivityData
+from .._results.result import DenseSolution, Origin
+from .._results.saving import (
+    SOLUTION,
+    StoredInvariants,
+    Unprojected,
+    solution_of,
+    stored_dense,
+)
 from .._results.solution import Solution
 from .._run.run import RunOrigin, Solved
 
@@ -112,9 +113,9 @@ def load(
             raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
         fields, parts, checkpoint = read_checkpoint(path, fields)
     with damage_of(path):
-        dense = _dense(parts, reals(fields["y"]) * (1 + len(fields["sensitivities"] or ())), fields["t_end"])
+        dense = stored_dense(parts, reals(fields["y"]) * (1 + len(fields["sensitivities"] or ())), fields["t_end"])
         origin = None if fields["identity"] is None else _origin(fields)
-        solution = _solution(fields).changed(_origin=origin)
+        solution = solution_of(fields, Solution).changed(_origin=origin)
     if problem is not None:
         if origin is None:
             raise unreadable(path, "does not hold the memory of its run, which had no functions: leave out the problem")
@@ -140,7 +141,7 @@ def load(
         return solution
     imposed = {"rtol": solution._rtol, "atol": solution._atol} if fields["imposed"] else None
     projects = fields["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0
-    kind_of_sol = _Unprojected if (imposed or projects) and not listed else DenseSolution
+    kind_of_sol = Unprojected if (imposed or projects) and not listed else DenseSolution
     sol = kind_of_sol(dense, solution.y.dtype, solution._invariants, imposed)
     return solution.changed(sol=sol.after(None if problem is None else problem.history))
 
@@ -222,76 +223,6 @@ class _OriginInFile(Origin):
         return dataclasses.replace(self, imposed=True)
 
 
-# ----------------------------------------------------------------------------------------------------------------------
-# From the fields of a file, each of which is right by itself
-
-
-def _solution(fields: dict[str, Any]) -> Solution:
-    """Return the stored solution without `sol`."""
-    y, names, stats = fields["y"], fields["invariants"], fields["stats"]
-    if len(fields["drift.residual"]) < len(names):
-        raise ValueError("drifts do not match")
-    each = None if fields["events"] is None else apart(under("events", fields), fields["events"])
-    called = Names(**fields["names"])
-    at_outputs = None
-    if "invariants.residual" in fields:  # unless it is a checkpoint
-        at_outputs = fields["invariants.residual"], fields["invariants.distance"]
-    jumps = zip(fields["jumps.row"].tolist(), fields["jumps.t"].tolist(), fields["jumps.value"], strict=True)
-    g = _StoredInvariants(
-        [],
-        fields["invariants.value"],
-        names,
-        (),
-        NO_ARGUMENTS,
-        None,
-        jumps=tuple(ValueJump(*jump) for jump in jumps),
-        forward=fields["forward"],
-        at_outputs=at_outputs,
-        outputs=y,
-    )
-    solution = Solution(
-        {
-            "_invariants": g,
-            "_rtol": fields["rtol"].tolist(),
-            "_atol": fields["atol"].tolist(),
-            "_drift": BeforeProjection(
-                fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])
-            ),
-            "_names": called,
-            "_sensitivities": _sensitivities(fields, each),
-            "_y_end": fields["y_end"],
-            "_origin": None,
-        },
-        t=fields["t"],
-        y=y,
-        sol=None,
-        t_events=None if each is None else ByEvent(called.events, [one["t"] for one in each]),
-        y_events=None if each is None else ByEvent(called.events, [at_events(one["y"]) for one in each]),
-        **{name: fields[name] for name in OUTCOME if name != "t_end"},
-        stats=Stats(
-            **{
-                **stats,
-                "discontinuities": tuple(stats["discontinuities"]),
-                "marks": tuple(map(tuple, stats["marks"])),
-            }
-        ),
-        steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
-        t_end=fields["t_end"],
-    )
-    solution.update(restored(fields, solution.keys()))
-    return solution
-
-
-def _sensitivities(fields: dict[str, Any], each: list[dict[str, Array]] | None) -> SensitivityData | None:
-    names = fields["sensitivities"]
-    if names is None:
-        return None
-    if "S" not in fields or "S_end" not in fields:
-        raise ValueError("sensitivities do not match")
-    events = None if each is None else AtEvents(*([one[name] for one in each] for name in AtEvents._fields))
-    return SensitivityData(names, fields["S"], fields["S_end"], events)
-
-
 def _tangents(path: PathLike, solution: Solution, problem: Problem | None, bound: BoundInvariants) -> Sequence[Any]:
     """Return the invariants onto whose tangents sensitivities are projected between the steps."""
     if problem is None:
@@ -304,85 +235,6 @@ def _tangents(path: PathLike, solution: Solution, problem: Problem | None, bound
     weights = weights_of(solution._rtol, solution._atol, problem.y0)
     with quietly():
         return make_variations(problem, problem.y0, weights, bound.specs, []).tangents
-
-
-def _steps(rows: Array, methods: list[str]) -> Steps:
-    if not np.isin(rows[:, 5], np.arange(len(methods))).all():
-        raise ValueError("steps do not match")
-    return Steps(rows, methods)
-
-
-def _dense(parts: list[dict[str, Any]], n: int, end: float) -> Dense | None:
-    """Return the continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few
-    times."""
-    wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
-    if 0 < len(wholes) < len(parts):
-        raise ValueError("not all of its parts have a continuous solution")
-    if any(first.knots()[-1] != then.knots()[0] for first, then in itertools.pairwise(wholes)):
-        raise ValueError("the parts of the continuous solution do not follow one another")
-    if wholes and n > 0 and wholes[-1].knots()[-1] != end:
-        raise ValueError("the continuous solution does not end where the run does")
-    while len(wholes) > 1:
-        pairs = itertools.zip_longest(wholes[::2], wholes[1::2])
-        wholes = [first if then is None else first.joined(then) for first, then in pairs]
-    return wholes[0] if wholes else None
-
-
-def _dense_part(part: dict[str, Any], n: int) -> Dense:
-    arrays = under("dense", part)
-    if part["dense"]["m"] != part["jumps.value"].shape[1]:
-        raise ValueError("invariants do not match")
-    if arrays["y"].shape[1:] != (n,) or part["dense"]["complex"] != (part["y"].dtype.kind == "c"):
-        raise ValueError("components do not match")
-    try:
-        return Dense.from_parts(**{"scale": None, **arrays, **part["dense"]})
-    except TypeError:  # its text would be the signature of the binding
-        raise ValueError("the parts of the continuous solution do not match") from None
-
-
-@dataclasses.dataclass
-class _StoredInvariants(BoundInvariants):
-    """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
-
-    at_outputs: tuple[Array, Array] | None = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
-    outputs: Array = dataclasses.field(kw_only=True)  # y of the file
-
-    def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
-        return self._at(y)[0]
-
-    def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
-        return self._at(y)[1]
-
-    def _at(self, y: Array) -> tuple[Array, Array]:
-        if self.at_outputs is None or not (
-            len(self) == 0 or y is self.outputs or np.array_equal(y, self.outputs, equal_nan=True)
-        ):
-            raise ValueError(
-                f"the functions of the invariants {', '.join(self.names)} are not in the file, which has their "
-                "residuals only at its outputs, and y has changed: give them, invariode.load(path, invariants=...)"
-            )
-        return self.at_outputs
-
-    def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> NoReturn:
-        raise ValueError(
-            f"the functions of the invariants {', '.join(self.names)} are not in the file: give them, "
-            "invariode.load(path, invariants=...), or use invariode.impose(invariants, solution)"
-        )
-
-
-class _Unprojected(DenseSolution):
-    """The continuous solution of a file, which needs functions to project and has none."""
-
-    _told = False
-
-    def __call__(self, t: ArrayLike, *, extrapolate: bool = True) -> Array:
-        if not self._told and (self._imposed or not np.isin(t, self.ts).all()):
-            self._told = True
-            warn(
-                "sol(t) is not projected onto the invariants: their functions are not in the file; give them, "
-                "invariode.load(path, invariants=...)"
-            )
-        return DenseSolution(self._dense, self._dtype, self._invariants)(t, extrapolate=extrapolate)
 
 
 #: At this many outputs the invariants given to `load` are compared with those of the run.
@@ -414,7 +266,7 @@ def _bind_again(
             f"{', '.join(stored.names)}"
         )
     bound = dataclasses.replace(bound, value=stored.value, jumps=stored.jumps, forward=stored.forward)
-    if not isinstance(stored, _StoredInvariants) or stored.at_outputs is None:
+    if not isinstance(stored, StoredInvariants) or stored.at_outputs is None:
         return bound
     some = np.unique(np.linspace(0, len(t) - 1, min(_COMPARED, len(t))).astype(int))
     pieces = stored.pieces_of_output(len(t))

@@ -45,7 +45,7 @@ def curve(sol: Result) -> Curve:
     if sol.sol is not None:
         return _by_interpolant(sol)
     known = sol._origin is not None and len(sol.t) <= _SLOPES
-    slopes = sol._origin.slopes(sol.t, sol.y) if known else None
+    slopes = sol._run.slopes(sol.t, sol.y) if known else None
     if slopes is None:  # no functions, or too many points
         return Curve(interrupted(sol, sol.t), interrupted(sol, sol.y), smooth=False)
     return _by_slopes(sol, slopes)
