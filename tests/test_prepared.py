@@ -315,3 +315,56 @@ def test_problems_with_sensitivities_share_a_plan_and_no_values():
                 assert sol.sensitivity_names == alone.sensitivity_names
                 for name in ("t", "y", "sensitivities", "y_end"):
                     np.testing.assert_array_equal(getattr(sol, name), getattr(alone, name))
+
+
+def times_added(t, y, times, dose):
+    z = y[0]
+    for _ in range(times):
+        z = z + dose
+    return [z]
+
+
+def unchanged(t, y, times, dose):
+    return [-0.1 * y[0]]
+
+
+@pytest.mark.parametrize("where", ["run", "problem", "event"])
+def test_constants_in_the_code_of_actions_are_those_of_each_call(where: str) -> None:
+    add, half = iv.compile(times_added), iv.Event(iv.compile(lambda t, y, times, dose: t - 0.5))
+    half.action = add
+    described = {"run": {}, "problem": {"breakpoints": {0.5: add}}, "event": {"events": half}}[where]
+    options: dict[str, Any] = {"breakpoints": {0.5: add}} if where == "run" else {}
+    problem = iv.Problem(iv.compile(unchanged), (0, 1), [1.0], args=(2, 1.0), **described)
+    alone = problem.replace(args=(3, 1.0)).solve(**options)
+    assert problem.prepare(**options)(args=(3, 1.0)).y_end == alone.y_end
+    with pytest.raises(ValueError, match="2 is a constant of the compiled code"):
+        problem.solve_ensemble([[1.0]] * 2, args=[(2, 1.0), (3, 1.0)], **options)
+
+
+@pytest.mark.parametrize(
+    ("dose", "is_kept"),
+    [
+        (lambda t, y, k, d: [y[0] + d * k, y[1]], True),
+        (lambda t, y, k, d: [y[0] + d * np.sqrt(y[1]), 0.5 * y[1]], False),  # whose slope is infinite at 0
+    ],
+    ids=["smooth", "singular"],
+)
+def test_sensitivities_after_doses_follow_the_args_of_each_call(dose: Callable[..., Any], is_kept: bool) -> None:
+    fun, other = iv.compile(lambda t, y, k, d: [-k * y[0], k * y[0] - 0.1 * y[1]]), (0.7, 1.5)
+    doses = {1.0: iv.compile(dose), 2.0: iv.compile(dose)}
+    wanted = iv.Sensitivities(args=True, y0=True)
+    problem = iv.Problem(fun, (0, 3), [1.0, 0.5], args=(0.5, 2.0), sensitivities=wanted)
+    given: dict[str, Any] = {"method": "dop853", "rtol": 1e-9, "atol": 1e-11, "breakpoints": doses}
+    solver = problem.prepare(**given)
+    sol, alone = solver(args=other), problem.replace(args=other).solve(**given)
+    assert solver._shared.prepared.any_y0 is is_kept
+    np.testing.assert_array_equal(sol.sensitivities, alone.sensitivities)
+    h = 1e-6
+    for j, (k, d, a, b) in enumerate(np.eye(4) * h):
+        ends = [
+            problem.replace(args=(other[0] + s * k, other[1] + s * d), y0=[1 + s * a, 0.5 + s * b], sensitivities=None)
+            .solve(**given)
+            .y_end
+            for s in (1, -1)
+        ]
+        np.testing.assert_allclose(sol.sensitivities[:, j, -1], (ends[0] - ends[1]) / (2 * h), rtol=1e-5, atol=1e-7)

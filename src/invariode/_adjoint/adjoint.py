@@ -458,7 +458,7 @@ class _Adjoint:
         problem, wanted = self._problem, self._problem.sensitivities
         assert wanted is not None
         of_y = self._of_y
-        sizes = Sizes.of(wanted, self._names, of_y, problem.args)
+        sizes = Sizes.of(wanted, self._names, of_y, problem.args, len(problem.y0))
         values = values_of(problem.args, problem.y0, self._names)
         forward = sizes.tolerances(problem.y0, values) @ shares.sum(axis=0)
         least = _LEAST_OF_G * of_y.rtol * size / sizes.of_parameters(values, self.n)

@@ -15,7 +15,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, state, warn
 from .._base.interrupts import stopped_by_interrupt
-from .._functions.compiled import constants, native_parameters
+from .._functions.compiled import native_parameters
 from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, layout_of
 from .._plan.call_errors import error_at_start
@@ -193,7 +193,7 @@ def _parameters(task: Task, plan: Plan) -> Array:
         rows = np.stack([native_parameters(row, [task.problem.fun]).numbers for row in task.args])
     # All trajectories must have the same values of arguments that are constants of compiled functions.
     others = [] if isinstance(task.args, np.ndarray) else map(layout_of, task.args)
-    objection = p.objection(rows, constants(task.problem.called_functions, p))
+    objection = p.objection(rows, plan.constants)
     if objection is None and any(one.fixed(TRUTHS) != p.fixed(TRUTHS) for one in others):
         objection = "arguments that are no numbers, or their shapes, differ from row to row"
     if objection is not None:
@@ -287,7 +287,7 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     row: dict[str, Any] = {"t_end": run.t_end, "y_end": run.end, "counts": run.counts, "correction": run.correction}
     bound, times = plan.bound, plan.course.times
     if plan.varied is not None:
-        n, k = plan.functions.n // (1 + plan.functions.complex), len(plan.varied.names)
+        n, k = plan.components, len(plan.varied.names)
         row["y_end"], row["S_end"] = states_and_sensitivities(row["y_end"], n, k)
     if times is not None or len(bound):
         t, y = run.take_points()

@@ -174,8 +174,9 @@ class Captured:
 
     def changed(self) -> bool:
         """Return whether any of the values is another one now."""
-        if any(content(owner) != before for owner, before in self._objects):
-            return True
+        for owner, before in self._objects:
+            if content(owner) != before:
+                return True
         for name, place, value, before in self._places:
             if isinstance(place, dict):
                 now = place.get(name)

@@ -445,6 +445,10 @@ class OfGraph:
         """Return whether there are conditions."""
         return bool(conditions(self.outputs))
 
+    def is_smooth(self) -> bool:
+        """Return whether no derivative is infinite, or undefined, where the values are not."""
+        return all(singular_where(node) is None for node in in_order(self.outputs))
+
     def surface(self, name: str) -> Any:
         """Return a function with F's arguments in which functions that change their signs take the place of conditions,
         values of F that are one of two constants; None: F has no conditions."""

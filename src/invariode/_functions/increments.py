@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,9 +59,15 @@ def spread(count: int) -> Array:
 
 def somewhere(x: Array, size: Array | None = None) -> Array:
     """A direction in which every component moves by about its size."""
-    size = sizes(x) if size is None else size
-    direction: Array = size * (0.5 + spread(len(x))) * np.where(np.arange(len(x)) % 2, -1, 1)
-    return direction
+    return np.asarray((sizes(x) if size is None else size) * _directions(len(x)))
+
+
+@lru_cache(maxsize=64)
+def _directions(count: int) -> Array:
+    """Numbers of about 1, spread evenly, whose signs alternate."""
+    found: Array = (0.5 + spread(count)) * np.where(np.arange(count) % 2, -1, 1)
+    found.setflags(write=False)
+    return found
 
 
 def sizes(x: Array) -> Array:
@@ -119,13 +126,13 @@ def _compared_at(function: Callable[[Array], Any], x: Array, direction: Array) -
     stepped: Array | Exception
 
     def values(z: Array) -> Array:
-        return np.ravel(np.asarray(function(z), dtype=z.dtype))
+        return np.asarray(function(z), dtype=z.dtype).ravel()
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         warnings.simplefilter("error", ComplexWarning)  # an imaginary part was dropped
         try:
-            up, down = (values(x + side * INCREMENT * direction) for side in (1, -1))
+            up, down = values(x + INCREMENT * direction), values(x - INCREMENT * direction)
         except (TypeError, ValueError, ArithmeticError, Warning):  # as (-1.0) ** 0.5, math.log(-1) and 1 / 0
             return None
         try:

@@ -521,6 +521,8 @@ def _values_at(fun: Callable[..., Any], t: float, args: tuple[Any, ...], y: Arra
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:
     returned = one.fun(t, y.copy(), *args)
+    if type(returned) is float and math.isfinite(returned):  # the common case
+        return np.array([returned])
     values = as_array(f"what invariant {name} returns", returned)
     if values.dtype.kind not in "biufO" or values.ndim > 1 or values.size == 0 or returned is None:
         what = (

@@ -118,6 +118,7 @@ class Plan(NamedTuple):
     varied: Variations | None = None  # what is computed besides y
     expansion: Expansion | None = None  # for methods by series
     schedule: Schedule | None = None  # where f changes its branch as a function of t alone
+    constants: int = 0  # up to which rank numbers of the arguments are constants of compiled functions
     watch: Watch | None = None  # on what a run itself does not see: it is the callback, which calls the user's
 
     @property
@@ -130,6 +131,11 @@ class Plan(NamedTuple):
     def roots(self) -> list[Roots]:
         """The plan's own `Roots`, which remember its run if they remember anything."""
         return [one.action.roots for one in self.functions.vectors]
+
+    @property
+    def components(self) -> int:
+        """Number of components of y."""
+        return self.functions.n // (1 + self.functions.complex)
 
     @property
     def own_events(self) -> int:

@@ -31,7 +31,16 @@ from .._base.arguments import (
 from .._base.matrices import as_dense
 from .._base.types import LargestStep, MethodName
 from .._functions.compile import compile
-from .._functions.compiled import CompiledFunction, CoreFunction, Watch, is_native, native_parameters, renew, to_native
+from .._functions.compiled import (
+    CompiledFunction,
+    CoreFunction,
+    Watch,
+    constants,
+    is_native,
+    native_parameters,
+    renew,
+    to_native,
+)
 from .._functions.graph.derived import derived
 from .._functions.graph.function import OnGraph
 from .._functions.layout import ArgumentLayout, layout_of
@@ -89,7 +98,7 @@ def choose(method: MethodName, given: Options) -> Choice:
 def planned(problem: Problem, choice: Choice) -> Plan:
     """The plan of a problem for the method and the options."""
     chosen, options, settings = choice
-    renew(_called(problem, [], options["linear_solver"]))
+    renew(_called(problem, [], options))
     _require_delays(problem, chosen, options)
     by_series = chosen.equations == "graph"
     problem = (_on_graph(problem, chosen) if by_series else problem).of_one_run()
@@ -103,7 +112,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
     renew(point.action for point in breakpoints)
     traced = problem.fun if by_series else _with_graph(problem, chosen)
-    parameters = native_parameters(problem.args, [traced, *_called(problem, breakpoints, options["linear_solver"])])
+    parameters = native_parameters(problem.args, called := [traced, *_called(problem, breakpoints, options)])
     fun = problem.slope.for_core(problem.y0, parameters)
     if (problem.sensitivities is not None or problem.delays is not None) and not parameters.size:
         parameters = layout_of(problem.args)  # the equations of sensitivities are machine code
@@ -141,6 +150,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
         watch=watch,
         schedule=schedule,
+        constants=constants(called, parameters),
     )
     if problem.sensitivities is not None:
         plan = _with_sensitivities(plan, problem, breakpoints)
@@ -350,11 +360,11 @@ def _with_graph(problem: Problem, method: Method) -> Any:
     return compile(fun, by="trace")
 
 
-def _called(problem: Problem, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
+def _called(problem: Problem, breakpoints: list[Breakpoint], options: Options) -> Iterator[Any]:
     yield from (problem.fun, problem.matrices.jac)
-    if isinstance(chosen, GMRES):
+    if isinstance(chosen := options["linear_solver"], GMRES):
         yield chosen.jac_product
-    yield from (f for one in problem.invariants for f in (one.fun, one.jac))
+    yield from (f for one in problem.invariants for f in (one.fun, one.jac, one.metric))
     for event in problem.events:
         yield from (event.roots.fun,) if isinstance(event, RootOf) else (event.fun, event.action)
     yield from (point.action for point in breakpoints if point.action is not None)

@@ -206,10 +206,8 @@ def _constant(history: Any, y0: Array) -> Array:
     return values.astype(y0.dtype)
 
 
-def start_of(y0: Any, history: Any, t_span: Span, args: Any) -> Any:
-    """y0, or the history at the start if y0 is None and there is a history: a function of the arguments if it is."""
-    if y0 is not None or history is None:
-        return y0
+def start_of(history: Any, t_span: Span, args: Any) -> Any:
+    """The history at the start: a function of the arguments if it is."""
     if not is_function(history):
         return history if named("history", history) else np.atleast_1d(np.asarray(history))
     at_start = StartOfHistory(history, interval(t_span)[0])

@@ -352,6 +352,8 @@ def to_events(events: EventsLike) -> list[Event]:
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
+    if type(events) is FunctionType:  # the common case
+        return [_from_function(events)]
     if isinstance(events, Mapping):
         return [_called(name, event) for name, one in events.items() for event in to_events(one)]
     if callable(events) or is_native(events) or isinstance(events, Roots):

@@ -51,7 +51,7 @@ from .invariants import Invariants, InvariantsLike, to_invariants
 from .jacobian_and_mass import NO_MATRICES, Matrices, own_list, own_matrix, to_matrices
 from .options import CallingOptions, DescribingOptions, Options, ProblemArguments, ProblemEnsembleOptions, table_of
 from .parameters import ParameterName, names_of_arguments, names_of_last_arguments, with_named
-from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
+from .sensitivities import OF_ALL_ARGS, Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
 from .start import ChangedStart, follow_start
 
@@ -199,13 +199,17 @@ class Problem:
     ) -> None:
         if unknown or by_position:
             raise _no_such_argument(unknown, by_position)
-        args = _args_or(fun, parameters, args)
-        y0 = start_of(y0, history, t_span, args)
+        if parameters is not None or not (args is None or type(args) is tuple):
+            args = _args_or(fun, parameters, args)
+        if y0 is None and history is not None:
+            y0 = start_of(history, t_span, args)
         state, of_args = (y0(*extra_arguments(args)), y0) if callable(y0) else (y0, None)
         if labels is not None:
             state = by_name("y0", state, labels, "components")
         described = self.__dict__
-        described |= self.plain(_filled(fun, inplace, delays is not None), t_span, state, args).__dict__
+        if inplace is not False:
+            fun = _filled(fun, inplace, delays is not None)
+        described |= self.plain(fun, t_span, state, args).__dict__
         called, start = self.fun, self.y0
         if of_args is not None:
             described["y0_of_args"] = of_args
@@ -238,11 +242,12 @@ class Problem:
             described["delays"] = to_delays(delays, history, self)
         if name is not None:
             described["_title"] = _named(name)
-        if second_order is not False or type(called) is not FunctionType:
+        if second_order is not False:
             described["second_order"] = _is_second_order(second_order, called, start)
         if sensitivities is not None:
             described["sensitivities"] = wanted = to_sensitivities(sensitivities)
-            if wanted is not None and (self.args or of_args is not None):
+            known = wanted is OF_ALL_ARGS and of_args is None and {*map(type, self.args)} == {float}
+            if wanted is not None and (self.args or of_args is not None) and not known:
                 described["sensitivities"] = follow_start(wanted, of_args, self.parameter_names(), len(start))
 
     @classmethod
@@ -351,11 +356,6 @@ class Problem:
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
-
-    @property
-    def called_functions(self) -> list[Any]:
-        """f, the functions of the invariants, and those of the events."""
-        return [self.fun, *(one.fun for one in self.invariants), *(one.fun for one in self.events)]
 
     @property
     def slope(self) -> Slope:

@@ -158,6 +158,9 @@ class Sensitivities:
         return S
 
 
+#: What True requests.
+OF_ALL_ARGS = Sensitivities(args=True)
+
 SensitivitiesLike: TypeAlias = bool | str | int | Sequence[str | int] | Sensitivities
 
 
@@ -165,6 +168,8 @@ def to_sensitivities(given: SensitivitiesLike | None) -> Sensitivities | None:
     """Convert the option; None if no sensitivities are requested."""
     if given is None or given is False:
         return None
+    if given is True:
+        return OF_ALL_ARGS
     return given if isinstance(given, Sensitivities) else Sensitivities(args=given)
 
 

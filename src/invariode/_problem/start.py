@@ -75,7 +75,7 @@ def follow_start(
 ) -> Sensitivities:
     """Return the sensitivities with the derivatives of y0 if it is a function of the arguments, and without the
     derivatives of a former such function. Derivatives that the user gives are kept."""
-    if wanted.dy0dp is not None and not isinstance(wanted.dy0dp, SlopesOfStart):
+    if start is wanted.dy0dp is None or not (wanted.dy0dp is None or isinstance(wanted.dy0dp, SlopesOfStart)):
         return wanted
     own = [one for one in names if one.kind == "args"]
     return replace(wanted, dy0dp=SlopesOfStart(start, own, n) if start is not None and own else None)

@@ -45,7 +45,7 @@ class SensitivityData:
 def states_and_sensitivities(Y: Array, n: int, k: int) -> tuple[Array, Array]:
     """Return y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
     parts = Y.reshape(1 + k, n, *Y.shape[1:])
-    return parts[0], np.swapaxes(parts[1:], 0, 1)
+    return parts[0], parts[1:].swapaxes(0, 1)
 
 
 def named(names: Sequence[str], labels: Sequence[str]) -> list[str]:

@@ -22,13 +22,13 @@ from .._base.types import MethodName
 from .._functions.compiled import (
     CompiledFunction,
     CoreFunction,
-    constants,
     is_native,
     is_plain_function,
     native_parameters,
 )
 from .._functions.graph.plain import use_of_time
 from .._functions.increments import at_complex
+from .._functions.layout import layout_of
 from .._functions.second_order import SecondOrder
 from .._laws.bound import MANY_COLUMNS, BoundInvariants, values_at_start
 from .._plan.nystrom_requirements import fits_any_args
@@ -40,7 +40,7 @@ from .._problem.invariants import Invariants
 from .._problem.jacobian_and_mass import NO_MATRICES
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._problem.sensitivities import Sensitivities
+from .._problem.sensitivities import OF_ALL_ARGS, Sensitivities
 from .._sensitivity.landings import switches_in_time
 
 #: From this many bytes of y0 on, 200 reals, sparsity is looked for, which depends on f, and the work of a plan is small
@@ -152,7 +152,7 @@ class Prepared:
             )
             if run is not None or not self._parameters:  # otherwise args are not only floats
                 break
-            parameters = native_parameters(args, problem.called_functions).numbers
+            parameters = layout_of(args).numbers
         self._idle.append(core)  # but not after an exception
         return run
 
@@ -223,7 +223,7 @@ def _of_any_args(problem: Problem, plan: Plan) -> bool:
     if not fits_any_args(problem, plan.method.name):
         return False
     p = plan.functions.parameters
-    return not p.size or p.may_vary(constants(problem.called_functions, p))
+    return not p.size or p.may_vary(plan.constants)
 
 
 def _of_any_span(problem: Problem, plan: Plan) -> bool:
@@ -290,7 +290,7 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
     given = _core.plain_options(options)
     if given is None or matrices is not NO_MATRICES or y0.nbytes >= _LARGE:
         return None
-    bounds = None if problem.bounds is None else tuple(one.tobytes() for one in problem.bounds)
+    bounds = None if problem.bounds is None else tuple([one.tobytes() for one in problem.bounds])
     types: tuple[type, ...] = ()
     laws: tuple[Any, ...] = ()
     events: tuple[Any, ...] = ()
@@ -320,6 +320,8 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
 def _varied(problem: Problem, wanted: Sensitivities) -> tuple[Any, ...] | None:
     """Return the data of sensitivities of a compiled f whose derivatives and start are not functions."""
     given, scale = wanted.dy0dp, wanted.scale
+    if wanted is OF_ALL_ARGS:
+        return (wanted,) if isinstance(problem.fun, CompiledFunction) else None
     own = wanted.dfdp is not None or callable(given) or isinstance(scale, Mapping)
     if own or not isinstance(problem.fun, CompiledFunction):
         return None

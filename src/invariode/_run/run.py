@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,16 +50,12 @@ from .._results.messages import (
 )
 from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
 from .._results.result import FAILED, LIMIT_REACHED, NOT_CONSERVED, STOPPED, DenseSolution, Origin
-from .._results.sensitivity_data import SensitivityData, states_and_sensitivities
+from .._results.sensitivity_data import AtEvents, SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared
 from .prepared import OnCourse, run_or_plan
 from .run_warnings import _UNRESOLVED, warn_of_projection, warn_of_steps
-
-if TYPE_CHECKING:
-    from .._sensitivity.variations import Variations
-
 
 #: Where f may jump it is evaluated so many ulp from there.
 _BESIDE = 16
@@ -251,21 +247,21 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
         raise
 
 
-def finished_solution(finished: Finished, problem: Problem) -> Solution:
+def finished_solution(run: _core.Run, source: Solved, shared: OnCourse) -> Solution:
     """Return the solution of a run of a prepared plan as the user gets it; the first run of a compiled f is compared
-    with the Python function. `problem`: one with this f."""
-    sol, source = presented(finished), finished.source
-    if uncompared(problem) is not None:
+    with the Python function."""
+    prepared = shared.prepared
+    sol = presented(Finished(run, prepared.plan, source, prepared.members, shared))
+    if uncompared(shared.problem) is not None:
         compare(source.problem, sol, source.options.get("check", True))
-    return concluded(sol, finished.general.on_failure)
+    return concluded(sol, prepared.plan.on_failure)
 
 
 def _solved(begun: tuple[OnCourse, _core.Run] | Plan, source: Solved) -> Solution:
     """Return the solution of a run that has ended, or of a plan by a solver of its own."""
-    problem = source.problem
     if not isinstance(begun, Plan):
-        return finished_solution(Finished.by(*begun, source), problem)
-    plan = begun
+        return finished_solution(begun[1], source, begun[0])
+    plan, problem = begun, source.problem
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
         sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, found)), plan, found)
@@ -332,7 +328,8 @@ def _carried_out(
 class Finished:
     """A run of the core that has ended, and what is reported of it, which is put together when somebody asks."""
 
-    y_end: Array | None = None  # None: the end of the run is that of y
+    columns: Array | None = None  # y and S at the outputs, of a run with sensitivities
+    at_events: AtEvents | None = None  # sensitivities at events, if these are recorded
     sectioned: tuple[Sectioned, ...] = ()
 
     def __init__(
@@ -341,7 +338,7 @@ class Finished:
         plan: Plan,
         source: Solved,
         members: tuple[str, ...],
-        shared: OnCourse | None = None,
+        shared: OnCourse | None = None,  # of a run of a prepared plan, whose own plan is made when it is needed
         checkpoint: RunFiles | None = None,
     ) -> None:
         self.run = run
@@ -350,12 +347,6 @@ class Finished:
         self.members = members  # the methods that took turns
         self.checkpoint = checkpoint
         self._shared = shared
-
-    @classmethod
-    def by(cls, shared: OnCourse, run: _core.Run, source: Solved) -> Finished:
-        """Return a run of a prepared plan, whose own plan is made when it is needed."""
-        prepared = shared.prepared
-        return cls(run, prepared.plan, source, prepared.members, shared)
 
     @cached_property
     def plan(self) -> Plan:
@@ -375,7 +366,11 @@ class Finished:
     def private(self) -> dict[str, Any]:
         """Return the private attributes of the solution, besides its items and those that it has already."""
         run, plan = self.run, self.plan
-        y_end = run.end if self.y_end is None else self.y_end
+        y_end, sensitivities = run.end, None
+        if plan.varied is not None and self.columns is not None:
+            names, n = plan.varied.names, plan.components
+            S, S_end = (states_and_sensitivities(Y, n, len(names))[1] for Y in (self.columns, y_end[:, None]))
+            y_end, sensitivities = y_end[:n], SensitivityData(names, S, S_end[:, :, 0], self.at_events)
         next_h = run.next_h if plan.method.fixed_order and run.steps else None
         return {
             "_invariants": self.bound,
@@ -383,7 +378,7 @@ class Finished:
             "_atol": plan.atol,
             "_drift": BeforeProjection(*run.drift) if plan.names else _NO_DRIFT,
             "_names": plan.called,
-            "_sensitivities": None,
+            "_sensitivities": sensitivities,
             "_y_end": y_end,
             "_origin": RunOrigin(
                 self.source,
@@ -478,11 +473,13 @@ def _solution(finished: Finished) -> Solution:
     sol = Solution(finished.private, known or _items(*finished.plan.verdict(run)))
     run.put_into(sol)
     sol["stats"] = Stats.when_needed(finished.stats)
-    happened = run.take_events()[: plan.own_events] if plan.records_events or plan.varied else None
+    happened = run.take_events()[: plan.own_events] if plan.records_events else None
     if plan.varied is not None:
-        parts = _parted(plan, plan.varied, sol["y"], run.end, happened or [])
-        sol["y"], finished.y_end, happened, sol._sensitivities = parts
-        sol._y_end = finished.y_end
+        n, finished.columns = plan.components, sol["y"]
+        sol["y"] = finished.columns[:n]
+        if happened is not None:
+            finished.at_events = plan.varied.at_events(happened, n)
+            happened = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened]
         plan.varied.tell_of_steps(sol["t"], sol["y"])
     settings = plan.settings
     if settings.sections:
@@ -507,20 +504,6 @@ def _items(status: int, message: str) -> dict[str, Any]:
 
 #: By the state of the run, if that says everything.
 _ITEMS = {state: _items(*ended) for state, ended in MESSAGES.items()}
-
-
-def _parted(
-    plan: Plan, varied: Variations, Y: Array, end: Array, happened: list[tuple[Array, Array]]
-) -> tuple[Array, Array, list[tuple[Array, Array]] | None, SensitivityData]:
-    """y at the outputs, at the end and at events, and the sensitivities."""
-    n, k = plan.functions.n // (1 + plan.functions.complex), len(varied.names)  # y0 of a shared plan is empty
-    y, S = states_and_sensitivities(Y, n, k)
-    y_end, S_end = states_and_sensitivities(end[:, None], n, k)
-    recorded = plan.records_events
-    at_events = varied.at_events(happened, n) if happened or recorded else None
-    states = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened] if recorded else None
-    found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
-    return y, y_end[:, 0], states, found
 
 
 #: Of a run without invariants.

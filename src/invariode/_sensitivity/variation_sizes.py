@@ -19,22 +19,25 @@ class Sizes(NamedTuple):
     wanted: Sensitivities  # the option
     names: Sequence[ParameterName]  # the parameters
     weights: Weights  # weights of y in the error test
+    #: Absolute tolerances of y, (n,); None with pure relative control of a component, whose tolerance follows from y0
+    absolute: Array | None
     #: Positions of the parameters' values among the numbers of the arguments, or among the initial values
     places: list[int]
 
     @classmethod
     def of(
-        cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...]
+        cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...], n: int
     ) -> Sizes:
         """Return the sizes for a problem with these arguments."""
         places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index for one in names]
-        return cls(wanted, names, weights, places)
+        absolute = np.full(n, weights.rtol * weights.threshold)
+        return cls(wanted, names, weights, absolute if absolute.all() else None, places)
 
     @property
     def of_any_start(self) -> bool:
         """True if the tolerances are those of every start: all sizes are given, and no atol is 0."""
         scale = self.wanted.scale
-        return scale is not None and not isinstance(scale, Mapping) and bool(np.all(self.weights.threshold))
+        return scale is not None and not isinstance(scale, Mapping) and self.absolute is not None
 
     def tolerances(self, y0: Array, values: Array) -> Array:
         """Return the tolerances of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
@@ -63,10 +66,10 @@ class Sizes(NamedTuple):
     def _of_state(self, y0: Array) -> Array:
         """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0:
         then that of y at the start."""
+        if self.absolute is not None:
+            return self.absolute
         rtol = self.weights.rtol
         absolute = np.full(y0.shape, rtol * self.weights.threshold)
-        if absolute.all():
-            return absolute
         sizes = np.abs(y0)
         largest = sizes.max(axis=-1, initial=0, keepdims=True)
         relative = rtol * np.where(y0 == 0, np.where(largest == 0, 1.0, largest), sizes)

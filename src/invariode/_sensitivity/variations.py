@@ -238,7 +238,7 @@ def make_variations(
     times, jumps, doses = about.of_events(problem, points, start, rate, weights)
     switches = followed(slope, about.of, problem, about.log) if problem.delays is None else []
     schedule = schedule or schedule_of(problem, layout_of(args), slope.outputs)
-    measure = Sizes.of(wanted, names, weights, args)
+    measure = Sizes.of(wanted, names, weights, args, n)
     form = for_complex if is_complex else _as_it_is
     at_start = (t0, np.vstack([y0, start]))
     tangents = [form(law.for_core(*at_start), complex_values=False) for law in about.of_laws(problem, specs)]
@@ -365,7 +365,7 @@ class _Derivatives:
 
     def of_events(
         self, problem: Problem, points: Sequence[Breakpoint], start: Array, rate: Rate, weights: Weights
-    ) -> tuple[list[EventTime], list[ActionOfEvent | None], list[ActionAtPoint | None]]:
+    ) -> tuple[list[EventTime], list[ActionOfEvent | None], list[Any]]:
         """Return the derivatives of the times of events, and the jumps of S at their actions and at breakpoints; S
         begins as `start`, (k, n)."""
         roots = {id(one): of_roots(one, self.of, start) for one in roots_among(problem.events)}
@@ -384,11 +384,16 @@ class _Derivatives:
             else:
                 action = self.of(event.action, f"the action of {titled(event.__name__)}", m=n, moves_t=True)
                 jumps.append(ActionOfEvent(action, put_back, time, rate, together))
-        actions = {id(one.action): one.action for one in points if one.action is not None}
-        made = {
-            key: ActionAtPoint(self.of(one, "the action in breakpoints", m=n), restored, together)
-            for key, one in actions.items()
-        }
+        alone, at_start = not any(jumps) and restored is None, (self.at.t, np.vstack([self.at.y, start]))
+        made = dict[int, Any]()
+        for action in (point.action for point in points if point.action is not None):
+            of_action = self.of(action, "the action in breakpoints", m=n)
+            by_machine = (
+                alone and problem.delays is None and of_action.graph is not None and of_action.graph.is_smooth()
+            )
+            made[id(action)] = (
+                of_action.for_core(*at_start) if by_machine else ActionAtPoint(of_action, restored, together)
+            )
         return times, jumps, [made.get(id(point.action)) for point in points]
 
     def tell(self) -> None:

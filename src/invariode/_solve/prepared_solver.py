@@ -20,7 +20,7 @@ from .._problem.problem import Problem
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
 from .._run.prepared import OnCourse, Prepared, prepared_or_plan
-from .._run.run import Finished, Solved, finished_solution, solve
+from .._run.run import Solved, finished_solution, solve
 
 
 class PreparedSolver:
@@ -110,7 +110,7 @@ class PreparedSolver:
                 if y0 is not None or args is not None or t_span is not None or dy0dp is not None:
                     changed = partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp)
                     source = Solved(changed, self.method, self._options)
-                return finished_solution(Finished.by(shared, run, source), problem)
+                return finished_solution(run, source, shared)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(problem, y0, args, t_span, dy0dp), self.method, self._options)
 
