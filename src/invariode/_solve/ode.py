@@ -96,10 +96,7 @@ class _Integrator(NamedTuple):
     #: Steps go beyond the requested times, as in ODEPACK. Explicit pairs end exactly there, and restart in the next
     #: call, as DOPRI5 does.
     goes_on: bool
-
-    @property
-    def codes(self) -> _Codes:
-        return _ODEPACK if self.goes_on else _HAIRER
+    codes: _Codes
 
 
 def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
@@ -132,6 +129,7 @@ def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
         complex=is_complex,
         implicit="jac" in about.options,
         goes_on=about.stages is None,
+        codes=_ODEPACK if about.stages is None else _HAIRER,
     )
 
 
@@ -440,13 +438,13 @@ class ode:  # noqa: N801 - SciPy's name
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
         """Integrate from the current time to `target`, calling solout at the start and after each step."""
         walk = self._walk_to(target, chosen)
-        solout, most, steps = self._solout is not None, chosen.nsteps, 0
-        stopped = solout and self._is_stopped()
-        while not stopped and steps != most and walk.state == "running":
+        solout, most, steps, core = self._solout is not None, chosen.nsteps, 0, walk.core
+        stopped, state = solout and self._is_stopped(), core.state
+        while not stopped and steps != most and state == "running":
             steps += walk.advance(target, 1 if solout else most)
-            self.t, self._y = walk.t, walk.y
-            stopped = solout and walk.state in ("running", "reached_end") and self._is_stopped()
-        self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
+            self.t, self._y, state = core.t, core.y, core.state
+            stopped = solout and state in ("running", "reached_end") and self._is_stopped()
+        self._end(walk, chosen, reached=state == "reached_end", stopped=stopped)
 
     def _is_stopped(self) -> bool:
         """Return whether solout ends the call at the current point."""
