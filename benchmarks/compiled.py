@@ -1,7 +1,7 @@
 """What `invariode.compile` makes: ``python benchmarks/compiled.py [--write]``, or ``make bench``.
 
-The time of f, traced and by numba; of its exact Jacobian; and how long large functions take to compile. ``--write``
-puts the tables into docs/benchmarks.
+The time of f, traced and by numba, also of neighbours on lines, rings and grids, whose solves are compared with CyRK's;
+of its exact Jacobian; and how long large functions take to compile. ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from time import process_time
 from typing import Any, Literal
 
 import llvmlite.binding as llvm
+import numba
 import numpy as np
-from measure import interleaved, machine, ratio, run, table
+from measure import installed, interleaved, machine, ratio, run, table
 from numpy.typing import NDArray
 
 import invariode as iv
@@ -28,6 +29,8 @@ US = 1e-6
 WAYS: tuple[Literal["trace", "numba"], ...] = ("trace", "numba")
 #: Numbers of components of the heat equation.
 LARGE = (100, 1000, 4000)
+#: Components of stencils, and the tolerance and the end of their solves.
+SITES, TOLERANCE, END = 400, 1e-8, 1.0
 #: Of the problems that have Jacobians measured.
 DENSE = 20
 
@@ -133,6 +136,61 @@ PROBLEMS: dict[str, tuple[Callable[..., Any], int]] = {
 }
 
 
+def lorenz_96_rolled(t: Any, y: Any, out: Any) -> None:
+    out[:] = (np.roll(y, -1) - np.roll(y, 2)) * np.roll(y, 1) - y + 8.0
+
+
+def lorenz_96_ring(t: Any, y: Any, out: Any) -> None:
+    n = len(y)
+    for i in range(n):
+        out[i] = (y[(i + 1) % n] - y[i - 2]) * y[i - 1] - y[i] + 8.0
+
+
+def heat_sliced(t: Any, y: Any, out: Any) -> None:
+    out[1:-1] = y[2:] - 2.0 * y[1:-1] + y[:-2]
+    out[0] = y[1] - 2.0 * y[0]
+    out[-1] = y[-2] - 2.0 * y[-1]
+
+
+def brusselator(t: Any, y: Any, out: Any) -> None:
+    """Stacked: u, then v."""
+    m = len(y) // 2
+    for i in range(m):
+        u, v = y[i], y[m + i]
+        left, right = y[i - 1] if i > 0 else 1.0, y[i + 1] if i < m - 1 else 1.0
+        below, above = y[m + i - 1] if i > 0 else 3.0, y[m + i + 1] if i < m - 1 else 3.0
+        out[i] = 1.0 + u * u * v - 4.0 * u + 0.5 * (left - 2.0 * u + right)
+        out[m + i] = 3.0 * u - u * u * v + 0.5 * (below - 2.0 * v + above)
+
+
+def chain(t: Any, y: Any, out: Any) -> None:
+    """Fermi, Pasta, Ulam and Tsingou's, on a ring."""
+    m = len(y) // 2
+    for i in range(m):
+        right, left = y[(i + 1) % m] - y[i], y[i] - y[i - 1]
+        out[i] = y[m + i]
+        out[m + i] = right - left + 0.25 * (right * right - left * left)
+
+
+def membrane(t: Any, y: Any, out: Any) -> None:
+    """The Laplacian on a torus."""
+    for i in range(20):
+        for j in range(20):
+            around = y[(i + 1) % 20 * 20 + j] + y[(i - 1) % 20 * 20 + j]
+            around += y[i * 20 + (j + 1) % 20] + y[i * 20 + (j - 1) % 20]
+            out[i * 20 + j] = around - 4.0 * y[i * 20 + j]
+
+
+STENCILS: dict[str, tuple[Callable[..., Any], int]] = {
+    "Lorenz 96, np.roll": (lorenz_96_rolled, SITES),
+    "Lorenz 96, loop": (lorenz_96_ring, SITES),
+    "heat equation, slices": (heat_sliced, SITES),
+    "Brusselator on a line": (brusselator, SITES),
+    "chain of oscillators": (chain, SITES),
+    "membrane, 20 × 20": (membrane, SITES),
+}
+
+
 def oscillators(t: Any, y: Any) -> Any:
     """Kuramoto's: each is coupled to all others."""
     return [1.0 + 0.1 * i + sum(math.sin(other - one) for other in y) / DENSE for i, one in enumerate(y)]
@@ -190,9 +248,9 @@ def calls(seconds: float, code: Any, y: Array, size: int) -> int:
     return max(100, int(1000 * seconds / max(process_time() - start, 1e-6)))
 
 
-def against_numba(repetitions: int) -> str:
+def against_numba(problems: dict[str, tuple[Callable[..., Any], int]], repetitions: int) -> str:
     rows, ratios = [], []
-    for name, (fun, n) in PROBLEMS.items():
+    for name, (fun, n) in problems.items():
         codes = {by: iv.compile(fun, by=by, inplace=True) for by in WAYS}
         seconds, made = {}, {}
         for by, one in codes.items():
@@ -208,6 +266,37 @@ def against_numba(repetitions: int) -> str:
         rows.append([name, *figures, f"{ratios[-1]:.2f}", *(f"{seconds[by] / 1e-3:.0f}" for by in ("trace", "numba"))])
     rows.append(["median", "", "", f"{median(ratios):.2f}", "", ""])
     return table(["f", "traced, ns", "numba, ns", "÷", "compiled in, ms", "numba, ms"], rows)
+
+
+def solved_by_cyrk(fun: Callable[..., Any], y0: Array) -> Callable[[], Array]:
+    from CyRK import nbsolve_ivp
+
+    filling = numba.njit(fun)
+
+    @numba.njit
+    def returning(t: float, y: Any) -> Any:
+        out = np.empty_like(y)
+        filling(t, y, out)
+        return out
+
+    options = {"rk_method": 2, "rtol": TOLERANCE, "atol": TOLERANCE, "warnings": False}
+    return lambda: nbsolve_ivp(returning, (0.0, END), y0, **options).y[:, -1]
+
+
+def against_cyrk(repetitions: int) -> str:
+    """DOP853 of both; CyRK's f is a loop, which numba compiles better than arrays."""
+    rows = []
+    for name, (fun, n) in STENCILS.items():
+        solver = iv.Problem(iv.compile(fun, inplace=True), (0.0, END), y0 := np.linspace(0.6, 1.4, n)).prepare(
+            "dop853", rtol=TOLERANCE, atol=TOLERANCE, keep="end"
+        )
+        runs = {"invariode": partial(solver, y0=y0), "CyRK": solved_by_cyrk(fun, y0)}
+        if not np.allclose(runs["invariode"]().y[:, -1], runs["CyRK"](), rtol=1e-5, atol=1e-5):
+            raise SystemExit(f"not timed: the final states of {name} differ")
+        times = interleaved(runs, repetitions, process_time)
+        own, other = (f"{median(times[who]) / US:.0f}" for who in runs)
+        rows.append([name, own, other, f"{ratio(times['invariode'], times['CyRK']):.2f}"])
+    return table(["DOP853, n = 400", "invariode, µs", "CyRK, µs", "÷ CyRK"], rows)
 
 
 def of(fun: CompiledFunction, n: int) -> Derived:
@@ -277,7 +366,10 @@ def report(repetitions: int) -> str:
     return "\n\n".join(
         [
             f"{machine('invariode', 'numba', 'llvmlite')}. Process times to compile; medians of {repetitions}.",
-            against_numba(repetitions),
+            against_numba(PROBLEMS, repetitions),
+            "Neighbours:",
+            against_numba(STENCILS, repetitions),
+            *([against_cyrk(repetitions)] if installed("CyRK") else []),
             "Exact Jacobians:",
             jacobians(repetitions),
             "Many components:",

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import invariode as iv
 from cases import families
 from invariode._functions.compiled import as_python
-from invariode._functions.graph.derived import Derived
+from invariode._functions.graph.derived import Derived, derived
 from invariode._functions.graph.differentiation import dependences, gradient, jacobian, tangent
 from invariode._functions.graph.function import GraphFunction
 from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
@@ -265,6 +265,7 @@ def test_long_graphs_are_compiled_in_blocks_and_right():
 def repeating(draw):
     """Values of many components by one random formula each, of neighbours, parameters, numbers and shared values."""
     graph, n = Graph(), 60
+    near, far = draw(neighbours(n)), draw(neighbours(n))
     y, numbers = [graph.y(i) for i in range(n)], draw(st.sampled_from([[2.5] * 3, [1.0, -2.0, 0.5]]))
     steps = [
         (
@@ -274,11 +275,13 @@ def repeating(draw):
         )
         for _ in range(draw(st.integers(2, 7)))
     ]
-    shift = draw(st.integers(1, 3))
-    shared = [one * graph.p(0) for one in y] if draw(st.booleans()) else y
+    shared = draw(
+        st.sampled_from([y, [one * graph.p(0) for one in y], [b - a for a, b in zip(y, y[1:] + y[:1], strict=True)]])
+    )
+    p = draw(st.sampled_from([[0], [0, 1]]))
     outputs = []
     for i in range(n):
-        nodes = [y[i], shared[(i + shift) % n], y[i - 1], graph.p(i % 2), graph.node(numbers[i % 3]), graph.t]
+        nodes = [y[i], shared[near[i]], y[far[i]], graph.p(p[i % len(p)]), graph.node(numbers[i % 3]), graph.t]
         for name, one, other in steps:
             a, b = nodes[one], nodes[-1 - other]
             made = graph.select(graph.make("less", a, b), b, a + b) if name == "select" else applied(graph, name, a, b)
@@ -287,7 +290,29 @@ def repeating(draw):
     return [*outputs, *outputs[: n // 3]]
 
 
-@settings(RANDOM, max_examples=15)
+@st.composite
+def neighbours(draw, n):
+    """An index for each of n components: on a ring, on a line, on a grid, strided, or any."""
+    shift, width = draw(st.integers(-3, 3)), draw(st.sampled_from([5, 12, 20]))
+    places = np.arange(n)
+    grid = places.reshape(-1, width)
+    return draw(
+        st.sampled_from(
+            [
+                np.roll(places, shift),
+                np.clip(places + shift, 0, n - 1),
+                np.roll(grid, shift, 0).ravel(),
+                np.roll(grid, shift, 1).ravel(),
+                np.clip(grid + shift, grid[:, :1], grid[:, -1:]).ravel(),
+                2 * places % n,
+                places[::-1],
+                np.random.default_rng(width).permutation(n),
+            ]
+        )
+    ).tolist()
+
+
+@settings(RANDOM, max_examples=40)
 @given(repeating(), st.sampled_from([1, 4]))
 def test_loops_have_the_bits_of_code_without_loops(outputs, lanes):
     y = np.random.default_rng(27).uniform(-2, 2, (60, lanes))[:, :lanes]
@@ -299,6 +324,48 @@ def test_loops_have_the_bits_of_code_without_loops(outputs, lanes):
             changed.setattr(objects, "_kept", OrderedDict())
             found.append(compiled(outputs, lanes=lanes)(t, y, p))
     np.testing.assert_array_equal(*found)
+
+
+def lorenz(y, out):
+    out[:] = (np.roll(y, -1) - np.roll(y, 2)) * np.roll(y, 1) - y + 8.0
+
+
+def heat(y, out):
+    out[1:-1] = y[2:] - 2.0 * y[1:-1] + y[:-2]
+    out[0], out[-1] = y[1] - 2.0 * y[0], y[-2] - 2.0 * y[-1]
+
+
+def chain(y, out):
+    m = len(y) // 2
+    for i in range(m):
+        right, left = y[(i + 1) % m] - y[i], y[i] - y[i - 1]
+        out[i], out[m + i] = y[m + i], right - left + 0.25 * (right * right - left * left)
+
+
+def reaction(y, out):
+    m = len(y) // 2
+    for i in range(m):
+        u, v = y[2 * i], y[2 * i + 1]
+        left, right = (y[2 * i - 2] if i > 0 else 1.0), (y[2 * i + 2] if i < m - 1 else 1.0)
+        out[2 * i], out[2 * i + 1] = u * u * v - 4.0 * u + (left - 2.0 * u + right), 3.0 * u - u * u * v
+
+
+def membrane(y, out):
+    u = y.reshape(4, -1)
+    around = np.roll(u, 1, 0) + np.roll(u, -1, 0) + np.roll(u, 1, 1) + np.roll(u, -1, 1)
+    out[:] = (around - 4.0 * u).ravel() * np.linspace(1.0, 2.0, len(y))
+
+
+@pytest.mark.parametrize("n", [64, 100, 404])
+@pytest.mark.parametrize("stencil", [lorenz, heat, chain, reaction, membrane])
+def test_stencils_become_loops_without_tables_and_have_the_bits_of_numpy(stencil, n, monkeypatch):
+    monkeypatch.setattr(machine, "_ROLLED", 1)
+    f = iv.compile(lambda t, y, out: stencil(y, out), inplace=True)
+    y, expected = np.random.default_rng(n).uniform(-2, 2, n), np.empty(n)
+    stencil(y, expected)
+    np.testing.assert_array_equal(f(0.0, y, np.empty(n)), expected)
+    groups, _ = rolled(derived(f, n, n).outputs)
+    assert sum(len(one.places) for one in groups if not one.runs) <= 8
 
 
 def test_code_of_a_large_repeating_graph_does_not_grow_with_it():

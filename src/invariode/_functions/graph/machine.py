@@ -118,9 +118,13 @@ class Writer:
         yield k
         following = build.add(k, INDEX(1), flags=("nsw", "nuw"))
         k.add_incoming(following, build.block)
-        build.cbranch(build.icmp_signed("<", following, INDEX(count)), body, after)
+        build.cbranch(build.icmp_signed("<", following, self._index(count)), body, after)
         build.position_at_end(after)
         self._in_block = 0
+
+    def _index(self, index: Any) -> Any:
+        """Return an index as a value, where it is a number."""
+        return INDEX(index) if isinstance(index, int) else index
 
     def _place(self, name: str, index: Any) -> Any:
         lanes = self._ops.lanes
@@ -189,14 +193,33 @@ class _NodeWriter(Writer):
             self._given[name].add_attribute("noalias")
         self._given["work"] = self._build.alloca(DOUBLE, max(size, 1) * self._form.lanes)
         for group in groups:
-            if group.is_loop:
+            if len(group.runs) > 1:
+                self._write_runs(group)
+            elif group.is_loop:
                 with self._loop(len(group.places)) as k:
                     self._write_member(group, lambda values: self._ops.listed(values, k))
-                continue
-            for member in range(len(group.places)):
-                self._write_member(group, itemgetter(member))
-                self._count(len(group.nodes))
+            else:
+                for member in range(len(group.places)):
+                    self._write_member(group, itemgetter(member))
+                    self._count(len(group.nodes))
         self._build.ret_void()
+
+    def _write_runs(self, group: Group) -> None:
+        """Write a loop over the trees of each run, within one over the runs."""
+        build, runs = self._build, group.runs
+        with self._loop(len(runs)) as run:
+            first = self._ops.listed([one.start for one in runs], run)
+            with self._loop(self._ops.listed([*map(len, runs)], run)) as k:
+                member = build.add(first, k, flags=("nsw",))
+
+                def at(values: list[Any]) -> Any:
+                    """Return the index or number of this member: tables of indices have one entry for each run."""
+                    if isinstance(values[0], float):
+                        return self._ops.listed(values, member)
+                    start = self._ops.listed([values[one.start] for one in runs], run)
+                    return build.add(start, build.mul(k, INDEX(values[1] - values[0]), flags=("nsw",)), flags=("nsw",))
+
+                self._write_member(group, at)
 
     def _write_member(self, group: Group, at: Callable[[list[Any]], Any]) -> None:
         """Write the value of one tree of a group; `at` returns its index or number in a place."""

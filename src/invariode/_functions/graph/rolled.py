@@ -1,13 +1,15 @@
 """Large graphs as loops: values that are computed alike, of other components, are one group.
 
 The graph is cut into trees: a node that several trees need is the root of its own, and kept in `work`. Trees of one
-form that do not need each other are a group. In each place of the form, the indices of y, p and `work`, or the numbers,
-follow one another by a constant difference, or stand in a table.
+form that do not need each other are a group. In each place of the form, the indices of y, p and `work` follow one
+another by a constant difference, so that loops are vectorised, or stand in a table; numbers that differ stand in one.
+Neighbours on a line, on a ring or on a grid have such differences but at their ends, which are groups of their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate, chain, pairwise
 from typing import Any, NamedTuple
 
 from .nodes import Node, in_order
@@ -30,6 +32,8 @@ class Group(NamedTuple):
     leaves: dict[Node, Leaf]  # its nodes that have a place
     target: str  # "out" or "work": where the values go, to `places`
     places: list[int]
+    #: Trees in succession along which each index grows by a constant difference, the same in all runs; none: tables
+    runs: list[range]
 
     @property
     def is_loop(self) -> bool:
@@ -65,21 +69,62 @@ def rolled(outputs: Sequence[Node]) -> tuple[list[Group], int] | None:
             levels[node] = level
         forms.setdefault((level if target == "work" else len(nodes), target, form), []).append((tree, place))
     offsets: dict[Node, int] = {}
-    groups = []
+    groups: list[Group] = []
     for key in sorted(forms, key=lambda one: one[0]):
-        trees = forms[key]
-        first, count = trees[0][0], len(offsets)
-        if key[1] == "work":
-            offsets |= {place: count + i for i, (_, place) in enumerate(trees)}
-        places = [offsets[place] if key[1] == "work" else place for _, place in trees]
-        leaves = {}
-        for i, leaf in enumerate(first.places):
-            kind = "work" if leaf in shared and leaf in first.needs else leaf.op
-            values = [offsets[one] if kind == "work" else one.value for one in (tree.places[i] for tree, _ in trees)]
-            leaves[leaf] = Leaf(kind, values)
-        groups.append(Group(first.nodes, leaves, key[1], places))
+        groups += _groups(forms[key], key[1], shared, offsets)
     shorter = sum(one.size for one in groups) < (len(nodes) + len(outputs)) / 2
     return (groups, len(offsets)) if shorter else None
+
+
+def _groups(tasks: list[tuple[_Tree, Any]], target: str, shared: set[Node], offsets: dict[Node, int]) -> list[Group]:
+    """Return the groups of trees of one form with their places; places in `work` are nodes, whose `offsets` are added.
+
+    Loops over trees whose indices have constant differences are vectorised; runs with the same differences are a group,
+    and all short ones are another."""
+    model = tasks[0][0]
+    kinds = ["work" if one in shared and one in model.needs else one.op for one in model.places]
+    values, rows = [], []
+    for tree, place in tasks:
+        nodes = zip(kinds, tree.places, strict=True)
+        values.append([offsets[one] if kind == "work" else one.value for kind, one in nodes])
+        indices = [one for kind, one in zip(kinds, values[-1], strict=True) if kind != "number"]
+        rows.append([place, *indices] if target == "out" else indices)
+    orders = [sorted(range(len(rows)), key=key) for key in (rows.__getitem__, lambda i: _distances(rows[i]))]
+    cut = [(order, _runs([rows[i] for i in order])) for order in orders]
+    order, runs = min(cut, key=lambda one: sum(len(run) for run in one[1] if len(run) < FEWEST))
+    if target == "work":
+        offsets |= {tasks[one][1]: len(offsets) + i for i, one in enumerate(order)}
+    chosen: dict[tuple[int, ...] | None, list[range]] = {}  # by the differences; None: short runs
+    for run in runs:
+        pair = (rows[order[i]] for i in run[:2])
+        steps = tuple(b - a for a, b in zip(*pair, strict=True)) if len(run) >= FEWEST else None
+        chosen.setdefault(steps, []).append(run)
+    found = []
+    for alike, parts in chosen.items():
+        members = [order[i] for i in chain(*parts)]
+        listed = zip(*(values[i] for i in members), strict=True)
+        leaves = {one: Leaf(kind, [*each]) for one, kind, each in zip(model.places, kinds, listed, strict=True)}
+        places = [offsets[tasks[i][1]] if target == "work" else tasks[i][1] for i in members]
+        ends = [0, *accumulate(map(len, parts))] if alike is not None else []
+        found.append(Group(model.nodes, leaves, target, places, [range(*pair) for pair in pairwise(ends)]))
+    return found
+
+
+def _distances(row: list[int]) -> tuple[list[int], list[int]]:
+    """Return the distances of indices from the first, and that: it tells neighbours along different axes apart."""
+    return [one - row[0] for one in row], row[:1]
+
+
+def _runs(rows: Sequence[list[int]]) -> list[range]:
+    """Cut rows of indices, each of which differs from the one before by the same row of differences, apart."""
+    steps = [[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(rows)]
+    found, start = [], 0
+    for i in range(1, len(rows)):
+        if i - start > 1 and steps[i - 1] != steps[start]:
+            end = i if i - start > 2 else i - 1  # the second of a pair may begin the next run
+            found.append(range(start, end))
+            start = end
+    return [*found, range(start, len(rows))]
 
 
 def _shared(nodes: Sequence[Node], outputs: Sequence[Node]) -> set[Node]:

@@ -431,9 +431,6 @@ class Looped(SeriesWriter):
         before = self._build.mul(k, INDEX(row.stride), flags=("nsw",))
         return self._build.add(before, self._index(self._plus(start, row.start)), flags=("nsw",))
 
-    def _index(self, index: Any) -> Any:
-        return INDEX(index) if isinstance(index, int) else index
-
     def _inverse_of_order(self, k: Any, width: int) -> Inverse:
         """1/k."""
         parts = [inverse_of(float(i)) for i in range(1, self._form.order + 1)]
