@@ -378,7 +378,8 @@ _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples
 def _from_function(fun: EventFunction) -> Event:
     if type(fun) is FunctionType and not fun.__dict__:  # the common case
         return Event.plain(fun)
-    attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
+    stated = not isinstance(fun, CompiledFunction) or not vars(fun).keys().isdisjoint(_ATTRIBUTES)
+    attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)} if stated else {}
     for name, near in _misspelt(tuple(getattr(fun, "__dict__", ()))):
         warn(f"the attribute {name} of {call_name(fun, 'an event')} has no meaning; did you mean {near}?")
     return Event(fun, **attributes) if attributes or not isinstance(fun, CompiledFunction) else Event.plain(fun)

@@ -269,7 +269,7 @@ class Problem:
         if type(fun) is FunctionType and fun.__name__ != LAMBDIFIED:  # the common case
             warn_of_order("fun", fun, "f(t, y)", ", or use odeint")
         elif type(fun) is not StateFirst:
-            called = _as_called(fun, start)
+            called = fun if type(fun) is TracedFunction and start.dtype.kind == "f" else _as_called(fun, start)
             second_order = states_second_order(called) and _is_second_order(False, called, start)
         if extra and np.ndarray in map(type, extra):  # which the caller could change
             extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
