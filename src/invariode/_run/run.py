@@ -50,7 +50,7 @@ from .._results.messages import (
 )
 from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
 from .._results.result import FAILED, LIMIT_REACHED, NOT_CONSERVED, STOPPED, DenseSolution, Origin
-from .._results.sensitivity_data import AtEvents, SensitivityData, states_and_sensitivities
+from .._results.sensitivity_data import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared
@@ -328,8 +328,7 @@ def _carried_out(
 class Finished:
     """A run of the core that has ended, and what is reported of it, which is put together when somebody asks."""
 
-    columns: Array | None = None  # y and S at the outputs, of a run with sensitivities
-    at_events: AtEvents | None = None  # sensitivities at events, if these are recorded
+    y_end: Array | None = None  # None: the end of the run is that of y
     sectioned: tuple[Sectioned, ...] = ()
 
     def __init__(
@@ -366,11 +365,7 @@ class Finished:
     def private(self) -> dict[str, Any]:
         """Return the private attributes of the solution, besides its items and those that it has already."""
         run, plan = self.run, self.plan
-        y_end, sensitivities = run.end, None
-        if plan.varied is not None and self.columns is not None:
-            names, n = plan.varied.names, plan.components
-            S, S_end = (states_and_sensitivities(Y, n, len(names))[1] for Y in (self.columns, y_end[:, None]))
-            y_end, sensitivities = y_end[:n], SensitivityData(names, S, S_end[:, :, 0], self.at_events)
+        y_end = run.end if self.y_end is None else self.y_end
         next_h = run.next_h if plan.method.fixed_order and run.steps else None
         return {
             "_invariants": self.bound,
@@ -378,7 +373,7 @@ class Finished:
             "_atol": plan.atol,
             "_drift": BeforeProjection(*run.drift) if plan.names else _NO_DRIFT,
             "_names": plan.called,
-            "_sensitivities": sensitivities,
+            "_sensitivities": None,
             "_y_end": y_end,
             "_origin": RunOrigin(
                 self.source,
@@ -475,11 +470,13 @@ def _solution(finished: Finished) -> Solution:
     sol["stats"] = Stats.when_needed(finished.stats)
     happened = run.take_events()[: plan.own_events] if plan.records_events else None
     if plan.varied is not None:
-        n, finished.columns = plan.components, sol["y"]
-        sol["y"] = finished.columns[:n]
+        names, n = plan.varied.names, plan.components
+        S_events = None if happened is None else plan.varied.at_events(happened, n)
+        sol["y"], S = states_and_sensitivities(sol["y"], n, len(names))
+        finished.y_end, S_end = states_and_sensitivities(run.end, n, len(names))
         if happened is not None:
-            finished.at_events = plan.varied.at_events(happened, n)
             happened = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened]
+        sol.__dict__["_sensitivities"] = SensitivityData(names, S, S_end, S_events)  # without the other attributes
         plan.varied.tell_of_steps(sol["t"], sol["y"])
     settings = plan.settings
     if settings.sections:

@@ -139,6 +139,8 @@ class FittedModel:
         self.laplace = np.concatenate([np.full(len(one.values), one.laplace) for one in series])
         self.has_lognormal, self.has_laplace = bool(self.lognormal.any()), bool(self.laplace.any())
         self._compared = np.where(self.lognormal, np.log(np.where(self.lognormal, self.measured, 1.0)), self.measured)
+        self._logs_of_data = self._compared[self.lognormal].sum()
+        self._log_factors = float(np.where(self.laplace, math.log(2), _HALF_LOG_2PI).sum())
         self.relative = _is_relative(series, absolute_sigma)
         #: A unit for data of unknown noise, so that the search sees numbers of size 1.
         unknown = any(one.sigma is None for one in series)
@@ -236,10 +238,8 @@ class FittedModel:
     def _log_likelihood(self, difference: Array, sigma: Array) -> float:
         """The density is exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2 σ), of logarithms divided by the datum."""
         r = np.abs(difference / sigma)
-        exponents = float(np.sum(np.where(self.laplace, r, 0.5 * r**2)))
-        logs = float(np.sum(np.log(sigma)) + np.sum(self._compared[self.lognormal]))
-        factors = np.where(self.laplace, math.log(2), _HALF_LOG_2PI)
-        return -exponents - logs - float(np.sum(factors))
+        exponents = float((np.where(self.laplace, r, 0.5 * r**2) if self.has_laplace else 0.5 * r**2).sum())
+        return -exponents - float(np.log(sigma).sum() + self._logs_of_data) - self._log_factors
 
     def gradient(self, at: ModelValues, variance: float = 1.0) -> Array:
         """Return the gradient of the log-likelihood for the free parameters, (k,)."""

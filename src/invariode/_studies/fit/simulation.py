@@ -395,7 +395,7 @@ class Simulation:
 
     def _tangent(self, sol: Any, start: _RunStart, k: int) -> Array:
         none = np.zeros((*sol.y.shape, 0))
-        S = np.moveaxis(sol.sensitivities, 1, 2) if self._columns else none
+        S = sol.sensitivities.swapaxes(1, 2) if self._columns else none
         return self._parameters(S, start, k)
 
     def _curves(self, t: Array, y: Array, tangent: Array | None, values: Array, start: _RunStart) -> _ObservedCurves:
