@@ -29,7 +29,7 @@ using RunMemory = Buffer<std::byte>;
 class Archive {
  public:
   /// Raised whenever the fields of any class change, or their order.
-  static constexpr std::uint32_t version = 15;
+  static constexpr std::uint32_t version = 16;
 
   /// Makes an archive to be written. Matrices of more than `most_values` entries are left out; a run that is read from
   /// it then restarts the method.

@@ -213,8 +213,8 @@ State Integration::advance() {
   }
 }
 
-/// An attempt, unless long linear algebra within its proposal finds that the run is to end. Nothing has been decided by
-/// then: where the run goes on, the attempt is repeated.
+/// Makes an attempt, unless long linear algebra within its proposal finds that the run is to end. Nothing has been
+/// decided by then: if the run continues, the attempt is repeated.
 Integration::Verdict Integration::attempt_or_give_up() {
   try {
     return attempt();
@@ -290,7 +290,8 @@ Integration::Verdict Integration::attempt() {
   return Verdict::accepted;
 }
 
-/// An attempt. If it depends on its own values, by delays shorter than h, it is repeated until it agrees with them.
+/// Makes an attempt. One that depends on its own values, by delays shorter than h, is repeated until it agrees with
+/// them.
 Step::Attempt Integration::propose() {
   if (delays_ == nullptr) return step_->attempt(aim_.h(), aim_.t1());
   const auto sound = [](const Step::Attempt& one) {
@@ -314,7 +315,7 @@ Step::Attempt Integration::propose() {
   return proposal;
 }
 
-/// The error test.
+/// Tests the error of an attempt.
 Integration::Verdict Integration::test(const Step::Attempt& proposal) {
   if (proposal.outcome == Outcome::stop) return end_attempt(State::interrupted);
   attempt_.error = proposal.error;
@@ -323,7 +324,7 @@ Integration::Verdict Integration::test(const Step::Attempt& proposal) {
   return proposal.error <= weights_.rtol() ? Verdict::accepted : reject(Cause::error);
 }
 
-/// A step over a jump of f whose error estimate is small by chance is shortened, up to the jump or to what does no
+/// Shortens a step over a jump of f whose error estimate is small by chance, up to the jump or to a length that does no
 /// harm.
 Integration::Verdict Integration::pass_jump(const double* candidate) {
   const Step::Trust trust = step_->trust();
@@ -342,7 +343,7 @@ Integration::Verdict Integration::pass_jump(const double* candidate) {
   return Verdict::rejected;
 }
 
-/// y₁ from the candidate: a candidate outside of the bounds, or a correction that is too large, fails the attempt.
+/// Takes y₁ from the candidate. The attempt fails if that is outside of the bounds, or its correction is too large.
 Integration::Verdict Integration::place(StepEnds& ends) {
   const double* candidate = ends.y1;
   const Manifold::Placement placement = manifold_.place(*step_, ends, counts_.steps);
@@ -681,7 +682,7 @@ void Integration::reach(Limit limit) {
 
 // -------------------------------------------------------------------------------------------------------------- jumps
 
-/// The last step, which nobody can look into once the method has started again at its end.
+/// Keeps the last step, which nobody can look into once the method has started again at its end.
 Integration::Course Integration::keep_step_before_jump() {
   last_one_.reset();
   if (!jumps_here() && !memory_outdated_) return Course::goes_on;
@@ -751,7 +752,7 @@ void Integration::report_jump() {
   report_.component = remarks.component;
 }
 
-/// The past begins: the history, and the marks that it brings.
+/// Begins the past with the history and the marks that it brings.
 Integration::Course Integration::begin_past(const double* y) {
   bool jumps = false;
   if (ended(unless_stopped(delays_->begin(no_steps(), y, jumps)))) return Course::ended;
@@ -761,8 +762,8 @@ Integration::Course Integration::begin_past(const double* y) {
   return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
 }
 
-/// A derivative of the solution jumps at t: where that comes back by a delay, the next one does. `rates`: ∂t/∂p of a
-/// jump of y, after which f jumps.
+/// Adds the marks of a jump of a derivative of the solution at t: where it comes back by a delay, the next derivative
+/// jumps. `rates`: ∂t/∂p of a jump of y, after which f jumps.
 Integration::Course Integration::mark_images(double t, int level, const std::vector<double>& rates) {
   passed_marks_.insert(passed_marks_.end(), {t, static_cast<double>(level)});
   if (level >= most_level_ + (extent_.k > 0 ? 1 : 0))
@@ -789,14 +790,14 @@ bool Integration::goes_smoothly_on(double t) const {
   return !delayed_->remembers_slopes() || mark->level > step_->order() + 1;
 }
 
-/// Goes on through a mark: only the branch of the past changes.
+/// Continues through a mark: only the branch of the past changes.
 Integration::Course Integration::pass_mark() {
   if (ended(mark_images(reached_.t, breaks_.level(reached_.t), jumps_.rates()))) return Course::ended;
   begin_piece();
   return unless_stopped(emitter_.emit_times(reached_, false));
 }
 
-/// The run cannot continue from the state that the actions return: it ends before them.
+/// Takes back the state that the actions return, from which the run cannot continue: it ends before them.
 Integration::Course Integration::take_back() {
   std::copy(left_.begin(), left_.end(), y0_.begin());
   return Course::ended;
@@ -816,11 +817,11 @@ void Integration::begin_piece() {
   aim_.at(breaks_.target());
 }
 
-/// The values of the invariants before a breakpoint.
+/// Notes the values of the invariants before a breakpoint.
 Integration::Course Integration::note_values() { return unless_stopped(manifold_.note_values(reached_.t, reached_.y)); }
 
-/// The invariants jump though the solution does not, as the energy where a stiffness is switched: holds them at their
-/// values behind the breakpoint. Events go on.
+/// Fixes the invariants, which jump though the solution does not, as the energy where a stiffness is switched, at their
+/// values behind the breakpoint. Events continue.
 Integration::Course Integration::hold_other_values() {
   Finding finding = manifold_.restart(reached_.t, y0_.data(), true, false);
   if (finding.kind == Finding::Kind::off_value) finding.kind = Finding::Kind::jumps_off;
@@ -829,7 +830,7 @@ Integration::Course Integration::hold_other_values() {
   return emit(true);
 }
 
-/// The output goes on from the start of the next step, with the values of the invariants there.
+/// Continues the output from the start of the next step, with the values of the invariants there.
 void Integration::begin_output() {
   emitter_.begin({reached_.t, y0_.data()});
   if (delays_ != nullptr) delays_->jump(reached_.t, y0_.data());

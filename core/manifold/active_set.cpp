@@ -79,9 +79,9 @@ void ActiveSet::note_outside(const double* y) {
 /// the bound: at a lower one it is not negative. It is how far, in units of the weights, the component would rather be
 /// inside, and roundoff of the others is no reason to move.
 void ActiveSet::note_unwilling(const double* y) {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   const std::size_t n = at.n(), m = at.m();
-  const Vector w(at.weights.data(), index(n));
+  const Vector w(at.w.data(), index(n));
   const Eigen::VectorXd b = (Vector(y, index(n)) - Vector(candidate_.data(), index(n))).cwiseQuotient(w);
   Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(index(n), index(m));  // W Jᵀ
   for (std::size_t i = 0; i < m; ++i)

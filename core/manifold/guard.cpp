@@ -40,23 +40,21 @@ Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 double Guard::direction(std::size_t j) { return (j % 2 == 0 ? 1 : -1) * (0.5 + spread(j)); }
 
-Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval)
+Guard::Guard(const Projector& steps, const Weights& weights, Slope& slope, double interval)
     : interval_(interval),
-      invariants_(invariants),
+      invariants_(steps.invariants()),
       weights_(weights),
       slope_(slope),
-      projector_(invariants, weights, 1),
-      point_(invariants.n()),
-      original_(invariants.n()),
-      nearby_(invariants.n()),
-      moved_(invariants.n()),
-      f_value_(invariants.n()),
-      gt_(invariants.m()),
-      plus_(invariants.m()),
-      minus_(invariants.m()) {}
+      projector_(invariants_, weights, 1, 0, &steps),
+      point_(invariants_.n()),
+      moved_(invariants_.n()),
+      f_value_(invariants_.n()),
+      gt_(invariants_.m()),
+      plus_(invariants_.m()),
+      minus_(invariants_.m()) {}
 
 Finding Guard::start_value(double t, double* y) {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   projected_start_ = false;
   const Outcome outcome = projector_.linearize_at(t, y);
   if (outcome == Outcome::stop) return stopped();
@@ -64,11 +62,11 @@ Finding Guard::start_value(double t, double* y) {
   bool off = false;
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
-    const double r = at.residual[i];
+    const double r = at.r[i];
     const double excess = invariants_.excess(i, r);
-    if (excess <= invariants_.roundoff(i, y, at.jacobian.data())) continue;
+    if (excess <= invariants_.roundoff(i, y, at.J.data())) continue;
     off = true;
-    const double distance = excess / at.row_norm[i] / weights_.rtol();
+    const double distance = excess / at.norm[i] / weights_.rtol();
     if (!(distance <= 1) && !(distance <= worst.distance))
       worst = {
           .kind = Finding::Kind::off_value, .invariant = static_cast<int>(i), .t = t, .size = r, .distance = distance};
@@ -86,19 +84,18 @@ Finding Guard::start_value(double t, double* y) {
 }
 
 Finding Guard::undefined(double t) const {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   std::size_t i = 0;
-  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) &&
-         all_finite(at.gradient(i).values, at.gradient(i).size))
+  while (i + 1 < invariants_.m() && std::isfinite(at.r[i]) && all_finite(at.gradient(i).values, at.gradient(i).size))
     ++i;
   return {.kind = Finding::Kind::undefined, .invariant = static_cast<int>(i), .t = t};
 }
 
 Finding Guard::start_jacobian(double t, const double* y) {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   if (invariants_.all_by_differences()) return {};
-  const double* J = at.jacobian.data();
+  const double* J = at.J.data();
   const double* size = invariants_.sizes(y);
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return stopped();
@@ -125,13 +122,13 @@ Finding Guard::worst_entry(double t, const double* y) {
 }
 
 Finding Guard::worst_entry(double t, const double* y, double factor) {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   differences_.resize(m * n);
   halved_.resize(m * n);
   if (invariants_.difference_jacobian(t, y, differences_.data(), factor) == Status::stop) return stopped();
   if (invariants_.difference_jacobian(t, y, halved_.data(), factor / 2) == Status::stop) return stopped();
-  const double* J = at.jacobian.data();
+  const double* J = at.J.data();
   const double* size = invariants_.sizes(y);
   Finding worst;
   double largest = 0;
@@ -202,7 +199,7 @@ Finding Guard::rate(const Linearization& at, double t, const double* f, double h
   const double* y = at.y.data();
   const bool look = steps >= next_look_;
   if (look) next_look_ = steps + std::clamp<std::int64_t>(steps / 2, 1, longest_pause);
-  if ((time_dependent_ || look) && invariants_.time_derivative(t, h, y, at.jacobian.data(), gt_.data()) == Status::stop)
+  if ((time_dependent_ || look) && invariants_.time_derivative(t, h, y, at.J.data(), gt_.data()) == Status::stop)
     return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
   const Finding suspicion = suspect(at, t, f, h);
@@ -244,7 +241,7 @@ bool Guard::changes_with_time() const {
 
 Finding Guard::confirm(double t, const double* y, double h) {
   if (y != point_.data()) std::copy(y, y + point_.size(), point_.begin());
-  std::copy(point_.begin(), point_.end(), original_.begin());
+  original_ = point_;
   const Imposed imposed = projector_.approach(t, point_.data());
   if (imposed.outcome == Outcome::stop) return stopped();
   if (imposed.converged) return confirm_at_point(t, h);
@@ -274,7 +271,7 @@ Outcome Guard::evaluate_rates(double t, double h) {
   if (const Outcome outcome = projector_.linearize_at(t, point_.data()); outcome != Outcome::ok) return outcome;
   if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return Outcome::stop;
   if (!all_finite(f_value_.data(), f_value_.size())) return Outcome::not_finite;
-  const double* J = projector_.linearization().jacobian.data();
+  const double* J = projector_.linearization().J.data();
   if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data()) == Status::stop) return Outcome::stop;
   return Outcome::ok;
 }
@@ -295,13 +292,13 @@ double Guard::scale_of_time(double t, const double* y, const double* f) {
 }
 
 Outcome Guard::examine(double t, const double* y, std::vector<Examination>& result) {
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   result.assign(m, {});
   if (const Outcome outcome = projector_.linearize_at(t, y); outcome != Outcome::ok) return outcome;
   for (std::size_t i = 0; i < m; ++i) {
-    result[i].residual = at.residual[i];
-    result[i].gradient = at.row_norm[i];
+    result[i].residual = at.r[i];
+    result[i].gradient = at.norm[i];
     result[i].distance = at.distance(i) / weights_.rtol();
   }
   if (slope_.evaluate(t, y, ulp(t), f_value_.data()) == Status::stop) return Outcome::stop;
@@ -309,12 +306,12 @@ Outcome Guard::examine(double t, const double* y, std::vector<Examination>& resu
   const double h = scale_of_time(t, y, f_value_.data());
   std::copy(y, y + n, point_.begin());
   if (projector_.impose(t, point_.data()).outcome == Outcome::stop) return Outcome::stop;
-  std::copy(point_.begin(), point_.end(), moved_.begin());  // projecting once more shows what is left out
+  moved_ = point_;  // projecting once more shows what is left out
   if (projector_.project(t, point_.data(), moved_.data()).outcome == Outcome::stop) return Outcome::stop;
   if (const Outcome outcome = evaluate_rates(t, h); outcome != Outcome::ok) return outcome;
-  const double speed = weighted_norm(f_value_.data(), at.weights.data(), n);
+  const double speed = weighted_norm(f_value_.data(), at.w.data(), n);
   for (std::size_t i = 0; i < m; ++i) {
-    const double terms = std::abs(gt_[i]) + at.row_norm[i] * speed;
+    const double terms = std::abs(gt_[i]) + at.norm[i] * speed;
     result[i].rate = rate_here(i);
     result[i].angle = terms > 0 ? std::abs(result[i].rate) / terms : 0;
     result[i].detectable = limit(i);
@@ -391,9 +388,9 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
   const std::size_t n = invariants_.n();
   double least = std::abs(rate), largest = std::abs(rate);
   std::vector<double> f(f_value_);
-  const double* J = projector_.linearization().jacobian.data();
+  const double* J = projector_.linearization().J.data();
   for (int k = 0; k <= nearby_points; ++k) {
-    std::copy(point_.begin(), point_.end(), nearby_.begin());
+    nearby_ = point_;
     const double at = t + k * nearby * h;
     if (k > 0) {
       const double* size = invariants_.sizes(point_.data());
@@ -419,7 +416,7 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
 /// step of a function that is not analytic here is given up, a user's is the finding.
 Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   const auto i = static_cast<std::size_t>(finding.invariant);
-  const FlowRate flow = flow_rate(i, t, point_.data(), projector_.linearization().jacobian.data(), f_value_.data(), h);
+  const FlowRate flow = flow_rate(i, t, point_.data(), projector_.linearization().J.data(), f_value_.data(), h);
   if (flow.outcome == Outcome::stop) return stopped();
   if (flow.outcome == Outcome::not_finite) return {};
   const double off = std::abs(flow.rate - finding.size);
@@ -445,36 +442,35 @@ double Guard::limit(std::size_t i) const {
 /// Returns the error in g_t by roundoff of g and of t, where g changes with t.
 double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, double h) const {
   if (!time_dependent_) return 0;
-  const double roundoff = invariants_.roundoff(i, at.y.data(), at.jacobian.data());
+  const double roundoff = invariants_.roundoff(i, at.y.data(), at.J.data());
   return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / invariants_.resolution_in_time(t, h);
 }
 
 /// Returns whether a rate of invariant i counts, in a step or in the whole interval.
 bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h) const {
-  return invariode::drifts(rate, h, std::isfinite(interval_) ? interval_ : 0, weights_.rtol() * at.row_norm[i]);
+  return invariode::drifts(rate, h, std::isfinite(interval_) ? interval_ : 0, weights_.rtol() * at.norm[i]);
 }
 
 /// Returns whether the derivatives of invariant i hide rates that count, though g itself does not.
 bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
   if (invariants_.untested(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
-  const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +
-                        invariants_.roundoff_of_rate(i, at.y.data(), at.jacobian.data(), f) +
-                        noise_in_time(at, i, t, h);
+  const double hidden = limit(i) * at.norm[i] * weighted_norm(f, at.w.data(), at.n()) +
+                        invariants_.roundoff_of_rate(i, at.y.data(), at.J.data(), f) + noise_in_time(at, i, t, h);
   return drifts(at, i, hidden, h);
 }
 
 /// The test of `suspect` at the point, for those whose derivatives are blind, by g along the flow.
 Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
   const double* f = f_value_.data();
-  const double speed = weighted_norm(f, at.weights.data(), at.n());
+  const double speed = weighted_norm(f, at.w.data(), at.n());
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (!blind(at, i, t, f, h)) continue;
-    const FlowRate flow = flow_rate(i, t, point_.data(), at.jacobian.data(), f, h);
+    const FlowRate flow = flow_rate(i, t, point_.data(), at.J.data(), f, h);
     if (flow.outcome == Outcome::stop) return stopped();
     if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
     if (!invariants_.contradicts(i, std::copysign(1.0, h) * flow.rate)) continue;
-    const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
+    const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.norm[i] * speed);
     if (angle > std::max(persistent_angle, worst.distance) && drifts(at, i, flow.rate, h))
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),
@@ -514,20 +510,20 @@ Finding Guard::look_along_flow(const Linearization& at, double t, const double* 
 /// differences.
 Finding Guard::suspect(const Linearization& at, double t, const double* f, double h) {
   const std::size_t n = invariants_.n();
-  const double speed = weighted_norm(f, at.weights.data(), n);
-  const double *y = at.y.data(), *J = at.jacobian.data();
+  const double speed = weighted_norm(f, at.w.data(), n);
+  const double *y = at.y.data(), *J = at.J.data();
   Finding worst;
   double largest_drift = 0;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.untested(i)) continue;
     const double rate = gt_[i] + at.gradient(i).dot(f);
     if (!invariants_.contradicts(i, std::copysign(1.0, h) * rate)) continue;
-    const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
+    const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.norm[i] * speed);
     const bool drifts = this->drifts(at, i, rate, h);
     const bool suspicious = angle > limit(i) && drifts;
     if (!suspicious) continue;
     if (!(std::abs(rate) > invariants_.roundoff_of_rate(i, y, J, f) + noise_in_time(at, i, t, h))) continue;
-    largest_drift = std::max(largest_drift, std::abs(h * rate) / (weights_.rtol() * at.row_norm[i]));
+    largest_drift = std::max(largest_drift, std::abs(h * rate) / (weights_.rtol() * at.norm[i]));
     if (angle > worst.distance)
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),

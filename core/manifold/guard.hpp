@@ -18,8 +18,9 @@ namespace invariode {
 /// suspicion is confirmed on the manifold before it convicts.
 class Guard {
  public:
-  /// `interval`: of the integration, may be infinite.
-  Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval);
+  /// `steps`: the projector of the invariants, in whose memory the guard's own works. `interval`: of the integration,
+  /// may be infinite.
+  Guard(const Projector& steps, const Weights& weights, Slope& slope, double interval);
 
   /// Direction of the test of a Jacobian: no component is 0 and no two are equal, so that errors do not cancel by
   /// symmetry.
@@ -60,7 +61,6 @@ class Guard {
 
   [[nodiscard]] bool projected_start() const { return projected_start_; }
   void state(Archive& archive) {
-    projector_.state(archive);
     archive(gt_, time_dependent_, projected_start_, next_flow_, next_look_);
     for (Pause* one : {&of_rates_, &of_corrections_, &of_violations_}) archive(one->until, one->acquitted);
   }
@@ -108,7 +108,7 @@ class Guard {
   Invariants& invariants_;
   const Weights& weights_;
   Slope& slope_;
-  Projector projector_;  // of its own: that of the steps keeps its linearization
+  Projector projector_;  // with a linearization of its own: that of the steps stays
   std::vector<double> point_, original_, nearby_, moved_, f_value_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;

@@ -27,12 +27,9 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       value_(std::move(value)),
       weights_(weights),
       layout_(n),
-      point_(n),
       plus_(value_.size()),
       minus_(value_.size()),
-      sizes_(n),
-      complex_point_(2 * n),
-      complex_value_(2 * value_.size()) {
+      sizes_(n) {
   for (InvariantBlock& block : blocks_) {
     if (block.jacobian) block.derivative = Derivative::given;
     layout_.add(block.m, block.pattern);
@@ -171,7 +168,9 @@ const double* Invariants::sizes(const double* y) {
 
 Status Invariants::complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite) {
   const double* size = sizes(y);
-  for (std::size_t j = 0; j < n_; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
+  complex_value_.resize(2 * m());
+  complex_point_.assign(2 * n_, 0);
+  for (std::size_t j = 0; j < n_; ++j) complex_point_[2 * j] = y[j];
   for (std::size_t j = 0; j < n_; ++j) {
     const double h = complex_increment * size[j];
     complex_point_[2 * j + 1] = h;
@@ -186,7 +185,7 @@ Status Invariants::complex_step(InvariantBlock& block, double t, const double* y
 
 Status Invariants::forward_differences(InvariantBlock& block, double t, const double* y, double* rows) {
   const double* size = sizes(y);
-  std::copy(y, y + n_, point_.begin());
+  point_.assign(y, y + n_);
   derivative_calls_ += static_cast<std::int64_t>(n_) + 1;
   if (block.g(t, y, minus_.data()) == Status::stop) return Status::stop;
   for (std::size_t j = 0; j < n_; ++j) {
@@ -212,7 +211,7 @@ Status Invariants::difference_jacobian(double t, const double* y, double* J, dou
 
 Status Invariants::difference_block(InvariantBlock& block, double t, const double* y, double factor, double* rows) {
   sizes(y);
-  std::copy(y, y + n_, point_.begin());
+  point_.assign(y, y + n_);
   for (std::size_t j = 0; j < n_; ++j)
     if (difference_column(block, t, y, j, factor, rows + j) == Status::stop) return Status::stop;
   return Status::ok;

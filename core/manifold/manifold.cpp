@@ -26,7 +26,7 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
       extent_(Extent::within(weights.size(), step.n())) {
   if (invariants_ != nullptr) {
     projector_.emplace(*invariants_, weights, settings.iterations, settings.negligible);
-    guard_.emplace(*invariants_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
+    guard_.emplace(*projector_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
     if (Restoration::determines(*invariants_) || (with_events && Restoration::needed(*invariants_)))
       restoration_.emplace(*invariants_, weights);
     harm_.emplace(extent_.n, extent_.size());
@@ -45,7 +45,7 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
   }
   if (any()) y1_.resize(extent_.size());
   if (terms.between == nullptr) return;
-  output_projector_.emplace(*terms.between, weights, 1);
+  output_projector_.emplace(*terms.between, weights, 1, 0, terms.between == terms.steps ? &*projector_ : nullptr);
   if (extent_.k > 0) output_tangent_.emplace(*terms.between, weights, extent_, bounds_);
 }
 
@@ -98,7 +98,7 @@ Status Manifold::compare_values(double t, const double* y, bool& differ) {
   differ = false;
   if (invariants_ == nullptr) return Status::ok;
   if (invariants_->evaluate(t, y, after_.data()) == Status::stop) return Status::stop;
-  const double* J = projector_->linearization().jacobian.data();
+  const double* J = projector_->linearization().J.data();
   for (std::size_t i = 0; i < after_.size(); ++i)
     if (std::abs(after_[i] - before_[i]) > invariants_->roundoff(i, y, J)) differ = true;
   return Status::ok;
@@ -123,7 +123,7 @@ Manifold::Placement Manifold::place(Step& step, StepEnds& ends, std::int64_t ste
   return {placed, !projected_.skipped, projected_.skipped};
 }
 
-/// A candidate whose resting components are at their bounds. Returns the largest move, in units of thr.
+/// Moves resting components of a candidate to their bounds. Returns the largest move, in units of thr.
 double Manifold::settle(StepEnds& ends) {
   if (bounded_slope_->held().empty()) return 0;
   settled_.assign(ends.y1, ends.y1 + extent_.size());
@@ -150,7 +150,7 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   return true;
 }
 
-/// y₁ from the candidate y*. A correction that is too large fails the attempt.
+/// Takes y₁ from the candidate y*. A correction that is too large fails the attempt.
 Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_t steps) {
   const double* candidate = ends.y1;
   std::copy(candidate, candidate + extent_.size(), y1_.begin());
@@ -168,13 +168,12 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_
     case Outcome::not_finite: return Placed::undefined;
     case Outcome::ok: break;
   }
-  if (check_ && !at_bounds())
-    harm_->note(step, steps, candidate, y1_.data(), projector_->linearization().weights.data());
+  if (check_ && !at_bounds()) harm_->note(step, steps, candidate, y1_.data(), projector_->linearization().w.data());
   ends.y1 = y1_.data();
   return Placed::accepted;
 }
 
-/// The sensitivities of y₁ from those of the candidate.
+/// Takes the sensitivities of y₁ from those of the candidate.
 Outcome Manifold::follow_tangent(double t) {
   if (!tangent_) return Outcome::ok;
   return projected_.skipped ? tangent_->settle(t, y1_.data()) : tangent_->follow(*projector_, t, y1_.data());
@@ -188,19 +187,18 @@ void Manifold::choose_directions(const Step& step) {
 
 /// Returns the error of a correction by roundoff in g.
 double Manifold::roundoff_of_correction() const {
-  const Linearization at = projector_->linearization();
+  const Linearization& at = projector_->linearization();
   double largest = 0;
   for (std::size_t i = 0; i < at.m(); ++i)
-    if (at.row_norm[i] > 0)
-      largest = std::max(largest, invariants_->roundoff(i, at.y.data(), at.jacobian.data()) / at.row_norm[i]);
+    if (at.norm[i] > 0) largest = std::max(largest, invariants_->roundoff(i, at.y.data(), at.J.data()) / at.norm[i]);
   return largest;
 }
 
 double Manifold::unresolved(std::size_t i) const {
-  const Linearization at = projector_->linearization();
-  if (invariants_->untested(i) || !(at.row_norm[i] > 0)) return 0;
-  const double roundoff = invariants_->roundoff(i, at.y.data(), at.jacobian.data()) / roundoff_of_g;
-  return roundoff / at.row_norm[i] / weights_.rtol();
+  const Linearization& at = projector_->linearization();
+  if (invariants_->untested(i) || !(at.norm[i] > 0)) return 0;
+  const double roundoff = invariants_->roundoff(i, at.y.data(), at.J.data()) / roundoff_of_g;
+  return roundoff / at.norm[i] / weights_.rtol();
 }
 
 int Manifold::undefined() const {
@@ -224,13 +222,13 @@ bool Manifold::note(double h) {
   return outside_.off_bounds || held != 0;
 }
 
-/// An invariant that f conserves only together with components that are held at bounds: the projection takes from
+/// Finds an invariant that f conserves only together with components that are held at bounds: the projection takes from
 /// others what f would have taken from these, step after step.
 Finding Manifold::contradicted(double t, double h) {
   if (bounded_slope_ == nullptr || bounded_slope_->held().empty()) return {};
-  const Linearization at = projector_->linearization();
+  const Linearization& at = projector_->linearization();
   for (std::size_t i = 0; i < at.m(); ++i) {
-    if (invariants_->untested(i) || invariants_->sense(i) != 0 || !(at.row_norm[i] > 0)) continue;
+    if (invariants_->untested(i) || invariants_->sense(i) != 0 || !(at.norm[i] > 0)) continue;
     const Row gradient = at.gradient(i);
     double rate = 0, most = 0;
     std::size_t component = 0;
@@ -239,7 +237,7 @@ Finding Manifold::contradicted(double t, double h) {
       rate -= part;
       if (std::abs(part) > most) most = std::abs(part), component = k;
     }
-    taken_[i] += h * rate / at.row_norm[i];
+    taken_[i] += h * rate / at.norm[i];
     const double distance = std::abs(taken_[i]) / weights_.rtol();
     if (most > 0 && distance > largest_correction)
       return {.kind = Finding::Kind::held,
@@ -270,8 +268,7 @@ void Manifold::commit() {
 }
 
 void Manifold::state(Archive& archive) {
-  for (std::optional<Projector>* one : {&projector_, &output_projector_})
-    if (*one) (*one)->state(archive);
+  if (projector_) projector_->state(archive);
   if (tangent_) tangent_->state(archive);
   if (guard_) guard_->state(archive);
   if (restoration_) restoration_->state(archive);

@@ -154,7 +154,7 @@ void OneSided::note(const Projected& did) {
 /// engaged than before. The roundoff of one that rests is that of its value: its gradient is not known at y.
 bool OneSided::find_violations(const double* y, bool& joined) {
   const Invariants& invariants = projector_.invariants();
-  const double* J = projector_.linearization().jacobian.data();
+  const double* J = projector_.linearization().J.data();
   bool again = false;
   for (std::size_t i = 0; i < g_.size(); ++i) {
     if (invariants.sense(i) == 0) continue;
@@ -171,7 +171,7 @@ bool OneSided::find_violations(const double* y, bool& joined) {
 }
 
 void OneSided::measure_correction(const double* y, Projected& did) const {
-  const std::span<const double> w = projector_.linearization().weights;
+  const std::span<const double> w = projector_.linearization().w;
   did.correction = max_norm(candidate_.size(), [&](std::size_t i) { return (candidate_[i] - y[i]) / w[i]; });
 }
 

@@ -1,6 +1,7 @@
 #include "manifold/projection.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -36,7 +37,7 @@ double norm2(const double* v, std::size_t n) {
   return Eigen::Map<const Eigen::VectorXd>(v, index(n)).stableNorm();
 }
 
-/// The tolerances as units of the components; of those without an absolute tolerance the largest of the others, or 1.
+/// Returns the tolerances as units of the components; without an absolute tolerance the largest of the others, or 1.
 std::vector<double> units_of(const Weights& weights) {
   std::vector<double> unit = weights.threshold();
   double largest = 0;
@@ -49,39 +50,46 @@ std::vector<double> units_of(const Weights& weights) {
 
 }  // namespace
 
-Projector::Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible)
+Projector::Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible,
+                     const Projector* partner)
     : invariants_(invariants),
+      n_(invariants.n()),
+      m_(invariants.m()),
       tolerances_(weights),
       iterations_(iterations),
       negligible_(negligible * weights.rtol()),
-      residual_before_(invariants.m()),
-      distance_before_(invariants.m()),
-      residual_after_(invariants.m()),
-      unit_(invariants.m()),
-      r_(invariants.m()),
-      J_(invariants.layout().size()),
-      norm_(invariants.m()),
-      w_(invariants.n()),
-      point_(invariants.n()),
-      delta_(invariants.n()),
-      original_(invariants.n()),
-      best_(invariants.n()),
-      unit_of_component_(units_of(weights)),
-      left_out_(invariants.m()),
-      dropped_(invariants.m()) {
-  if (Levels::needed(invariants))
-    levels_.emplace(invariants);
-  else
-    basis_.provide(invariants.n(), invariants.m());
-  order_.reserve(invariants.m());
-  if (invariants.any_one_sided()) idle_.resize(invariants.m());
+      at_{&invariants.layout(), std::vector<double>(m_), std::vector<double>(m_), {}, {}, {}},
+      residual_before_(m_),
+      distance_before_(m_),
+      unit_(m_),
+      room_(partner != nullptr ? partner->room_ : std::make_shared<Room>()),
+      left_out_(m_),
+      dropped_(m_) {
+  assert(partner == nullptr || &partner->invariants_ == &invariants);
+  if (partner == nullptr) {
+    room_->delta.resize(n_);
+    if (Levels::needed(invariants))
+      room_->levels.emplace(invariants);
+    else
+      room_->basis.provide(n_, m_);
+    provide();
+  }
+  if (invariants.any_one_sided()) idle_.resize(m_);
   rest_one_sided();
   one_sided_ = idle_count_;
 }
 
+/// Returns W of the linearization, whose memory is made when it is first asked for: some projectors are never used.
+double* Projector::provide() {
+  at_.y.resize(n_);
+  at_.J.resize(invariants_.layout().size());
+  at_.w.resize(n_);
+  return at_.w.data();
+}
+
 Projected Projector::project(double t, const double* from, double* y) {
-  tolerances_.fill(from, y, w_.data());
-  std::copy(y, y + original_.size(), original_.begin());
+  tolerances_.fill(from, y, provide());
+  room_->original.assign(y, y + n_);
   Projected did{.residual = residual_before_, .distance = distance_before_};
   did.outcome = measure(t, y);
   if (did.outcome != Outcome::ok) return did;
@@ -89,38 +97,37 @@ Projected Projector::project(double t, const double* from, double* y) {
   if (did.skipped) return did;
   bool doubtful = false;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
-    if (iteration > 0 && invariants_.residual(t, y, r_.data()) == Status::stop) did.outcome = Outcome::stop;
+    if (iteration > 0 && invariants_.residual(t, y, at_.r.data()) == Status::stop) did.outcome = Outcome::stop;
     if (iteration > 0 && did.outcome == Outcome::ok && correct_again(y)) break;
     if (did.outcome == Outcome::ok) did.outcome = linearize_known(t, y);
     if (did.outcome != Outcome::ok) return did;
     if (iteration == 0) {
-      const Linearization at = linearization();
-      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = idle(i) ? 0 : at.distance(i);
+      for (std::size_t i = 0; i < m_; ++i) distance_before_[i] = idle(i) ? 0 : at_.distance(i);
       doubtful = far_off(y);
     }
     did.rank = solve(t);
     doubtful = doubtful || bends(from, y);
-    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
-    if (levels_ && settled()) break;
+    for (std::size_t i = 0; i < n_; ++i) y[i] -= room_->delta[i];
+    if (room_->levels && settled()) break;
   }
-  did.correction = max_norm(w_.size(), [&](std::size_t i) { return (original_[i] - y[i]) / w_[i]; });
+  did.correction = max_norm(n_, [&](std::size_t i) { return (room_->original[i] - y[i]) / at_.w[i]; });
   if (!std::isfinite(did.correction)) did.outcome = Outcome::not_finite;
   if (did.outcome == Outcome::ok && (doubtful || crossed_zero(y))) did.outcome = measure_after(t, y);
   return did;
 }
 
 Outcome Projector::onto(double t, const double* w, const double* target, double* y, int most) {
-  std::copy(w, w + w_.size(), w_.begin());
+  std::copy(w, w + n_, provide());
   for (int iteration = 0; iteration < most; ++iteration) {
-    if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
-    for (std::size_t i = 0; i < r_.size(); ++i) r_[i] -= target[i];
+    if (invariants_.residual(t, y, at_.r.data()) == Status::stop) return Outcome::stop;
+    for (std::size_t i = 0; i < m_; ++i) at_.r[i] -= target[i];
     if (iteration > 0 && correct_again(y)) break;
     if (const Outcome outcome = linearize_known(t, y); outcome != Outcome::ok) return outcome;
     solve(t);
-    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+    for (std::size_t i = 0; i < n_; ++i) y[i] -= room_->delta[i];
     if (settled()) break;
   }
-  return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
+  return all_finite(y, n_) ? Outcome::ok : Outcome::not_finite;
 }
 
 /// Makes Newton's next correction δ' with the gradients of the last correction δ, if that leaves no more than roundoff:
@@ -128,56 +135,53 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
 /// this fraction of δ' is left. Distances decide, and with several invariants the corrections too.
 bool Projector::correct_again(double* y) {
   const auto negligible = [&](double size, double before) {
-    for (std::size_t i = 0; i < r_.size(); ++i) {
+    for (std::size_t i = 0; i < m_; ++i) {
       if (idle(i) || left_out(i)) continue;
-      const double terms = size_of_terms(invariants_.value()[i], invariants_.row(i, J_.data()), point_.data());
-      if (!(2 * size * size * norm_[i] <= eps * terms * before)) return false;
+      const double terms = size_of_terms(invariants_.value()[i], at_.gradient(i), at_.y.data());
+      if (!(2 * size * size * at_.norm[i] <= eps * terms * before)) return false;
     }
     return true;
   };
-  if (!all_finite(r_.data(), r_.size()) || !negligible(largest_distance(), distance_)) return false;
+  if (!all_finite(at_.r.data(), m_) || !negligible(largest_distance(), distance_)) return false;
   const double before = size_of_correction();
-  if (levels_)
-    levels_->solve(J_.data(), r_.data(), unit_.data(), movable_w_, pivot_threshold(), apart_, delta_.data());
-  else
-    correction_for(r_.data(), delta_.data());
-  if (r_.size() > 1 && !negligible(size_of_correction(), before)) return false;
-  for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+  correction_for(at_.r.data(), room_->delta.data(), unit_.data());
+  if (m_ > 1 && !negligible(size_of_correction(), before)) return false;
+  for (std::size_t i = 0; i < n_; ++i) y[i] -= room_->delta[i];
   return true;
 }
 
-/// The largest distance from a level set in units of the weights, of the invariants that take part.
+/// Returns the largest distance from a level set in units of the weights, of the invariants that take part.
 double Projector::largest_distance() const {
   double largest = 0;
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (!idle(i) && !left_out(i)) largest = std::max(largest, linearization().distance(i));
+  for (std::size_t i = 0; i < m_; ++i)
+    if (!idle(i) && !left_out(i)) largest = std::max(largest, at_.distance(i));
   return largest;
 }
 
 void Projector::seek_along(std::span<const double* const> vectors) {
-  if (!directions_) directions_.emplace(w_.size());
+  if (!directions_) directions_.emplace(n_);
   directions_->take(vectors);
 }
 
-/// Rows are cut to the directions. A part p of a vector that the others do not have has roundoff ε / p in the laws that
-/// the vectors keep; in a correction of size d that is no more than ε where p ≥ d.
+/// Cuts the rows to the directions. A part p of a vector that the others do not have has roundoff ε / p in the laws
+/// that the vectors keep; in a correction of size d that is no more than ε where p ≥ d.
 void Projector::keep_to_directions() {
   double largest = least_direction;
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (!idle(i)) largest = std::max(largest, linearization().distance(i));
-  directions_->orthonormalize(w_.data(), std::min(largest, largest_pivot));
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (norm_[i] > 0) directions_->cut(basis_.vector(i).data());
+  for (std::size_t i = 0; i < m_; ++i)
+    if (!idle(i)) largest = std::max(largest, at_.distance(i));
+  directions_->orthonormalize(at_.w.data(), std::min(largest, largest_pivot));
+  for (std::size_t i = 0; i < m_; ++i)
+    if (at_.norm[i] > 0) directions_->cut(room_->basis.vector(i).data());
 }
 
 /// Returns whether only `share` of the length of gradient i is left among the directions, too little to correct its
 /// residual.
 bool Projector::out_of_reach(std::size_t i, double share) const {
-  return directions_ && share < least_share && std::abs(r_[i]) > matters * tolerances_.rtol() * norm_[i];
+  return directions_ && share < least_share && std::abs(at_.r[i]) > matters * tolerances_.rtol() * at_.norm[i];
 }
 
 Outcome Projector::linearize_at(double t, const double* y) {
-  tolerances_.fill(y, w_.data());
+  tolerances_.fill(y, provide());
   return linearize(t, y);
 }
 
@@ -187,27 +191,28 @@ Outcome Projector::factorize_at(double t, const double* y) {
   return outcome;
 }
 
-void Projector::correction_for(const double* r, double* delta) {
+void Projector::correction_for(const double* r, double* delta, const double* noise) {
   if (rank_ == 0)
-    std::fill_n(delta, w_.size(), 0);
-  else if (levels_)
-    levels_->solve(J_.data(), r, std::vector<double>(r_.size()).data(), movable_w_, pivot_threshold(), apart_, delta);
-  else if (r_.size() == 1)
+    std::fill_n(delta, n_, 0);
+  else if (room_->levels)
+    room_->levels->solve(at_.J.data(), r, noise != nullptr ? noise : std::vector<double>(m_).data(), movable_w_,
+                         pivot_threshold(), apart_, delta);
+  else if (m_ == 1)
     correct_one(r[0], delta);
   else
     apply_factors(r, delta);
 }
 
 Imposed Projector::impose(double t, double* y) {
-  std::copy(y, y + w_.size(), original_.begin());
+  room_->original.assign(y, y + n_);
   const Imposed imposed = approach(t, y);
-  if (!imposed.converged) std::copy(original_.begin(), original_.end(), y);
+  if (!imposed.converged) std::copy(room_->original.begin(), room_->original.end(), y);
   return imposed;
 }
 
 Imposed Projector::approach(double t, double* y) {
-  tolerances_.fill(y, w_.data());
-  std::copy(y, y + w_.size(), best_.begin());
+  tolerances_.fill(y, provide());
+  room_->best.assign(y, y + n_);
   double first = 0, before = 0, least = std::numeric_limits<double>::infinity();
   int iterations = 0;
   for (int without_gain = 0; iterations < impose_iterations && without_gain < impose_patience; ++iterations) {
@@ -215,85 +220,82 @@ Imposed Projector::approach(double t, double* y) {
     if (outcome == Outcome::stop) return {.outcome = outcome, .iterations = iterations};
     if (outcome == Outcome::not_finite) break;
     const double left = in_units();  // in the units of the iterate before: units grow with the terms, as residuals do
-    const double size = roundoff_units(y);
+    take_units(y);
+    const double size = in_units();
     if (size < least) {
       if (iterations == 0) first = size;
       least = size;
       without_gain = 0;
-      std::copy(y, y + w_.size(), best_.begin());
+      room_->best.assign(y, y + n_);
       if (size == 0) break;
     } else if (size <= 1 || !(left <= recovery * before)) {
       ++without_gain;
     }
     before = size;
     solve(t);
-    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+    for (std::size_t i = 0; i < n_; ++i) y[i] -= room_->delta[i];
   }
-  std::copy(best_.begin(), best_.end(), y);
+  std::copy(room_->best.begin(), room_->best.end(), y);
   return {.outcome = Outcome::ok, .converged = least <= 1, .iterations = iterations, .gain = least / first};
 }
 
-double Projector::roundoff_units(const double* y) {
-  take_units(y);
-  return in_units();
-}
-
-/// The sizes below which residuals at y, where J is known, are roundoff.
+/// Takes the sizes below which residuals at y, where J is known, are roundoff.
 void Projector::take_units(const double* y) {
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    unit_[i] = std::max({invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()),
-                         std::numeric_limits<double>::min()});
+  for (std::size_t i = 0; i < m_; ++i) unit_[i] = std::max(noise(i, y), std::numeric_limits<double>::min());
 }
 
+/// Returns the residual that roundoff of g and of the point y makes of invariant i.
+double Projector::noise(std::size_t i, const double* y) {
+  const double* J = at_.J.data();
+  return std::max(invariants_.roundoff(i, y, J), invariants_.resolution(i, y, J));
+}
+
+/// Returns the largest residual, in the units that were taken last.
 double Projector::in_units() const {
   double size = 0;
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (!idle(i)) size = std::max(size, std::abs(r_[i]) / unit_[i]);
+  for (std::size_t i = 0; i < m_; ++i)
+    if (!idle(i)) size = std::max(size, std::abs(at_.r[i]) / unit_[i]);
   return size;
 }
 
-/// The residual of a candidate.
+/// Takes the residual of a candidate.
 Outcome Projector::measure(double t, const double* y) {
-  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
-  if (!defined(r_.data())) return Outcome::not_finite;
-  residual_before_ = r_;
+  if (invariants_.residual(t, y, at_.r.data()) == Status::stop) return Outcome::stop;
+  if (!defined(at_.r.data())) return Outcome::not_finite;
+  residual_before_ = at_.r;
   return Outcome::ok;
 }
 
 /// Checks that g is defined at y₁, and that Newton's iteration has led towards the manifold, not away from a pole or to
 /// another branch. The linearization stays the last one.
 Outcome Projector::measure_after(double t, const double* y) {
-  if (invariants_.residual(t, y, residual_after_.data()) == Status::stop) return Outcome::stop;
-  if (!defined(residual_after_.data())) return Outcome::not_finite;
+  std::vector<double>& after = unit_;  // whose sizes this projection has used
+  if (invariants_.residual(t, y, after.data()) == Status::stop) return Outcome::stop;
+  if (!defined(after.data())) return Outcome::not_finite;
   const double allowed = std::pow(slowest_newton, iterations_);
-  for (std::size_t i = 0; i < r_.size(); ++i) {
+  const double largest = *std::ranges::max_element(distance_before_);
+  for (std::size_t i = 0; i < m_; ++i) {
     if (left_out_[i] != 0 || idle(i)) continue;
-    const double after = std::abs(residual_after_[i]);
-    const double roundoff = std::max(invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()));
-    if (after > roundoff && after > allowed * std::abs(residual_before_[i]) && after > allowed * largest_before(i))
+    const double left = std::abs(after[i]);
+    if (left > noise(i, y) && left > allowed * std::abs(residual_before_[i]) &&
+        left > allowed * (largest * at_.norm[i]))
       return Outcome::not_finite;
   }
   return Outcome::ok;
 }
 
-/// The largest distance before the projection as a residual of invariant i.
-double Projector::largest_before(std::size_t i) const {
-  return *std::max_element(distance_before_.begin(), distance_before_.end()) * norm_[i];
-}
-
 /// Returns whether a residual is of the size of its terms, so that the correction changes some of them by as much.
 bool Projector::far_off(const double* y) const {
-  for (std::size_t i = 0; i < r_.size(); ++i) {
+  for (std::size_t i = 0; i < m_; ++i) {
     if (idle(i)) continue;
-    if (std::abs(r_[i]) > large_residual * size_of_terms(invariants_.value()[i], invariants_.row(i, J_.data()), y))
-      return true;
+    if (std::abs(at_.r[i]) > large_residual * size_of_terms(invariants_.value()[i], at_.gradient(i), y)) return true;
   }
   return false;
 }
 
 bool Projector::defined(const double* r) {
   undefined_ = -1;
-  for (std::size_t i = r_.size(); i-- > 0;)
+  for (std::size_t i = m_; i-- > 0;)
     if (!std::isfinite(r[i])) undefined_ = static_cast<int>(i);
   return undefined_ < 0;
 }
@@ -301,21 +303,21 @@ bool Projector::defined(const double* r) {
 /// Returns whether the gradients of the invariants may change in the correction by as much as they are, as near the end
 /// of a domain, judged by how they have changed in the step.
 bool Projector::bends(const double* from, const double* y) const {
-  return bent_ > slight_bend && bends_sharply(bent_, from, y, delta_.data(), w_.size());
+  return bent_ > slight_bend && bends_sharply(bent_, from, y, room_->delta.data(), n_);
 }
 
 /// Returns whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
 bool Projector::crossed_zero(const double* y) const {
-  for (std::size_t i = 0; i < w_.size(); ++i)
-    if (original_[i] * y[i] < 0) return true;
+  for (std::size_t i = 0; i < n_; ++i)
+    if (room_->original[i] * y[i] < 0) return true;
   return false;
 }
 
-/// The factor by which a distance may be wrong that is judged by the gradients of the last linearization: these change
-/// by (1 + d)³ at most over a distance of d sizes of the components, if g is made of powers to the third.
+/// Returns the factor by which a distance judged by the last gradients may be wrong: these change by (1 + d)³ at most
+/// over a distance of d sizes of the components, if g is made of powers to the third.
 double Projector::doubt(const double* y) const {
-  const auto moved = [&](std::size_t i) { return (y[i] - point_[i]) / std::min(w_[i], linearized_w_[i]); };
-  const double factor = 1 + max_norm(w_.size(), moved);
+  const auto moved = [&](std::size_t i) { return (y[i] - at_.y[i]) / std::min(at_.w[i], linearized_w_[i]); };
+  const double factor = 1 + max_norm(n_, moved);
   return factor * factor * factor;
 }
 
@@ -323,57 +325,57 @@ double Projector::doubt(const double* y) const {
 bool Projector::close_enough(const double* y) {
   if (negligible_ == 0 || !linearized_ || any_engaged()) return false;
   const double most = negligible_ / doubt(y);
-  for (std::size_t i = 0; i < r_.size(); ++i) {
-    distance_before_[i] = idle(i) ? 0 : linearization().distance(i);
+  for (std::size_t i = 0; i < m_; ++i) {
+    distance_before_[i] = idle(i) ? 0 : at_.distance(i);
     if (!(distance_before_[i] <= most)) return false;
   }
   return true;
 }
 
 Outcome Projector::linearize(double t, const double* y) {
-  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
+  if (invariants_.residual(t, y, at_.r.data()) == Status::stop) return Outcome::stop;
   return linearize_known(t, y);
 }
 
-/// The linearization at (t, y), where the residual is known already.
+/// Linearizes at (t, y), where the residual is known already.
 Outcome Projector::linearize_known(double t, const double* y) {
-  const std::size_t n = w_.size(), m = r_.size();
-  std::copy(y, y + n, point_.begin());
-  if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
-  if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
-  if (!defined(r_.data())) return Outcome::not_finite;
+  const std::size_t n = n_, m = m_;
+  std::copy(y, y + n, at_.y.begin());
+  if (invariants_.jacobian(t, y, at_.J.data()) == Status::stop) return Outcome::stop;
+  if (room_->levels && room_->levels->update(t, y) == Status::stop) return Outcome::stop;
+  if (!defined(at_.r.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
-    if (const Row row = invariants_.row(i, J_.data()); !all_finite(row.values, row.size)) {
+    if (const Row row = at_.gradient(i); !all_finite(row.values, row.size)) {
       undefined_ = static_cast<int>(i);
       return Outcome::not_finite;
     }
   bent_ = 0;
-  if (negligible_ > 0) linearized_w_ = w_;
+  if (negligible_ > 0) linearized_w_ = at_.w;
   for (std::size_t i = 0; i < m; ++i) {
-    const double before = norm_[i];
+    const double before = at_.norm[i];
     scale_row(i);
-    if (linearized_ && !idle(i)) bent_ = std::max(bent_, bend(norm_[i], before));
+    if (linearized_ && !idle(i)) bent_ = std::max(bent_, bend(at_.norm[i], before));
   }
   linearized_ = true;
   if (directions_) keep_to_directions();
   return Outcome::ok;
 }
 
-/// A factor of row i that settles ties between pivots in favour of the invariant that was given first; those that may
-/// only rise or fall come last, and of those that components fixed at bounds make dependent the one that has lost
-/// least: its residual has the least roundoff in units of what is left. (A row and its residual may be multiplied by
-/// anything.)
+/// Returns a factor of row i that settles ties between pivots in favour of the invariant that was given first; those
+/// that may only rise or fall come last, and of those that components fixed at bounds make dependent the one that has
+/// lost least: its residual has the least roundoff in units of what is left. (A row and its residual may be multiplied
+/// by anything.)
 double Projector::preference(std::size_t i) const {
-  const std::size_t place = invariants_.sense(i) == 0 ? i : i + r_.size();
+  const std::size_t place = invariants_.sense(i) == 0 ? i : i + m_;
   const double first = 1 / (1 + 1e-6 * static_cast<double>(place));
-  return r_.size() == 1 || movable_.empty() || movable_[i] == 1 ? first : first * std::pow(movable_[i], slight);
+  return m_ == 1 || movable_.empty() || movable_[i] == 1 ? first : first * std::pow(movable_[i], slight);
 }
 
-/// The largest coefficient of the components that may move in invariant i, as a part of the largest of all. In the
-/// units of the tolerances: in those of the weights, a component at its bound 0 would hardly count.
+/// Returns the largest coefficient that components which may move have in invariant i, as a part of the largest of all.
+/// In the units of the tolerances: in those of the weights, a component at its bound 0 would hardly count.
 double Projector::movable_part(std::size_t i) const {
   double all = 0, free = 0;
-  invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) {
+  at_.gradient(i).for_each([&](std::size_t j, double value) {
     const double term = std::abs(value) * unit_of_component_[j];
     all = std::max(all, term);
     if (!fixed(j)) free = std::max(free, term);
@@ -385,43 +387,44 @@ double Projector::movable_part(std::size_t i) const {
 bool Projector::stuck(std::size_t i) const { return !movable_.empty() && movable_[i] <= roundoff_of_coefficients; }
 
 double Projector::roundoff(std::size_t i, const double* y) {
-  double roundoff = std::max(invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()));
+  const double roundoff = noise(i, y);
   if (!any_fixed()) return roundoff;
   double largest = 0, sizes = 0;
-  invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) {
+  at_.gradient(i).for_each([&](std::size_t j, double value) {
     largest = std::max(largest, std::abs(value) * unit_of_component_[j]);
     sizes += std::abs(y[j]) / unit_of_component_[j];
   });
   return std::max(roundoff, roundoff_of_coefficients * largest * sizes);
 }
 
-/// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1; without the
-/// components that are fixed, unless nothing else is left of it: its norm is then that of all, the row 0. (Levels scale
-/// rows themselves.)
+/// Computes the norm of row i of J W and, where all invariants are corrected together, the row itself with norm 1.
+/// Fixed components are left out, unless nothing else is left: the norm is then that of all of them, and the row 0.
+/// (Levels scale rows themselves.)
 void Projector::scale_row(std::size_t i) {
-  const std::size_t n = w_.size();
-  const Row gradient = invariants_.row(i, J_.data());
+  const std::size_t n = n_;
+  const Row gradient = at_.gradient(i);
   const bool sparse = gradient.columns != nullptr;
-  double* row = levels_ ? delta_.data() : basis_.vector(i).data();
-  if (sparse && !levels_) std::fill(row, row + n, 0.0);
+  double* row = room_->levels ? room_->delta.data() : room_->basis.vector(i).data();
+  if (sparse && !room_->levels) std::fill(row, row + n, 0.0);
   if (!movable_.empty()) movable_[i] = any_fixed() ? movable_part(i) : 1;
   if (sparse || any_fixed()) {
     std::size_t k = 0;
-    gradient.for_each(
-        [&](std::size_t j, double value) { row[levels_ ? k++ : j] = fixed(j) && !stuck(i) ? 0 : value * w_[j]; });
+    gradient.for_each([&](std::size_t j, double value) {
+      row[room_->levels ? k++ : j] = fixed(j) && !stuck(i) ? 0 : value * at_.w[j];
+    });
   } else {
-    for (std::size_t j = 0; j < n; ++j) row[j] = gradient.values[j] * w_[j];
+    for (std::size_t j = 0; j < n; ++j) row[j] = gradient.values[j] * at_.w[j];
   }
-  norm_[i] = norm2(row, levels_ ? gradient.size : n);
-  if (!(norm_[i] > 0) || levels_) return;
-  const double factor = stuck(i) ? 0 : preference(i) / norm_[i];
+  at_.norm[i] = norm2(row, room_->levels ? gradient.size : n);
+  if (!(at_.norm[i] > 0) || room_->levels) return;
+  const double factor = stuck(i) ? 0 : preference(i) / at_.norm[i];
   for (std::size_t j = 0; j < n; ++j) row[j] *= factor;
 }
 
-/// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.
+/// Writes δ = W (J W)⁺ r of the last linearization, and returns its rank. One row needs no factorisation.
 std::size_t Projector::solve(double t) {
   std::fill(left_out_.begin(), left_out_.end(), 0);
-  rank_ = levels_ ? solve_in_levels(t) : r_.size() > 1 ? solve_several(t) : solve_one(t);
+  rank_ = room_->levels ? solve_in_levels(t) : m_ > 1 ? solve_several(t) : solve_one(t);
   count_correction(t, rank_);
   distance_ = largest_distance();
   return rank_;
@@ -434,102 +437,96 @@ void Projector::count_correction(double t, std::size_t rank) {
   corrected_at_ = t;
   ++corrections_;
   covered_ += since;
-  if (rank == r_.size() - idle_count_ || std::count(left_out_.begin(), left_out_.end(), 0) == std::ssize(left_out_))
-    return;
+  if (rank == m_ - idle_count_ || std::count(left_out_.begin(), left_out_.end(), 0) == std::ssize(left_out_)) return;
   ++deficient_;
   covered_deficient_ += since;
 }
 
 std::size_t Projector::solve_one(double t) {
-  if (norm_[0] == 0 || stuck(0) || all_idle()) {
-    if (!all_idle()) leave_out(0, t);
-    std::fill(delta_.begin(), delta_.end(), 0);
-    return 0;
+  const double share = directions_ ? room_->basis.vector(0).norm() : 1;
+  const bool immovable = at_.norm[0] == 0 || stuck(0) || all_idle();
+  if (!immovable && !(share < least_share)) {
+    correct_one(at_.r[0], room_->delta.data());
+    return 1;
   }
-  if (directions_) {
-    const double share = basis_.vector(0).norm();
-    if (share < least_share) {
-      if (out_of_reach(0, share)) leave_out(0, t);
-      std::fill(delta_.begin(), delta_.end(), 0);
-      return 0;
-    }
-  }
-  correct_one(r_[0], delta_.data());
-  return 1;
+  if (immovable ? !all_idle() : out_of_reach(0, share)) leave_out(0, t);
+  std::fill(room_->delta.begin(), room_->delta.end(), 0);
+  return 0;
 }
 
-/// The correction of the only invariant for the residual r.
+/// Writes the correction of the only invariant for the residual r.
 void Projector::correct_one(double r, double* delta) {
-  double distance = r / norm_[0];
+  double distance = r / at_.norm[0];
   if (directions_) {
-    const double share = basis_.vector(0).norm();
+    const double share = room_->basis.vector(0).norm();
     distance /= share * share;
   }
-  correction(w_.data(), basis_.vector(0).data(), distance, w_.size(), delta);
+  correction(at_.w.data(), room_->basis.vector(0).data(), distance, n_, delta);
 }
 
-/// W Q z with Rᵀ z = r, where Q R is the basis of (J W)ᵀ; rows that are not in it are left out. What is one-sided
-/// depends on the others where it is at its minimum on their manifold, and its residual then falls with its pivot: it
-/// stays as long as it can. Where components are fixed, a row also depends on the others if what they leave of it is
-/// roundoff of its coefficients: its free part may be a combination of theirs, of the size of that roundoff.
+/// Writes W Q z with Rᵀ z = r, where Q R is the basis of (J W)ᵀ; rows that are not in it are left out. What is
+/// one-sided depends on the others where it is at its minimum on their manifold, and its residual then falls with its
+/// pivot: it stays as long as it can. Where components are fixed, a row also depends on the others if what they leave
+/// of it is roundoff of its coefficients: its free part may be a combination of theirs, of the size of that roundoff.
 std::size_t Projector::solve_several(double t) {
-  order_.clear();
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (!idle(i)) order_.push_back(i);
-  basis_.clear();
+  room_->order.clear();
+  for (std::size_t i = 0; i < m_; ++i)
+    if (!idle(i)) room_->order.push_back(i);
+  room_->basis.clear();
   double first = 0;
   const double threshold = pivot_threshold();
-  const std::size_t rank = basis_.add(order_, [&](std::size_t i, double size) {
-    if (basis_.members().empty()) first = size;
+  const std::size_t rank = room_->basis.add(room_->order, [&](std::size_t i, double size) {
+    if (room_->basis.members().empty()) first = size;
     if (!movable_.empty() && size * movable_[i] <= roundoff_of_coefficients * preference(i)) return true;
     return (directions_ && size < least_share) || size <= (invariants_.sense(i) == 0 ? threshold : least_pivot) * first;
   });
-  for (std::size_t k = rank; k < order_.size(); ++k)
-    if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
-  apply_factors(r_.data(), delta_.data());
+  for (std::size_t k = rank; k < room_->order.size(); ++k)
+    if (!directions_ || out_of_reach(room_->order[k], 0)) leave_out(room_->order[k], t);
+  apply_factors(at_.r.data(), room_->delta.data());
   return rank;
 }
 
 void Projector::apply_factors(const double* r, double* delta) {
-  std::fill_n(delta, w_.size(), 0);
-  const auto right = [&](std::size_t i) { return preference(i) * r[i] / norm_[i]; };
-  basis_.solve(0, right, [&](std::size_t i, double z) {
-    const auto q = basis_.vector(i);
-    for (std::size_t j = 0; j < w_.size(); ++j) delta[j] += w_[j] * (q[index(j)] * z);
+  std::fill_n(delta, n_, 0);
+  const auto right = [&](std::size_t i) { return preference(i) * r[i] / at_.norm[i]; };
+  room_->basis.solve(0, right, [&](std::size_t i, double z) {
+    const auto q = room_->basis.vector(i);
+    for (std::size_t j = 0; j < n_; ++j) delta[j] += at_.w[j] * (q[index(j)] * z);
   });
 }
 
 std::size_t Projector::solve_in_levels(double t) {
-  const double* w = w_.data();
+  const double* w = at_.w.data();
   if (any_fixed()) {
-    free_w_ = w_;
-    for (std::size_t j = 0; j < w_.size(); ++j)
+    free_w_ = at_.w;
+    for (std::size_t j = 0; j < n_; ++j)
       if (fixed(j)) free_w_[j] = 0;
     w = free_w_.data();
   }
-  take_units(point_.data());
-  levels_->keep(any_fixed() ? fixed_.data() : nullptr);
+  take_units(at_.y.data());
+  room_->levels->keep(any_fixed() ? fixed_.data() : nullptr);
   movable_w_ = w;
   apart_ = without_part();
   const std::size_t rank =
-      levels_->solve(J_.data(), r_.data(), unit_.data(), w, pivot_threshold(), apart_, delta_.data());
-  for (std::size_t i = 0; i < r_.size(); ++i)
-    if (levels_->left_out()[i] != 0 || (stuck(i) && !idle(i))) leave_out(i, t);
+      room_->levels->solve(at_.J.data(), at_.r.data(), unit_.data(), w, pivot_threshold(), apart_, room_->delta.data());
+  for (std::size_t i = 0; i < m_; ++i)
+    if (room_->levels->left_out()[i] != 0 || (stuck(i) && !idle(i))) leave_out(i, t);
   return rank;
 }
 
-/// The invariants that take no part in the correction: those that are idle or stuck. Null: all take part.
+/// Returns which invariants take no part in the correction, being idle or stuck; null: all take part.
 const char* Projector::without_part() {
   if (!any_fixed()) return idle_count_ > 0 ? idle_.data() : nullptr;
-  for (std::size_t i = 0; i < r_.size(); ++i) without_part_[i] = idle(i) || stuck(i);
+  for (std::size_t i = 0; i < m_; ++i) without_part_[i] = idle(i) || stuck(i);
   return without_part_.data();
 }
 
 void Projector::fix(std::size_t j) {
   if (fixed_.empty()) {
-    fixed_.resize(w_.size());
-    movable_.assign(r_.size(), 1);
-    without_part_.resize(r_.size());
+    fixed_.resize(n_);
+    unit_of_component_ = units_of(tolerances_);
+    movable_.assign(m_, 1);
+    without_part_.resize(m_);
   }
   fixed_count_ += fixed_[j] == 0 ? 1 : 0;
   fixed_[j] = 1;
@@ -565,7 +562,7 @@ void Projector::release_all() {
 bool Projector::settled() const { return size_of_correction() <= last_correction; }
 
 double Projector::size_of_correction() const {
-  return max_norm(w_.size(), [this](std::size_t i) { return delta_[i] / w_[i]; });
+  return max_norm(n_, [this](std::size_t i) { return room_->delta[i] / at_.w[i]; });
 }
 
 double Projector::pivot_threshold() const {
@@ -580,14 +577,15 @@ void Projector::leave_out(std::size_t i, double t) {
   ++dropped_[i];
 }
 
-/// The latest linearization, and the counts.
+/// Archives the latest linearization and the counts.
 void Projector::state(Archive& archive) {
-  archive(linearized_, bent_, r_, J_, norm_, w_, point_, left_out_, dropped_, corrections_, deficient_, corrected_at_);
+  archive(linearized_, bent_, at_.r, at_.J, at_.norm, at_.w, at_.y, left_out_, dropped_, corrections_, deficient_,
+          corrected_at_);
   archive(covered_, covered_deficient_, dropped_at_);
   archive(idle_);
   archive.resizable(linearized_w_);
   if (!archive.reading()) return;
-  archive.require(linearized_w_.size() == w_.size() || (linearized_w_.empty() && (!linearized_ || negligible_ == 0)));
+  archive.require(linearized_w_.size() == n_ || (linearized_w_.empty() && (!linearized_ || negligible_ == 0)));
   idle_count_ = idle_.size() - static_cast<std::size_t>(std::ranges::count(idle_, char{0}));
 }
 

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
@@ -16,20 +17,17 @@
 
 namespace invariode {
 
-/// r, J (m, n) and the norms of the rows of J W (m), with where they were taken. A view: it shows the projector's
-/// latest.
+/// r (m), J and the norms of the rows of J W (m), with the point y and the weights W where they were taken.
 struct Linearization {
-  std::span<const double> y, residual, jacobian, weights, row_norm;
-  const RowLayout* layout;  ///< of the Jacobian
+  const RowLayout* layout;  ///< of J
+  std::vector<double> r, norm, y, w, J;
 
   [[nodiscard]] std::size_t n() const { return y.size(); }
-  [[nodiscard]] std::size_t m() const { return residual.size(); }
+  [[nodiscard]] std::size_t m() const { return r.size(); }
   /// The gradient of invariant i.
-  [[nodiscard]] Row gradient(std::size_t i) const { return layout->row(i, jacobian.data()); }
+  [[nodiscard]] Row gradient(std::size_t i) const { return layout->row(i, J.data()); }
   /// The distance of the level set of invariant i, in units of the weights; 0 where the gradient vanishes.
-  [[nodiscard]] double distance(std::size_t i) const {
-    return row_norm[i] > 0 ? std::abs(residual[i]) / row_norm[i] : 0;
-  }
+  [[nodiscard]] double distance(std::size_t i) const { return norm[i] > 0 ? std::abs(r[i]) / norm[i] : 0; }
 };
 
 /// The result of projecting a candidate. The spans are views of the projector's latest.
@@ -59,7 +57,10 @@ struct Imposed {
 class Projector {
  public:
   /// `negligible`: candidates closer than this to the manifold, in units of rtol, are left alone; 0: all are projected.
-  Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible = 0);
+  /// A projector with a partner, of the same invariants, takes turns with it in the memory of corrections: the factors
+  /// that `correction_for` applies are those of the last correction of either.
+  Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible = 0,
+            const Projector* partner = nullptr);
 
   /// The paper's projection of the candidate y* (in `y`, overwritten by y₁) of a step from `from`: the given number of
   /// iterations, each with g taken afresh, and J unless the one before serves to roundoff, W = max(|from|, |y*|, thr)
@@ -78,7 +79,7 @@ class Projector {
   Outcome factorize_at(double t, const double* y);
   /// δ = W (J W)⁺ r for another residual r (m), with the linearization, the factors and the rank of the latest
   /// correction: what it left out, and components that it left alone, take no part.
-  void correction_for(const double* r, double* delta);
+  void correction_for(const double* r, double* delta, const double* noise = nullptr);
 
   /// From now on corrections are combinations of these vectors (n), which stay until the next projection.
   void seek_along(std::span<const double* const> vectors);
@@ -86,7 +87,7 @@ class Projector {
   /// Takes r, J and the rows' norms at (t, y) with the weights W = max(|y|, thr), without moving y.
   Outcome linearize_at(double t, const double* y);
   /// The latest one.
-  [[nodiscard]] Linearization linearization() const { return {point_, r_, J_, w_, norm_, &invariants_.layout()}; }
+  [[nodiscard]] const Linearization& linearization() const { return at_; }
 
   [[nodiscard]] Invariants& invariants() const { return invariants_; }
   /// The invariant that was not finite, or whose gradient was not, where a projection failed for that; -1: none was.
@@ -102,7 +103,7 @@ class Projector {
   void engage(std::size_t i);
   void rest_one_sided();
   [[nodiscard]] bool idle(std::size_t i) const { return !idle_.empty() && idle_[i] != 0; }
-  [[nodiscard]] bool all_idle() const { return idle_count_ == r_.size(); }
+  [[nodiscard]] bool all_idle() const { return idle_count_ == m_; }
   [[nodiscard]] bool any_engaged() const { return idle_count_ < one_sided_; }
   /// Forgets what is known of the gradients: the solution jumps.
   void forget() { linearized_ = false; }
@@ -120,6 +121,8 @@ class Projector {
   [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 
  private:
+  double* provide();
+  double noise(std::size_t i, const double* y);
   Outcome linearize(double t, const double* y);
   bool correct_again(double* y);
   [[nodiscard]] double largest_distance() const;
@@ -134,7 +137,6 @@ class Projector {
   bool defined(const double* r);
   [[nodiscard]] bool close_enough(const double* y);
   [[nodiscard]] double doubt(const double* y) const;
-  [[nodiscard]] double largest_before(std::size_t i) const;
   [[nodiscard]] bool far_off(const double* y) const;
   [[nodiscard]] bool bends(const double* from, const double* y) const;
   [[nodiscard]] bool crossed_zero(const double* y) const;
@@ -151,37 +153,43 @@ class Projector {
   [[nodiscard]] bool settled() const;
   void leave_out(std::size_t i, double t);
   [[nodiscard]] double pivot_threshold() const;
-  double roundoff_units(const double* y);  ///< largest residual, in units of its roundoff there,
   void take_units(const double* y);
-  [[nodiscard]] double in_units() const;  ///< and in the units that were taken last
+  [[nodiscard]] double in_units() const;
+
+  /// Memory of corrections, in which projectors of the same invariants take turns.
+  struct Room {
+    std::vector<double> delta, original, best;
+    PivotedBasis basis;              // of the rows of J W, each divided by its norm; levels have their own
+    std::optional<Levels> levels;    // where the invariants have any
+    std::vector<std::size_t> order;  // of the pivots, then what is left out
+  };
 
   Invariants& invariants_;
+  std::size_t n_, m_;
   const Weights& tolerances_;
   int iterations_;
   double negligible_;
-  bool linearized_ = false;  // norm_ is of some earlier point, at least
+  Linearization at_;
+  bool linearized_ = false;  // the norms of the rows are of some earlier point, at least
   double bent_ = 0;          // relative change of the length of a gradient since the linearization before
-  std::vector<double> residual_before_, distance_before_, residual_after_, unit_;
-  std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
-  std::vector<double> unit_of_component_;
-  PivotedBasis basis_;                 // of the rows of J W, each divided by its norm; levels have their own
-  std::vector<std::size_t> order_;     // of the pivots, then what is left out
+  std::vector<double> residual_before_, distance_before_, unit_;
+  std::vector<double> linearized_w_;
+  std::shared_ptr<Room> room_;
   std::vector<char> left_out_;         // in the latest correction
-  std::vector<double> movable_;        // `movable_part` of each invariant; empty: no component was ever fixed
-  std::vector<char> without_part_;     // see there
   std::vector<std::int64_t> dropped_;  // in how many corrections
   std::int64_t corrections_ = 0, deficient_ = 0;
   double corrected_at_ = 0;                     // t of the latest correction
   double covered_ = 0, covered_deficient_ = 0;  // times between corrections, and those to where some were left out
   double dropped_at_ = 0;
   int undefined_ = -1;
-  std::vector<char> fixed_;  // components that corrections leave alone; empty: there never was one
+  std::vector<char> fixed_;  // components that corrections leave alone; empty: there never was one, nor the next four
   std::size_t fixed_count_ = 0;
-  std::vector<double> free_w_;            // w, 0 where fixed
-  std::vector<char> idle_;                // invariants that take no part; empty: none may only rise or fall
-  std::optional<Directions> directions_;  // of corrections, where these are told
+  std::vector<double> unit_of_component_, free_w_;  // the tolerances as units; w, 0 where fixed
+  std::vector<double> movable_;                     // `movable_part` of each invariant
+  std::vector<char> without_part_;                  // see there
+  std::vector<char> idle_;                          // invariants that take no part; empty: none may only rise or fall
+  std::optional<Directions> directions_;            // of corrections, where these are told
   std::size_t idle_count_ = 0, one_sided_ = 0;
-  std::optional<Levels> levels_;  // where the invariants have any
   // Of the latest correction.
   std::size_t rank_ = 0;
   double distance_ = 0;                // the largest one of the invariants, before it

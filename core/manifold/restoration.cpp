@@ -46,7 +46,7 @@ Status Restoration::restore(double t, double* y, bool acted) {
   const Outcome outcome = projector_.linearize_at(t, y);
   if (outcome == Outcome::stop) return Status::stop;
   if (outcome == Outcome::not_finite) return Status::ok;
-  const Linearization at = projector_.linearization();
+  const Linearization& at = projector_.linearization();
   std::size_t i = 0;
   for (const InvariantBlock& block : demanded_.blocks())
     for (const std::size_t end = i + block.m; i < end; ++i)

@@ -23,10 +23,7 @@ class Restoration {
   /// Leaves y alone where no point is found, or where the invariants of level 0 are off by more than the tolerance and
   /// do not determine y, or where an action of the user's has `acted`, which contradicts them.
   Status restore(double t, double* y, bool acted);
-  void state(Archive& archive) {
-    demanded_.state(archive);
-    projector_.state(archive);
-  }
+  void state(Archive& archive) { demanded_.state(archive); }
 
  private:
   const Weights& weights_;

@@ -114,7 +114,7 @@ Status StepInterpolant::make() {
     for (std::size_t i = 0; i < n; ++i) e0[i] = start_y_[i] - e0[i];
     for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
     if (interpolant_.projects()) {
-      const std::span<const double> w = projector_->linearization().weights;
+      const std::span<const double> w = projector_->linearization().w;
       double* g0 = std::copy(w.begin(), w.end(), e1 + n);
       double* T0 = g0 + 2 * interpolant_.m_;
       if (interpolant_.tangent_ != nullptr && tangents(T0, T0 + tangent_end_.size()) == Status::stop)

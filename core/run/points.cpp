@@ -63,7 +63,8 @@ std::optional<PointExamination> examine(const Problem& problem, const Weights& w
   require(static_cast<bool>(problem.f), "only an f conserves invariants: the problem has none");
   Invariants g = bound(problem, weights);
   ExplicitSlope slope(problem.f, problem.f_error);
-  Guard guard(g, weights, slope, 0);
+  const Projector projector(g, weights, 1);
+  Guard guard(projector, weights, slope, 0);
   PointExamination all;
   const Outcome outcome = guard.examine(t, y, all.invariants);
   if (outcome == Outcome::stop) return {};

@@ -67,7 +67,7 @@ Outcome TangentProjector::onto(Projector& state, double t, const double* target,
 /// The value becomes the residual. Whether it is more than roundoff in an invariant that takes part.
 bool TangentProjector::off_tangent(const Projector& state, const double* S, const double* target,
                                    double* residual) const {
-  const double* J = state.linearization().jacobian.data();
+  const double* J = state.linearization().J.data();
   bool off = false;
   for (std::size_t i = 0; i < m_; ++i) {
     const double value = residual[i];

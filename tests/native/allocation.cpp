@@ -59,6 +59,9 @@ constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2 + 2 + 1 + 9 * 2;
 /// with matrix, factors and pivots of each, when it first takes one.
 constexpr std::int64_t room_of_radau = 1 + 4 * 3;
 
+/// The projector of values between steps takes a point, its weights and J when the first value is asked for.
+constexpr std::int64_t room_of_output = 3;
+
 /// Allocations from the end of the first step to the end of the run, without that room.
 std::int64_t allocations_of(Run& run) {
   CHECK(run.start() == State::running);
@@ -232,7 +235,7 @@ TEST(watching_events_allocates_nothing) {
     Run run(method, problem, options);
     run->output().occurrences[0].t.reserve(100);
     run->output().occurrences[0].y.reserve(400);
-    CHECK(allocations_of(run) == 0);
+    CHECK(allocations_of(run) <= (problem.m > 0 ? room_of_output : 0));
     CHECK(run->output().occurrences[0].t.size() == 16);
   });
 }

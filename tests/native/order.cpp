@@ -159,7 +159,7 @@ TEST(projection_removes_the_part_of_the_local_error_that_is_normal_to_the_manifo
     Eigen::Vector4d before, after;
     Eigen::MatrixXd JW(2, 4);
     for (int j = 0; j < 4; ++j) {
-      const double w = projector.linearization().weights[static_cast<std::size_t>(j)];
+      const double w = projector.linearization().w[static_cast<std::size_t>(j)];
       before[j] = (proposal.y[j] - exact[j]) / w;
       after[j] = (y1[j] - exact[j]) / w;
       for (int i = 0; i < 2; ++i)

@@ -270,8 +270,7 @@ TEST(an_invariant_that_is_not_finite_fails_the_projection) {
       Projector projector(linear.invariants, s.weights, 1);
       Vector y = s.y;
       CHECK(projector.project(0, s.from.data(), y.data()).outcome == Outcome::not_finite);
-      CHECK(projector.onto(0, projector.linearization().weights.data(), s.value.data(), y.data(), 3) ==
-            Outcome::not_finite);
+      CHECK(projector.onto(0, projector.linearization().w.data(), s.value.data(), y.data(), 3) == Outcome::not_finite);
     }
 }
 

@@ -76,7 +76,7 @@ TEST(the_correction_is_the_least_one_to_the_tangent) {
       const Projected did = one.projector.project(0, from.data(), one.Y.data());
       CHECK(did.outcome == Outcome::ok && did.rank == static_cast<std::size_t>(m));
       CHECK(one.tangent.follow(one.projector, 0, one.Y.data()) == Outcome::ok);
-      const auto w = one.projector.linearization().weights;
+      const auto w = one.projector.linearization().w;
       const RowMajor scaled = one.G * Eigen::Map<const Vector>(w.data(), one.G.cols()).asDiagonal();
       for (int j = 0; j < Case::k; ++j) {
         const Vector least = smallest_solution(scaled, one.G * Vector(before.row(1 + j)));

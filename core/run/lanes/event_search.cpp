@@ -44,7 +44,7 @@ EventSearch::EventSearch(const Solver& solver, const Ensemble& ensemble)
   if (!problem.invariants.empty()) {
     invariants_.emplace(problem.n, problem.invariants, problem.value, solver.weights());
     projector_.emplace(*invariants_, solver.weights(), settings.iterations);
-    output_projector_.emplace(*invariants_, solver.weights(), 1);
+    output_projector_.emplace(*invariants_, solver.weights(), 1, 0, &*projector_);
   }
   interpolant_.emplace(*step_, solver.problem().extent(), settings.interpolation,
                        output_projector_ ? &*output_projector_ : nullptr, nullptr, projector_ ? &*projector_ : nullptr);
