@@ -256,18 +256,19 @@ def traffic(library: ctypes.CDLL, found: Costs) -> str:
 def memory() -> str:
     rows = []
     for method in METHODS:
-        grown = int(in_fresh_process(__file__, "--memory", method))
+        grown = [int(in_fresh_process(__file__, "--memory", method, *held)) for held in ((), ("--held",))]
         own = iv.METHODS[method].stages
         kept, text = (own, str(own)) if own else (14, "12 + 2 differences")
-        rows.append([method, text, f"{grown / (8 * LARGEST):.1f}", str(kept + 8)])
-    return table([f"n = {LARGEST:,}, final state only", "stages", "growth, vectors", "stages + 8"], rows)
+        rows.append([method, text, *(f"{one / (8 * LARGEST):.1f}" for one in grown), str(kept + 8)])
+    header = [f"n = {LARGEST:,}, final state only", "stages", "growth, vectors", "total heat imposed", "stages + 8"]
+    return table(header, rows)
 
 
-def memory_of(method: str) -> int:
+def memory_of(method: str, held: bool) -> int:
     """Growth of the peak by a solve with n = 10⁶, the initial value not counted."""
     library = build("large.cpp")
-    solver(library, "heat", SIZES[0], method)()
-    return growth(solver(library, "heat", LARGEST, method))
+    solver(library, "heat", SIZES[0], method, held)()
+    return growth(solver(library, "heat", LARGEST, method, held))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -347,9 +348,10 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     parser.add_argument("--repetitions", type=int, default=7)
     parser.add_argument("--memory", choices=METHODS, help=argparse.SUPPRESS)
+    parser.add_argument("--held", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.memory:
-        print(memory_of(arguments.memory))
+        print(memory_of(arguments.memory, arguments.held))
         return
     text = report(arguments.repetitions)
     print(text)

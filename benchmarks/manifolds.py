@@ -1,11 +1,12 @@
-"""Ready manifolds: what native ones gain, and a rigid body over 1e5 rotations: ``python benchmarks/manifolds.py``.
+"""What projections cost, and a rigid body over 1e5 rotations: ``python benchmarks/manifolds.py``.
 
 With ``--write``, or ``make bench``, the tables go into docs/benchmarks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from functools import partial
 from statistics import median
 from time import process_time
@@ -15,6 +16,7 @@ from measure import interleaved, machine, run, table
 from numpy.typing import NDArray
 
 import invariode as iv
+from invariode import problems
 
 Array = NDArray[np.float64]
 Function = Callable[[float, Array], Array]
@@ -132,6 +134,53 @@ def kept(t, y, g):
     g[3] = 2 * (x * z - w * y_) * a + 2 * (y_ * z + w * x) * b + (w * w - x * x - y_ * y_ + z * z) * c
 
 
+def evaluations() -> str:
+    """Return evaluations of g and of its Jacobian a step, of the steps alone and with three outputs in each."""
+    rows = []
+    for method in ("ode45", "dop853", "ode113", "ode15s", "radau", "taylor"):
+        for tolerance in (1e-3, 1e-6, 1e-9):
+            solve = partial(problems.kepler().solve, method, rtol=tolerance, atol=tolerance)
+            row = [f"{method}, {tolerance:.0e}"]
+            for stats in (solve(keep="end").stats, solve(refine=4).stats):
+                row += [f"{stats.ng / stats.steps:.2f}", f"{stats.ngjac / stats.steps:.2f}"]
+            rows.append(row)
+    return table(["a step of Kepler's problem", "g", "Jacobian", "g, refine=4", "Jacobian, refine=4"], rows)
+
+
+def chords() -> str:
+    """Return corrections to roundoff of outputs within steps, with gradients at the point or from the step's ends."""
+    rows = []
+    for method in ("ode45", "dop853"):
+        for tolerance in (1e-3, 1e-6, 1e-9):
+            counts = np.mean(list(corrections_within_steps(method, tolerance)), axis=0)
+            rows.append([f"{method}, {tolerance:.0e}", *(f"{count:.1f}" for count in counts)])
+    return table(["corrections, Kepler's problem", "J at the point", "of the nearer end", "interpolated"], rows)
+
+
+def corrections_within_steps(method: str, tolerance: float) -> Iterator[list[int]]:
+    """Yield how many corrections each kind of gradient takes at a quarter, the middle and three quarters of a step."""
+    problem = problems.kepler()
+    (held,) = problem.invariants
+    g, gradient = (lambda t, y, f=f: np.array(f(t, y)) for f in (held.fun, held.jac))
+    sol = problem.solve(method, rtol=tolerance, atol=tolerance, dense_output=True, interpolation="corrected")
+    for (t0, t1), (y0, y1) in zip(itertools.pairwise(sol.t), itertools.pairwise(sol.y.T), strict=True):
+        w = np.maximum(np.maximum(abs(y0), abs(y1)), 1.0)  # atol = rtol
+        for theta in (0.25, 0.5, 0.75):
+            t = t0 + theta * (t1 - t0)
+            target = (1 - theta) * g(t0, y0) + theta * g(t1, y1)
+            ends = gradient(t0, y0), gradient(t1, y1)
+            kinds = (None, ends[theta >= 0.5], (1 - theta) * ends[0] + theta * ends[1])
+            counts = []
+            for J in kinds:
+                y, count, size = sol.sol(t), -1, np.inf
+                while size > 1e-15 and count < 9:
+                    rows = (gradient(t, y) if J is None else J) * w
+                    step = w * np.linalg.lstsq(rows, g(t, y) - target)[0]
+                    y, count, size = y - step, count + 1, np.max(abs(step / w))
+                counts.append(count)
+            yield counts
+
+
 ROTATIONS = 10**5
 TUMBLING = np.array([1, 0, 0, 0, 0.1, 1.0, 0.1])  # about the middle axis, where rotation is unstable
 
@@ -165,7 +214,7 @@ def values(y: Array) -> Array:
 
 
 def report(repetitions: int) -> str:
-    tables = [gain(repetitions), python_gradients(repetitions), rotations()]
+    tables = [gain(repetitions), python_gradients(repetitions), evaluations(), chords(), rotations()]
     return "\n\n".join([machine("invariode", "numpy", "numba"), *tables])
 
 
