@@ -114,12 +114,7 @@ def require_no_jump(reduction: Reduction, span: tuple[float, float], state: Arra
 
 
 def _jumping(
-    reduction: Reduction,
-    t: float,
-    state: Array,
-    p: Array,
-    wide: tuple[float, float],
-    close: tuple[float, float],
+    reduction: Reduction, t: float, state: Array, p: Array, wide: tuple[float, float], close: tuple[float, float]
 ) -> tuple[str, float] | None:
     """Return the first constraint that jumps at t, and by how much, from its changes over two intervals."""
     for level in reduction.levels:

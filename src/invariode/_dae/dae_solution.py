@@ -353,12 +353,7 @@ class DaeSolution(Solution):
 
 
 def in_unknowns(
-    sol: Solution,
-    unknowns: Any,
-    p: Array,
-    labels: Sequence[str],
-    reduction: Any,
-    present: Callable[..., Solution],
+    sol: Solution, unknowns: Any, p: Array, labels: Sequence[str], reduction: Any, present: Callable[..., Solution]
 ) -> DaeSolution:
     """Return a solution of the reduced problem in the unknowns of F."""
     states = sol.y

@@ -63,13 +63,7 @@ class ResidualForm:
     """
 
     def __init__(
-        self,
-        F: Callable[..., Any],
-        t: float,
-        y: Array,
-        yp: Array,
-        args: tuple[Any, ...],
-        names: Sequence[str],
+        self, F: Callable[..., Any], t: float, y: Array, yp: Array, args: tuple[Any, ...], names: Sequence[str]
     ) -> None:
         self.F, self.n, self.calls = F, len(y), 0
         self.names = list(names)

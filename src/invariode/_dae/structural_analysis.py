@@ -23,17 +23,7 @@ import numpy as np
 from .._base.arguments import Array
 from .._functions.graph.nodes import Node, in_order
 from .._functions.graph.rounding import bounds
-from .expressions import (
-    Sums,
-    TimeDerivatives,
-    Values,
-    in_lowest_terms,
-    is_zero,
-    leaves,
-    primed,
-    row_of,
-    substituted,
-)
+from .expressions import Sums, TimeDerivatives, Values, in_lowest_terms, is_zero, leaves, primed, row_of, substituted
 from .linear_systems import SINGULAR, condition, equilibrated, null_vectors, nullity, solution
 from .offsets import ABSENT, Block, Offsets, blocks, offsets, surplus
 

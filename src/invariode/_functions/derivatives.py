@@ -537,7 +537,4 @@ def _jacobian_of_args(fun: CompiledFunction, t: float, y: Array, args: tuple[Any
     return None if graph is None else graph.jacobian_of_args
 
 
-form_jacobians_by(
-    _jacobian_of_args,
-    lambda fun, t, y, args: _of_compiled(fun, t, y, args).jacobian(t, y),
-)
+form_jacobians_by(_jacobian_of_args, lambda fun, t, y, args: _of_compiled(fun, t, y, args).jacobian(t, y))

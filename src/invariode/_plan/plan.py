@@ -10,12 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import _core
-from .._base.arguments import (
-    LARGEST_COUNT,
-    Array,
-    Weights,
-    warn,
-)
+from .._base.arguments import LARGEST_COUNT, Array, Weights, warn
 from .._base.failures import InvariantError
 from .._base.types import Numbers, OnFailure, OnInterrupt, Progress
 from .._functions.compiled import Watch

@@ -57,9 +57,7 @@ from .._problem.jacobian_and_mass import Matrices
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
-from .._results.messages import (
-    inconsistent_start,
-)
+from .._results.messages import inconsistent_start
 from .._results.result import Names
 from .._sensitivity.landings import Schedule, reads_time, schedule_of
 from .nystrom_requirements import require_second_order

@@ -39,15 +39,7 @@ from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options
 from .._problem.parameters import values_of
 from .._problem.problem import Problem
-from .._results.messages import (
-    MESSAGES,
-    OF_MECHANISM,
-    below_zero,
-    blamed_on,
-    complex_steps_left,
-    formed,
-    misfit,
-)
+from .._results.messages import MESSAGES, OF_MECHANISM, below_zero, blamed_on, complex_steps_left, formed, misfit
 from .._results.records import BeforeProjection, ByEvent, Stats, Steps, at_events
 from .._results.result import FAILED, LIMIT_REACHED, NOT_CONSERVED, STOPPED, DenseSolution, Origin
 from .._results.sensitivity_data import SensitivityData, states_and_sensitivities

@@ -227,10 +227,7 @@ def _jumps(switch: Switch, t: float, y: Array, p: Array) -> bool:
 
 
 def _root(
-    value: Callable[[float, Array, Array], Array],
-    gradient: Callable[[float, Array, Array], Array],
-    x: Array,
-    p: Array,
+    value: Callable[[float, Array, Array], Array], gradient: Callable[[float, Array, Array], Array], x: Array, p: Array
 ) -> Array | None:
     """A point near x at which the value is 0, by Newton's method along the gradient."""
     for _ in range(_STEPS):

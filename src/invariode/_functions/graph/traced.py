@@ -421,17 +421,7 @@ BY_OPERATORS = {
     ),
     *("dot", "vdot", "inner", "outer", "cross", "trace", "diagonal", "diag", "kron", "matmul", "tensordot", "cumsum"),
     *("cumprod", "sum", "prod", "repeat", "tile", "take", "squeeze", "expand_dims", "moveaxis", "swapaxes", "append"),
-    *(
-        "atleast_1d",
-        "atleast_2d",
-        "split",
-        "array_split",
-        "copy",
-        "broadcast_to",
-        "delete",
-        "insert",
-        "einsum",
-    ),
+    *("atleast_1d", "atleast_2d", "split", "array_split", "copy", "broadcast_to", "delete", "insert", "einsum"),
     *("flip", "einsum", "triu", "tril", "pad", "rot90", "flipud", "fliplr", "trapezoid", "trapz", "convolve"),
 }
 
