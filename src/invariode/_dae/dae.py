@@ -678,19 +678,16 @@ class Dae:
                 return self._presented(sol, reduction)
         raise ValueError("the solution is not one of a problem of this Dae: solve what dae.problem(t_span) returns")
 
-    def _again(
-        self, reduction: Reduction, before: OnFailure | None, sol: Solution, on_failure: OnFailure | None = None
-    ) -> Solution:
-        """Return another solution of the reduced problem, which resumes one that was presented, in the unknowns of
-        F."""
-        return self._presented(sol, reduction, on_failure or before)
-
     def _presented(self, sol: Solution, reduction: Reduction, on_failure: OnFailure | None = None) -> Solution:
         """Return a solution of the reduced problem in the unknowns of F; a violated equation is a failure."""
         unknowns = self._functions(reduction).unknowns
         source = sol._source
         p = layout_of(source.problem.args).numbers
-        found = in_unknowns(sol, unknowns, p, self.names, reduction, partial(self._again, reduction, on_failure))
+
+        def again(resumed: Solution, then: OnFailure | None = None) -> Solution:
+            return self._presented(resumed, reduction, then or on_failure)
+
+        found = in_unknowns(sol, unknowns, p, self.names, reduction, again)
         has_failed = sol.status in (FAILED, NOT_CONSERVED)
         text = jump(sol, reduction, p) if has_failed else ""
         if text or (sol.status == FAILED and (text := impasse(sol, reduction, p))):

@@ -320,9 +320,7 @@ class DaeSolution(Solution):
     @property
     def reduced(self) -> Solution:
         """The solution of the reduced problem, in its states."""
-        if self._origin is None:
-            raise ValueError("this solution comes from a file or a pickle, without its reduced problem")
-        return cast("_OriginOfUnknowns", self._origin).reduced
+        return cast("_OriginOfUnknowns", self._run).reduced
 
     def impose(self) -> Solution:
         """Project the values to roundoff onto all constraints.

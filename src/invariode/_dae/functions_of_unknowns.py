@@ -42,9 +42,8 @@ class ThroughUnknowns:
         found: Array = self._unknowns.yp.at(t, state, layout_of(args).numbers if args else self._p)
         return found
 
-    def event(self, given: Any) -> Event:
+    def event(self, made: Event) -> Event:
         """Return the event of the state with the attributes of an event of the unknowns."""
-        made = given if isinstance(given, Event) else _as_event(given)
         fun, action = made.fun, made.action
 
         def of_state(t: Any, state: Any, *args: Any) -> Any:
@@ -92,11 +91,6 @@ class ThroughUnknowns:
 def _plain(t: Any, state: Any) -> bool:
     """Return whether these are real numbers."""
     return isinstance(t, (float, int)) and isinstance(state, np.ndarray) and state.dtype.kind == "f"
-
-
-def _as_event(fun: Any) -> Event:
-    """Return a function with SciPy's attributes as an `Event`."""
-    return Event(fun, getattr(fun, "terminal", False), getattr(fun, "direction", 0))
 
 
 def _vector(given: Any, like: Array) -> Array:

@@ -9,7 +9,7 @@ is regular.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -64,15 +64,10 @@ def nonlinear_blocks(structure: Structure, arrangement: Arrangement) -> set[int]
     (c, d, _), n, found = arrangement.offsets, structure.n, set()
     for k, block in enumerate(arrangement.blocks):
         unknown = {int(d[j]) * n + j for j in block.columns}
-        if any(
-            c[i] == 0 and leaves([node]) & unknown for i, _, node in _of_rows(arrangement, block.rows, block.columns)
-        ):
+        part = arrangement.part(block.rows, block.columns)
+        if any(c[block.rows[a]] == 0 and leaves([node]) & unknown for a, _, node in part):
             found.add(k)
     return found
-
-
-def _of_rows(arrangement: Arrangement, rows: Sequence[int], columns: Sequence[int]) -> Iterable[tuple[int, int, Node]]:
-    return ((rows[a], columns[b], node) for a, b, node in arrangement.part(rows, columns))
 
 
 def raised(structure: Structure, arrangement: Arrangement, which: set[int]) -> Arrangement:

@@ -71,18 +71,14 @@ class ResidualForm:
         if size != self.n:
             raise ValueError(f"F returns {size} residuals for {self.n} unknowns: as many equations are needed")
         self.V, of_yp = self._null_space(t, y, yp, args)
-        self.free = np.array([self._own(k) for k in range(len(self.V))], dtype=int)
+        one_vector = np.count_nonzero(self.V, axis=0) == 1  # components in which only one vector of the basis is not 0
+        self.free = np.array([np.flatnonzero((row == 1) & one_vector)[0] for row in self.V], dtype=int)
         self.bound = np.setdiff1d(np.arange(self.n), self.free)
         self.r = len(self.bound)
         self.mass = np.diag(np.concatenate([np.ones(self.r), np.zeros(self.n)]))
         A = np.hstack([self._along(t, y, yp, args, self.V, of_yp=False), of_yp[:, self.bound]])
         self._require_index_1(t, A)
         self.start = self._consistent(t, np.concatenate([self.states(y), self._combined(yp)]), args, A)
-
-    def _own(self, k: int) -> int:
-        """Return the component in which only vector k of the basis is not 0."""
-        alone = (self.V[k] == 1) & (np.count_nonzero(self.V, axis=0) == 1)
-        return int(np.flatnonzero(alone)[0])
 
     def residual(self, t: float, y: Array, yp: Array, *args: Any) -> Array:
         """Return F, as an array."""

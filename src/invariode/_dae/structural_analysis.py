@@ -15,7 +15,7 @@ points may still be there: of a saturated tanh, say, or of a branch that is not 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,12 +64,12 @@ class GenericPoints:
             known.append(at + self._distances[k] * self._random[k].standard_normal(self.n) * (1 + np.abs(at)))
         return np.concatenate(known[:levels]) if levels else np.zeros(0)
 
-    def values(self, nodes: Sequence[Node], parameters: Array, which: Iterable[int] | None = None) -> list[Array]:
-        """Return the values of nodes at these points, by default at all."""
+    def values(self, nodes: Sequence[Node], parameters: Array, which: Iterable[int] | None = None) -> Iterator[Array]:
+        """Yield the values of nodes at these points, by default at all."""
         evaluate = Values(nodes)
         levels = 1 + max(leaves(nodes), default=0) // self.n
-        points = range(len(self)) if which is None else which
-        return [evaluate(self.t[k], self.y(k, levels), parameters) for k in points]
+        for k in range(len(self)) if which is None else which:
+            yield evaluate(self.t[k], self.y(k, levels), parameters)
 
 
 class Arrangement(NamedTuple):
@@ -204,11 +204,8 @@ class Structure:
     def _matrices(self, block: Block) -> Iterable[Array]:
         """Return the values of a block at the generic points."""
         part = self.arrangement.part(block.rows, block.columns)
-        nodes = [node for *_, node in part]
-        evaluate = Values(nodes)
-        levels = 1 + max(leaves(nodes), default=0) // self.n
-        for k in range(len(self.points)):
-            yield filled(part, len(block.rows), evaluate(self.points.t[k], self.points.y(k, levels), self.parameters))
+        for values in self.points.values([node for *_, node in part], self.parameters):
+            yield filled(part, len(block.rows), values)
 
     # ------------------------------------------------------------------------------------------------------------------
     # Repairs

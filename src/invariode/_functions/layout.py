@@ -45,17 +45,8 @@ class Numbers:
         kind = found.dtype.kind
         self.shape: tuple[int, ...] = found.shape
         self.value = found.copy() if found.ndim else value
-        self.rank = (
-            _VARYING
-            if varying
-            else TRUTHS
-            if kind == "b"
-            else INTEGERS
-            if kind in "iu"
-            else ARRAYS
-            if found.ndim
-            else ALL
-        )
+        of_kind = {"b": TRUTHS, "i": INTEGERS, "u": INTEGERS}.get(kind, ARRAYS if found.ndim else ALL)
+        self.rank = _VARYING if varying else of_kind
         self.fixed = fixed or self.rank == TRUTHS
         self._key = (self.shape, self.rank, (found.dtype.str, found.tobytes()) if self.fixed else None)
 
@@ -224,7 +215,7 @@ def layout_of(args: Iterable[Any]) -> ArgumentLayout:
 
 
 def _entry(value: Any) -> Entry:
-    if isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
+    if isinstance(value, _NUMBER):
         return Numbers(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return Numbers(as_array("an array in args", value))

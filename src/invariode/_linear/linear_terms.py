@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, warn
 from .._base.matrices import as_dense, as_matrix, compressed, is_sparse
@@ -172,52 +171,49 @@ def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
     return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
 
 
+def _storage(given: Matrices, y0: Array, is_sparse: bool) -> _Storage:
+    """Return the storage of the Jacobian: in bands if these are given."""
+    kind = "banded" if given.bands is not None else "sparse" if is_sparse else "dense"
+    return _Storage(kind, len(y0), np.iscomplexobj(y0), *(given.bands or ()))
+
+
+def _has_pattern(given: Matrices) -> bool:
+    """Return whether the sparsity pattern is given, not only a word for how it is found."""
+    return given.jac_sparsity is not None and not isinstance(given.jac_sparsity, str)
+
+
 def _jacobian(given: Matrices, start: FunctionAtStart) -> _Jacobian:
     """Return the storage of the Jacobian, its kind, and its values or its function."""
     y0, args = start.y, start.args
-    n, is_complex = len(y0), np.iscomplexobj(y0)
-    bands = given.bands
     if is_native(given.jac):
-        return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
+        return _native_jacobian(given, y0, start.parameters)
     chosen = given.jac if isinstance(given.jac, str) else None
     known, at_complex = None if chosen else given.jac, partial(_complex_steps, chosen, start)
     how, source = way_of(chosen, known, traced=lambda: start.exact, at_complex=at_complex)
     if how == "traced":
-        return _exact_jacobian(given, bands, start, source)
+        return _exact_jacobian(given, start, source)
     if how != "given":
-        return _computed(given, bands, start, source)
+        return _computed(given, start, source)
     if given.jac_sparsity is not None:
         warn("jac_sparsity has no effect together with jac")
-
-    def storage(is_sparse: bool) -> _Storage:
-        if bands is not None:
-            return _Storage("banded", n, is_complex, *bands)
-        return _Storage("sparse" if is_sparse else "dense", n, is_complex)
-
     if callable(given.jac) and not is_operator(given.jac):
         first = given.jac(start.t, y0.copy(), *args)
-        held = storage(is_sparse(first))
+        held = _storage(given, y0, is_sparse(first))
         return _Jacobian(held, "function", _JacobianFunction(given.jac, args, held, start.t, y0, first))
-    held = storage(is_sparse(given.jac))
+    held = _storage(given, y0, is_sparse(given.jac))
     return _Jacobian(held, "constant", held.values("jac", given.jac))
 
 
-def _computed(
-    given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart, at_complex: Any | None
-) -> _Jacobian:
+def _computed(given: Matrices, start: FunctionAtStart, at_complex: Any | None) -> _Jacobian:
     """Return a Jacobian computed from f, by complex steps if f for complex y is there, else by finite differences, in a
     structure that is given or found."""
     y0, found, pattern = start.y, 0, None
-    storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
-    if bands is not None:
-        held = storage("banded", lower=bands[0], upper=bands[1])
-    elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
+    if given.bands is None and not _has_pattern(given):
         searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.bounds)
         pattern, found = searched or (None, 0)
-        held = storage("dense" if pattern is None else "sparse")
-    else:
-        held = storage("sparse")
-        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, held.complex))
+    held = _storage(given, y0, _has_pattern(given) or pattern is not None)
+    if held.kind == "sparse" and pattern is None:
+        pattern = _given_pattern(given, held)
     if held.kind == "dense" and too_large_to_be_dense(given, y0):
         size = _dense_bytes(y0) / 2**30
         warn(
@@ -229,12 +225,11 @@ def _computed(
     return _Jacobian(held, "complex-step", (at_complex, pattern), found)
 
 
-def _exact_jacobian(
-    given: Matrices, bands: tuple[int, int] | None, start: FunctionAtStart, exact: Derived
-) -> _Jacobian:
+def _exact_jacobian(given: Matrices, start: FunctionAtStart, exact: Derived) -> _Jacobian:
     """Return the Jacobian from the graph of f: in bands if these are given, sparse if that is chosen or pays. Its
     pattern is that of the graph, whatever was given."""
-    n, pattern = len(start.y), None
+    n, bands, pattern = len(start.y), given.bands, None
+    held = _storage(given, start.y, bands is None and _is_sparse(given, exact.entries, n))
     if bands is not None:
         lower, upper = exact.bands
         if lower > bands[0] or upper > bands[1]:
@@ -244,12 +239,9 @@ def _exact_jacobian(
                 "lband and uband"
             )
         made = exact.banded(*bands)
-        return _Jacobian(_Storage("banded", n, False, *bands), "derived", (start.derivative(made, made.size), pattern))
-    if _is_sparse(given, exact.entries, n):
-        held = _Storage("sparse", n, False)
+        return _Jacobian(held, "derived", (start.derivative(made, made.size), pattern))
+    if held.kind == "sparse":
         pattern = _columns(exact.pattern.matrix(np.ones(exact.entries)))
-    else:
-        held = _Storage("dense", n, False)
     if exact.is_product(n if pattern is None else exact.widest):
         return _Jacobian(held, "derived", (None, pattern), product=start.product)
     made = exact.dense() if pattern is None else exact.sparse()
@@ -297,23 +289,12 @@ def _dense_bytes(y0: Array) -> int:
     return 8 * y0.view(float).size ** 2
 
 
-def _native_jacobian(
-    given: Matrices, bands: tuple[int, int] | None, y0: Array, p: ArgumentLayout
-) -> tuple[_Storage, str, tuple[Any, Any]]:
-    """Return the storage, the kind and the source of a Jacobian that machine code computes: its values are dense,
-    bands, or those of the pattern."""
-    n, is_complex = len(y0), np.iscomplexobj(y0)
-    reals = y0.view(float).size
-    if bands is not None:
-        held, pattern = _Storage("banded", n, is_complex, *bands), None
-        size = held.given_shape[0] * reals
-    elif given.jac_sparsity is not None and not isinstance(given.jac_sparsity, str):
-        held = _Storage("sparse", n, is_complex)
-        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
-        size = len(pattern[2])
-    else:
-        held, pattern, size = _Storage("dense", n, is_complex), None, reals * reals
-    return held, "function", (to_native("jac", given.jac, reals, size, p), pattern)
+def _native_jacobian(given: Matrices, y0: Array, p: ArgumentLayout) -> _Jacobian:
+    """Return a Jacobian that machine code computes: its values are dense, bands, or those of the pattern."""
+    reals, held = y0.view(float).size, _storage(given, y0, _has_pattern(given))
+    pattern = _given_pattern(given, held) if held.kind == "sparse" else None
+    size = reals * (held.given_shape[0] if held.kind == "banded" else reals) if pattern is None else len(pattern[2])
+    return _Jacobian(held, "function", (to_native("jac", given.jac, reals, size, p), pattern))
 
 
 def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:
@@ -438,10 +419,11 @@ def _regular(A: sp.csc_array) -> bool:
     return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
 
 
-def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
-    pattern = _compressed(as_matrix("jac_sparsity", given, is_complex=is_complex) != 0).astype(float)
+def _given_pattern(given: Matrices, storage: _Storage) -> Any:
+    """Return the given sparsity pattern as the core reads it."""
+    pattern = _compressed(as_matrix("jac_sparsity", given.jac_sparsity, is_complex=storage.complex) != 0).astype(float)
     # A complex f need not be analytic: real and imaginary parts may depend on both.
-    return _compressed(pattern * (1 + 1j)) if is_complex else pattern
+    return storage.values("jac_sparsity", _compressed(pattern * (1 + 1j)) if storage.complex else pattern)
 
 
 def _compressed(matrix: Any) -> sp.csc_array:

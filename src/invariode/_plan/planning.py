@@ -137,7 +137,7 @@ def planned(problem: Problem, choice: Choice) -> Plan:
         method=chosen,
         tolerances=weights,
         moved=y0 is not problem.y0,
-        names=_names(bound, linear),
+        names=[*bound.names, *(f"algebraic equation {i + 1}" for i in range(linear.algebraic if linear else 0))],
         event_names=event_names,
         records_events=problem.records_events,
         rtol=kept(rtol),
@@ -537,9 +537,3 @@ def _require_free_directions(bound: BoundInvariants, problem: Problem) -> None:
         f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
         'use direction="gradient"'
     )
-
-
-def _names(bound: BoundInvariants, linear: LinearTerms | None) -> list[str]:
-    """Return the names of all imposed quantities: the invariants, then the algebraic equations."""
-    algebraic = linear.algebraic if linear else 0
-    return [*bound.names, *(f"algebraic equation {i + 1}" for i in range(algebraic))]

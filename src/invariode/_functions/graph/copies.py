@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import CompiledFunction
-from ..contents import has_own_code, is_of_numbers, is_of_others
+from ..contents import has_own_code, is_of_numbers, is_of_others, nested
 from .complexes import pair
 from .nodes import ELEMENTARY, Node, TraceError
 from .selections import MOST_CODES, helpers, selecting
@@ -230,8 +230,7 @@ def _is_full(cell: Any) -> bool:
 @functools.lru_cache(MOST_CODES)
 def _names(code: types.CodeType) -> frozenset[str]:
     """Return the set of names that code and the functions in it use."""
-    nested = [_names(one) for one in code.co_consts if isinstance(one, types.CodeType)]
-    return frozenset(code.co_names).union(*nested)
+    return frozenset(name for one in nested(code) for name in one.co_names)
 
 
 @functools.lru_cache(MOST_CODES)

@@ -48,7 +48,7 @@ class Derived:
         """The rows of ∂/∂y: what is in no row is zero everywhere."""
         y = self._y
         found = [gradient(self.outputs[0], y)] if len(self.outputs) == 1 else jacobian(self.outputs, y)
-        return [{j: one for j, one in row.items() if not _is_zero(one)} for row in found]
+        return [{j: one for j, one in row.items() if one.op != "number" or one.value != 0} for row in found]
 
     @cached_property
     def timed(self) -> list[Crossing]:
@@ -277,7 +277,3 @@ def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) ->
     """Return a derivative of a function of so many parameters for the core, with the inputs of the function."""
     form = fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
     return to_native(made.__name__, form, n, size, ArgumentLayout.single(parameters))
-
-
-def _is_zero(node: Node) -> bool:
-    return node.op == "number" and node.value == 0

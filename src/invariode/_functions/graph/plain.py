@@ -251,7 +251,7 @@ def _may_switch(value: Any) -> bool:
             inside: Iterable[Any] = _outside(one, code)
         elif kind in _HOLDERS:
             inside = _HOLDERS[kind](one)
-        elif _is_table(one):
+        elif issubclass(kind, PolynomialTable) or kind.__module__.startswith("scipy.interpolate"):
             return True
         elif issubclass(kind, CompiledFunction):
             inside = [one.fun]
@@ -318,18 +318,15 @@ def _attributes(value: Any, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
             yield name, found
 
 
-def _is_table(value: Any) -> bool:
-    return issubclass(type(value), PolynomialTable) or type(value).__module__.startswith("scipy.interpolate")
-
-
 def _code_of(code: CodeType) -> _CodeSummary:
     known = _known.get(code)
     if known is None:
         codes = [*nested(code)]
         plain = all(_is_plain(one, code) for one in codes)
         names = dict.fromkeys(name for one in codes for name in _names(one, code)) if plain else {}
-        attributes = frozenset(name for one in codes for name in _attributes_in(one)) - _ATTRIBUTES
-        known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), attributes, _read(codes))
+        every = (one for code in codes for one in dis.get_instructions(code))
+        used = frozenset(one.argval for one in every if one.opname in ("LOAD_ATTR", "LOAD_METHOD")) - _ATTRIBUTES
+        known = _CodeSummary(plain, plain and any(map(_switches, codes)), tuple(names), used, _read(codes))
         _known[code] = known
     return known
 
@@ -364,10 +361,6 @@ def _read(codes: Sequence[CodeType]) -> frozenset[int]:
     named = {one.argval for code in codes for one in dis.get_instructions(code) if one.opname.startswith("LOAD_")}
     named |= {name for one in named if isinstance(one, tuple) for name in one}  # two of them at once, from 3.13 on
     return frozenset(i for i, name in enumerate(codes[0].co_varnames[: codes[0].co_argcount]) if name in named)
-
-
-def _attributes_in(code: CodeType) -> Iterator[str]:
-    return (one.argval for one in dis.get_instructions(code) if one.opname in ("LOAD_ATTR", "LOAD_METHOD"))
 
 
 def _names(code: CodeType, whole: CodeType) -> Iterator[str]:

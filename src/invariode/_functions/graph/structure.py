@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import TypeAlias
 
@@ -40,7 +40,8 @@ def _combined(node: Node, given: Sequence[Row]) -> Row:
     if node.op == "number" and math.isfinite(node.value):
         return {(): fraction(node.value)} if node.value else {}
     if node.op in ("add", "subtract"):
-        return _sum(given[0], given[1], 1 if node.op == "add" else -1)
+        sign = 1 if node.op == "add" else -1
+        return _sum(given[0], ((one, sign * x) for one, x in given[1].items()))
     if node.op == "negate":
         return {one: -x for one, x in given[0].items()}
     if node.op == "multiply":
@@ -68,10 +69,10 @@ def _inverse(node: Node, its: Row) -> Row:
     return {tuple((one, -power) for one, power in monomial): 1 / x}
 
 
-def _sum(a: Row, b: Row, sign: int) -> Row:
+def _sum(a: Row, terms: Iterable[tuple[_Monomial, Fraction]]) -> Row:
     found = dict(a)
-    for one, x in b.items():
-        value = found.get(one, 0) + sign * x
+    for one, x in terms:
+        value = found.get(one, 0) + x
         if value:
             found[one] = Fraction(value)
         else:
@@ -80,16 +81,7 @@ def _sum(a: Row, b: Row, sign: int) -> Row:
 
 
 def _product(a: Row, b: Row) -> Row:
-    found: Row = {}
-    for one, x in a.items():
-        for other, z in b.items():
-            monomial = _times(one, other)
-            value = found.get(monomial, 0) + x * z
-            if value:
-                found[monomial] = Fraction(value)
-            else:
-                found.pop(monomial, None)
-    return found
+    return _sum({}, ((_times(one, other), x * z) for one, x in a.items() for other, z in b.items()))
 
 
 def _times(a: _Monomial, b: _Monomial) -> _Monomial:

@@ -90,10 +90,7 @@ def trace(
         found = _Tracing(*given, selections=True).traced()
     except TraceError:  # an index, say, that only a single path knows
         found = None
-    return found or _required(_Tracing(*given).traced())
-
-
-def _required(found: Traced | None) -> Traced:
+    found = found or _Tracing(*given).traced()
     assert found is not None
     return found
 
