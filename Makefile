@@ -133,10 +133,13 @@ fuzz-sanitize: $(VENV)/.installed-test  ## the same with the extension built und
 	LD_PRELOAD="$(foreach lib,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(lib).so))" PYTHONMALLOC=malloc \
 	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=$(SANITIZED) $(BIN)/python $(FUZZ)
 
-# $(call tidy,CHECKS): clang-tidy with .clang-tidy's checks changed by CHECKS, over every file of the core by itself.
+# $(call tidy,UNITY,CHECKS): clang-tidy with .clang-tidy's checks changed by CHECKS, over what is compiled of the core. With
+# UNITY=ON the headers that the files of a folder share are read once; with OFF every file by itself, which also shows
+# that it includes what it uses.
 define tidy
-	$(CMAKE) -S . -B $(NATIVE)-lint -DINVARIODE_UNITY=OFF
-	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint $(1)
+	$(CMAKE) -S . -B $(NATIVE)-lint -DINVARIODE_UNITY=$(1)
+	$(BIN)/python -c 'import json; [print(one["file"]) for one in json.load(open("$(NATIVE)-lint/compile_commands.json")) \
+	  if "invariode_core.dir" in one["output"]]' | xargs -P 2 -n 1 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint $(2)
 endef
 
 lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, drift of the generated stubs
@@ -147,13 +150,13 @@ lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, dri
 	$(BIN)/mypy --config-file tests/typing/mypy.ini tests/typing
 	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
-	$(call tidy,"--checks=-clang-analyzer-*")
+	$(call tidy,ON,"--checks=-clang-analyzer-*")
 	mkdir -p build/_base build/_problem build/_solve
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
 
-analyze: $(VENV)/.installed-lint  ## clang's static analyser over the core, three quarters of clang-tidy's time; once a day
-	$(call tidy,"--checks=-*$(comma)clang-analyzer-*$(comma)-clang-analyzer-unix.Malloc$(comma)-clang-analyzer-security.ArrayBound$(comma)-clang-analyzer-optin.performance.Padding")
+analyze: $(VENV)/.installed-lint  ## clang's static analyser over each file of the core; once a day
+	$(call tidy,OFF,"--checks=-*$(comma)clang-analyzer-*$(comma)-clang-analyzer-unix.Malloc$(comma)-clang-analyzer-security.ArrayBound$(comma)-clang-analyzer-optin.performance.Padding")
 
 format: $(VENV)/.installed-lint
 	$(BIN)/ruff format .
