@@ -225,7 +225,7 @@ $(WHEEL)/.built: $(VENV)/bin/python $(SOURCES)
 	rm -rf $(WHEEL)
 	+$(MAKE) -s -j 2 wheel requirements WITH=$(WITH)
 	$(PIP) install --force-reinstall --no-deps $(WHEEL)/invariode-*.whl
-	@touch $@
+	@echo $(WITH) > $@
 
 wheel:
 	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
@@ -234,10 +234,11 @@ requirements:
 	$(BIN)/python .ci/requirements.py $(WITH) > $(VENV)/requirements.txt
 	$(PIP) install --no-compile -r $(VENV)/requirements.txt
 
-# .installed-a-b: that package, with the extras a and b; of these, what is imported is compiled then.
+# .installed-a-b: that package, with the extras a and b; of these, what is imported is compiled then. The extra WITH came
+# with the package.
 comma := ,
 $(VENV)/.installed-%: $(WHEEL)/.built
-	$(PIP) install --no-compile "$$(echo $(WHEEL)/invariode-*.whl)[$(subst -,$(comma),$*)]"
+	[ "$*" = "$$(cat $<)" ] || $(PIP) install --no-compile "$$(echo $(WHEEL)/invariode-*.whl)[$(subst -,$(comma),$*)]"
 	@touch $@
 
 # Built against the lowest build requirements, installed with the lowest requirements; then the tests run from the sources.
