@@ -40,7 +40,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--one-case", action="store_true", help="one case of each test but those BY_INTERPRETER")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Each worker begins to collect at another file: in a new environment what is imported is compiled, and workers in
+    step would each compile all of it."""
+    worker, count = (os.environ.get(f"PYTEST_XDIST_WORKER{of}", "") for of in ("", "_COUNT"))
+    if worker and config.args == config.getini("testpaths"):
+        files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
+        first = len(files) * int(worker.removeprefix("gw")) // int(count)
+        config.args[:] = files[first:] + files[:first]
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path)
     if not config.getoption("--one-case"):
         return
     assert all((Path(__file__).parent / f"{name}.py").exists() for name in BY_INTERPRETER)
