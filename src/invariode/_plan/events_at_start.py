@@ -62,7 +62,7 @@ def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
     t_events, y_events = sol.t_events.replaced(sol.t_events), sol.y_events.replaced(sol.y_events)
     for e in found:
         t_events[e] = np.concatenate([[plan.course.t0], t_events[e]])
-        y_events[e] = np.concatenate([plan.y0[None, :], y_events[e]])
+        y_events[e] = np.concatenate([plan.y0[None, :], y_events[e].reshape(-1, len(plan.y0))])
     sensitivities = sol._sensitivities
     if plan.varied is not None and sensitivities is not None and sensitivities.events is not None:
         none = np.zeros(0), plan.start[None, :][:0]

@@ -273,9 +273,6 @@ def concluded(sol: Solution, on_failure: OnFailure | None) -> Solution:
     Raises SolveError: It failed, and is to raise.
     Raises InvariantError: f contradicts an invariant, and the solution is not to be returned.
     """
-    y_events = sol["y_events"]  # items are faster than attributes: see `Result`
-    if y_events is not None:
-        sol["y_events"] = y_events.replaced(map(at_events, y_events))
     if sol["success"] or on_failure == "return" or (on_failure is None and sol["status"] != NOT_CONSERVED):
         return sol
     if on_failure == "warn":
@@ -478,7 +475,7 @@ def _solution(finished: Finished) -> Solution:
     if happened is not None:
         dtype = sol["y"].dtype
         sol["t_events"] = ByEvent(plan.called.events, [times for times, _ in happened])
-        sol["y_events"] = ByEvent(plan.called.events, [points.view(dtype) for _, points in happened])
+        sol["y_events"] = ByEvent(plan.called.events, [at_events(points.view(dtype)) for _, points in happened])
     if settings.record:
         sol["steps"] = Steps(run, finished.members)
     return sol
@@ -599,7 +596,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         t_events = new.t_events.replaced(map(np.concatenate, zip(old.t_events, new.t_events, strict=True)))
         n = len(old.y)
         y_events = new.y_events.replaced(
-            np.concatenate([part.reshape(-1, n) for part in parts])
+            at_events(np.concatenate([part.reshape(-1, n) for part in parts]))
             for parts in zip(old.y_events, new.y_events, strict=True)
         )
     steps = None
