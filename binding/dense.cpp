@@ -65,17 +65,16 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
   const auto* each = std::get_if<ConstVector>(&threshold);
   const std::size_t states = 1 + parameters;
   require(states > 0 && n % states == 0, "a point is not a state with its sensitivities");
-  const Extent extent(n / states, parameters);
+  const SegmentKind kind{Extent(n / states, parameters), m, *mode, raw->evaluate};
+  const auto& extent = kind.extent;
   require((!each || each->size() == extent.n) && (!scale || scale->size() == extent.n), "weights do not match");
   require(lower.has_value() == upper.has_value() && (!lower || lower->size() == extent.n), "bounds do not match");
-  Dense dense{
-      DenseOutput(extent, m, *mode, raw->evaluate,
-                  lower ? std::optional<Bounds>(std::in_place, to_vector(*lower), to_vector(*upper)) : std::nullopt),
-      to_weights(rtol, each ? to_vector(*each) : std::vector<double>(extent.n, std::get<double>(threshold)),
-                 scale ? to_vector(*scale) : std::vector<double>{}),
-      complex};
-  const std::size_t overhead = Interpolant(extent, m, *mode, raw->evaluate, nullptr, nullptr, nullptr).overhead();
-  add_segments(dense, t, y, end, offset, data, overhead, *raw);
+  Dense dense{DenseOutput(kind, lower ? std::optional<Bounds>(std::in_place, to_vector(*lower), to_vector(*upper))
+                                      : std::nullopt),
+              to_weights(rtol, each ? to_vector(*each) : std::vector<double>(extent.n, std::get<double>(threshold)),
+                         scale ? to_vector(*scale) : std::vector<double>{}),
+              complex};
+  add_segments(dense, t, y, end, offset, data, kind.overhead(), *raw);
   return dense;
 }
 
@@ -86,15 +85,16 @@ std::vector<double> Dense::at(std::span<const double> t, nb::handle problem) con
   std::optional<Invariants> invariants;
   std::optional<Projector> projector;
   std::optional<TangentProjector> tangent;
-  const Extent extent = output.extent();
-  if (output.projects() && !problem.is_none()) bound.emplace(Record(problem));
+  const SegmentKind& kind = output.kind();
+  const Extent& extent = kind.extent;
+  if (kind.projects() && !problem.is_none()) bound.emplace(Record(problem));
   if (bound && !bound->problem().invariants.empty()) {
-    require(bound->problem().value.size() == output.parts().m, "not the number of invariants of the run");
+    require(bound->problem().value.size() == kind.m, "not the number of invariants of the run");
     require_sizes(bound->problem(), weights);
     require(bound->problem().extent() == extent, "not the sensitivities of the run");
     invariants.emplace(extent.n, bound->problem().invariants, bound->problem().value, weights);
     projector.emplace(*invariants, weights, 1);
-    if (extent.k > 0) tangent.emplace(*invariants, weights, extent, nullptr);
+    if (extent.k > 0) tangent.emplace(*invariants, weights, output.size(), nullptr);
   }
   std::vector<double> y(t.size() * output.size());
   Status status = Status::ok;
@@ -115,10 +115,8 @@ Dense Dense::joined(const Dense& next) const {
   const DenseOutput::Parts a = output.parts(), b = next.output.parts();
   require(output.size() == 0 || a.knots.t.back() == b.knots.t.front(),
           "continuous solutions that do not follow one another");
-  require(output.extent() == next.output.extent() && complex == next.complex && a.m == b.m && a.mode == b.mode &&
-              a.raw == b.raw,
-          "continuous solutions of different kinds");
-  Dense both{DenseOutput(output.extent(), a.m, a.mode, a.raw, a.bounds), weights, complex};
+  require(output.kind() == next.output.kind() && complex == next.complex, "continuous solutions of different kinds");
+  Dense both{DenseOutput(output.kind(), a.bounds), weights, complex};
   both.output.append(output);
   both.output.append(next.output);
   return both;
@@ -133,10 +131,10 @@ nb::dict Dense::parts() const {
   d["end"] = copied(all.end);
   d["offset"] = to_array<Integers>(std::vector<std::int64_t>(offset), offset.size());
   d["data"] = copied(all.data.copy());
-  d["m"] = all.m;
-  d["parameters"] = output.extent().k;
-  d["interpolation"] = name_of(all.mode);
-  d["extension"] = find_extension(all.raw).name;
+  d["m"] = output.kind().m;
+  d["parameters"] = output.kind().extent.k;
+  d["interpolation"] = name_of(output.kind().mode);
+  d["extension"] = find_extension(output.kind().raw).name;
   d["rtol"] = weights.rtol();
   d["threshold"] = copied(weights.threshold());
   d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
@@ -160,9 +158,10 @@ void define_dense(nb::module_& module) {
            "sensitivities Y, (len(t), (1 + k) n).")
       .def("joined", &Dense::joined, nb::arg("next"), "This and then `next`, which starts where this ends.")
       .def_prop_ro(
-          "n", [](const Dense& d) { return d.output.extent().n; }, "Reals in a state.")
+          "n", [](const Dense& d) { return d.output.kind().extent.n; }, "Reals in a state.")
       .def_prop_ro(
-          "parameters", [](const Dense& d) { return d.output.extent().k; }, "Number of parameters with sensitivities.")
+          "parameters", [](const Dense& d) { return d.output.kind().extent.k; },
+          "Number of parameters with sensitivities.")
       .def_ro("complex", &Dense::complex)
       .def("knots", [](const Dense& d) { return copied(d.output.knots().copy()); });
 }

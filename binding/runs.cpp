@@ -290,7 +290,7 @@ FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::obj
 
 FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& progress, StopRequest* request,
                       const nb::object& kept, double every, const nb::object& remarks) {
-  require_state(y0, self.solver.problem().extent().size());
+  require_state(y0, self.solver.problem().size());
   return drive(self, {.y0 = y0.data()}, progress, request, kept, every, remarks);
 }
 
@@ -374,7 +374,7 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, nb::handle y0, cons
                                           const nb::object& tolerances) {
   const Problem& problem = self.solver.problem();
   const std::span<const double> start = numbers_of(y0);
-  if (start.size() != problem.extent().size() || !all_finite(start.data(), start.size())) return {};
+  if (start.size() != problem.size() || !all_finite(start.data(), start.size())) return {};
   const nb::object& numbers = parameters.is_none() ? args : parameters;
   if (!problem.parameters.empty() && !read_parameters(numbers, problem.parameters)) return {};
   follow(course, self);
@@ -480,7 +480,7 @@ class Stepper {
 
  private:
   static std::runtime_error being_advanced() { return std::runtime_error("the run is being advanced already"); }
-  [[nodiscard]] std::size_t size() const { return solver_.problem().extent().size(); }
+  [[nodiscard]] std::size_t size() const { return solver_.problem().size(); }
   [[nodiscard]] bool is_ahead(double t) { return integration().forward() * (t - integration().t()) > 0; }
 
   void begin(nb::handle y0) {

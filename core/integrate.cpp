@@ -36,8 +36,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       bounded_slope_(functions.bounded_slope),
       consistent_(functions.consistent),
       callback_(functions.callback),
-      extent_(Extent::within(weights.size(), step_->n())),
-      n_(extent_.size()),
+      n_(step_->n()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty() || !functions.breakpoints.empty()),
@@ -48,15 +47,14 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       discontinuities_(functions.f, weights),
       below_zero_(functions.f, weights, forward_, std::move(functions.rate), !functions.signed_states),
       events_(std::move(functions.events), std::move(functions.vectors), n_, step_->max_degree()),
-      interpolant_(*step_, extent_, settings_.interpolation, manifold_.output_projector(), manifold_.output_tangent(),
-                   manifold_.projector(), manifold_.bounds()),
+      interpolant_(*step_, weights.size(), settings_.interpolation, manifold_.output_projector(),
+                   manifold_.output_tangent(), manifold_.projector(), manifold_.bounds()),
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
       jumps_({events_, breaks_, manifold_, initial_checks_, emitter_.output.occurrences, delays_},
              std::move(functions.consistent), std::move(functions.consistent_tangent), functions.f,
-             std::move(functions.jump_rate), extent_),
+             std::move(functions.jump_rate), weights.size(), n_),
       y0_(n_) {
-  assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
   looks_between_ = settings_.looks_between() || !events_.empty() || delays_ != nullptr;
   const double parts = functions.autonomous ? 0 : step_->parts_seen();
@@ -133,9 +131,9 @@ Integration::Course Integration::start_memory(double t, const double* y) {
   discontinuities_.restart();
   aim_.start();
   std::vector<double> at_rest;  // without what iterations have left in the sensitivities of components that rested
-  if (bounded_slope_ != nullptr && extent_.k > 0 && !bounded_slope_->held().empty()) {
+  if (bounded_slope_ != nullptr && has_sensitivities() && !bounded_slope_->held().empty()) {
     at_rest.assign(y, y + n_);
-    forget_at_bounds(*manifold_.bounds(), extent_, bounded_slope_->held(), at_rest.data());
+    forget_at_bounds(*manifold_.bounds(), bounded_slope_->held(), at_rest);
     y = at_rest.data();
   }
   if (bounded_slope_ != nullptr) bounded_slope_->start_at(y);
@@ -434,8 +432,7 @@ Integration::Cure Integration::settle_at_bounds() {
   if (manifold_.bounds() == nullptr) return Cure::none;
   std::vector<double> y = y0_;
   if (!manifold_.bounds()->settle(weights_, forward_, step_->slope(), aim_.hmin(), y.data())) return Cure::none;
-  if (rest_at_bounds(*manifold_.bounds(), extent_, y0_.data(), y.data()) &&
-      jumps_.follow_equations(t0_, y.data()) != State::running) {
+  if (rest_at_bounds(*manifold_.bounds(), y0_.data(), y) && jumps_.follow_equations(t0_, y.data()) != State::running) {
     state_ = State::interrupted;
     return Cure::ended;
   }
@@ -506,7 +503,7 @@ std::vector<double> Integration::lower_bounds() const {
 void Integration::note_fastest() {
   const double h = std::abs(aim_.hmin());
   double most = 1;
-  for (std::size_t i = 0; i < extent_.n; ++i) {
+  for (std::size_t i = 0; i < weights_.size(); ++i) {
     const double rate = step_->slope()[i], change = h * std::abs(rate) / (weights_.rtol() * weights_.at(i, y0_[i]));
     if (!(change > most)) continue;
     most = change;
@@ -516,7 +513,7 @@ void Integration::note_fastest() {
 
 /// Reports the first component that is zero and has no absolute tolerance: no error of it is small enough.
 void Integration::note_pure_relative() {
-  for (std::size_t i = 0; i < extent_.n && !report_.pure_relative; ++i)
+  for (std::size_t i = 0; i < weights_.size() && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && y0_[i] == 0) {
       report_.pure_relative = true;
       report_.component = static_cast<int>(i);
@@ -595,12 +592,11 @@ Integration::Course Integration::find_events() {
 Integration::Course Integration::find_arrived() {
   arrived_.clear();
   if (bounded_slope_ == nullptr || reached_.t != aim_.t1()) return Course::goes_on;
-  if (ended(unless_stopped(
-          bounded_slope_->find_arrived(reached_.t, extent_, y0_.data(), reached_.y, arrived_, memory_outdated_))))
+  if (ended(unless_stopped(bounded_slope_->find_arrived(reached_.t, y0_, reached_.y, arrived_, memory_outdated_))))
     return Course::ended;
-  if (!memory_outdated_ || extent_.k == 0) return Course::goes_on;
+  if (!memory_outdated_ || !has_sensitivities()) return Course::goes_on;
   rested_.assign(reached_.y, reached_.y + n_);
-  forget_at_bounds(*manifold_.bounds(), extent_, arrived_, rested_.data());
+  forget_at_bounds(*manifold_.bounds(), arrived_, rested_);
   if (jumps_.follow_equations(reached_.t, rested_.data()) != State::running) return end(State::interrupted);
   reached_.y = rested_.data();
   return Course::goes_on;
@@ -709,7 +705,7 @@ Integration::Course Integration::land(const Landing& at) {
   limits_.look_soon();
   const int level = breaks_.level(t);
   const std::vector<double> brought = at.breaks ? breaks_.rates(t) : std::vector<double>();
-  if (delays_ != nullptr && extent_.k > 0 && ended(unless_stopped(jumps_.note_past(t)))) return take_back();
+  if (delays_ != nullptr && has_sensitivities() && ended(unless_stopped(jumps_.note_past(t)))) return take_back();
   State state = at.acts ? jumps_.at_events(t, Y, at.inside) : State::running;
   bool jumps = at.acts, varies = false;
   if (at.breaks && state == State::running) {
@@ -756,25 +752,19 @@ void Integration::report_jump() {
 Integration::Course Integration::begin_past(const double* y) {
   bool jumps = false;
   if (ended(unless_stopped(delays_->begin(no_steps(), y, jumps)))) return Course::ended;
-  const std::vector<double> fixed(extent_.k);
   for (const double t : history_jumps_)
-    if (ended(mark_images(t, 0, fixed))) return Course::ended;
-  return mark_images(settings_.t0, jumps ? 0 : 1, fixed);
+    if (ended(mark_images(t, 0))) return Course::ended;
+  return mark_images(settings_.t0, jumps ? 0 : 1);
 }
 
 /// Adds the marks of a jump of a derivative of the solution at t: where it comes back by a delay, the next derivative
 /// jumps. `rates`: ∂t/∂p of a jump of y, after which f jumps.
-Integration::Course Integration::mark_images(double t, int level, const std::vector<double>& rates) {
+Integration::Course Integration::mark_images(double t, int level, std::span<const double> rates) {
   passed_marks_.insert(passed_marks_.end(), {t, static_cast<double>(level)});
-  if (level >= most_level_ + (extent_.k > 0 ? 1 : 0))
+  if (level >= most_level_ + (has_sensitivities() ? 1 : 0))
     return Course::goes_on;  // a derivative of S jumps one order earlier
   for (std::size_t j = 0; j < delays_->lags().size(); ++j) {
-    const double tau = delays_->lags()[j];
-    Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = {}};
-    mark.spacing = std::max({ulp(t), ulp(tau), ulp(mark.t)});
-    mark.rates.resize(delays_->lags().size() * extent_.k);
-    for (std::size_t i = 0; i < extent_.k && level == 0; ++i)
-      mark.rates[j * extent_.k + i] = rates[i] + (delays_->rates(j).empty() ? 0 : delays_->rates(j)[i]);
+    const Mark mark = delays_->image(j, t, level, rates);
     if (mark.t >= settings_.t0 - mark.spacing) breaks_.add(mark);
   }
   if (breaks_.marks() <= most_marks) return Course::goes_on;
@@ -786,7 +776,7 @@ Integration::Course Integration::mark_images(double t, int level, const std::vec
 bool Integration::goes_smoothly_on(double t) const {
   if (delays_ == nullptr) return false;
   const Mark* mark = breaks_.only_mark(t);
-  if (mark == nullptr || mark->level < (extent_.k > 0 ? 3 : 2)) return false;
+  if (mark == nullptr || mark->level < (has_sensitivities() ? 3 : 2)) return false;
   return !delayed_->remembers_slopes() || mark->level > step_->order() + 1;
 }
 
@@ -841,9 +831,7 @@ void Integration::begin_output() {
 // ---------------------------------------------------------------------------------------------------------- afterwards
 
 DenseOutput Integration::no_steps() const {
-  const std::size_t m = interpolant_.invariants();
-  return {extent_, m, settings_.interpolation, step_->interpolate(),
-          manifold_.bounds() != nullptr ? std::optional(*manifold_.bounds()) : std::nullopt};
+  return {interpolant_.kind(), manifold_.bounds() != nullptr ? std::optional(*manifold_.bounds()) : std::nullopt};
 }
 
 std::optional<DenseOutput> Integration::last_step() {

@@ -186,7 +186,8 @@ class Integration {
   Course rest();
   Course record();
   Course begin_past(const double* y);
-  Course mark_images(double t, int level, const std::vector<double>& rates);
+  Course mark_images(double t, int level, std::span<const double> rates = {});
+  [[nodiscard]] bool has_sensitivities() const { return n_ > weights_.size(); }
   [[nodiscard]] bool goes_smoothly_on(double t) const;
   Course pass_mark();
   Course emit(bool jumps_here);
@@ -223,7 +224,6 @@ class Integration {
   BoundedSlope* bounded_slope_;
   std::function<Consistency(double t, double* y)> consistent_;
   Callback callback_;
-  Extent extent_;
   std::size_t n_;  // doubles of Y: of the state, and of its sensitivities
   double forward_;
 

@@ -16,14 +16,14 @@ constexpr int listed_from = 50;  // of these: the events that occur by them go r
 
 Jumps::Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
              std::function<Status(double t, double* Y)> consistent_tangent, Callback f,
-             std::optional<DifferentialRate> rate, Extent extent)
+             std::optional<DifferentialRate> rate, std::size_t n, std::size_t size)
     : parts_(parts),
       consistent_(std::move(consistent)),
       consistent_tangent_(std::move(consistent_tangent)),
       f_(f),
       rate_(std::move(rate)),
-      extent_(extent),
-      raw_(extent.n) {
+      extent_(Extent::within(n, size)),
+      raw_(n) {
   jumped_.resize(extent_.k * extent_.n);
   if (parts_.delays == nullptr || extent_.k == 0) return;
   past_.resize(parts_.delays->lags().size() * extent_.n);

@@ -16,7 +16,7 @@
 #include "output/events.hpp"
 #include "output/output.hpp"
 #include "report.hpp"
-#include "sensitivity/extent.hpp"
+#include "sensitivity/variations.hpp"
 
 namespace invariode {
 
@@ -42,7 +42,7 @@ class Jumps {
   };
   Jumps(const Parts& parts, std::function<Consistency(double t, double* y)> consistent,
         std::function<Status(double t, double* Y)> consistent_tangent, Callback f, std::optional<DifferentialRate> rate,
-        Extent extent);
+        std::size_t n, std::size_t size);
 
   /// The actions of the events of the last search that occurred at t. `inside`: t is not the end of that step.
   [[nodiscard]] State at_events(double t, double* Y, bool inside);

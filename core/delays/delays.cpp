@@ -85,6 +85,17 @@ Status Delays::augmented_entry(void* self, double t, const double* Y, double* ou
   return slope(t, delays.rows_.data(), out);
 }
 
+Mark Delays::image(std::size_t j, double t, int level, std::span<const double> rates) const {
+  const double tau = lags_[j];
+  Mark mark{.t = t + tau, .level = level + 1, .spacing = 0, .rates = {}};
+  mark.spacing = std::max({ulp(t), ulp(tau), ulp(mark.t)});
+  mark.rates.resize(lags_.size() * extent_.k);
+  const std::span<const double> own = this->rates(j);
+  for (std::size_t i = 0; i < extent_.k && level == 0; ++i)
+    mark.rates[j * extent_.k + i] = (rates.empty() ? 0 : rates[i]) + (own.empty() ? 0 : own[i]);
+  return mark;
+}
+
 /// Delays that are short beside the attempt are taken from y.
 bool Delays::shifts(std::size_t j) const { return shift_ && h_ > short_beside * lags_[j]; }
 
@@ -211,19 +222,18 @@ void Delays::ahead(double s, double* Y) {
     }
     case Ahead::attempt: {
       const double theta = (s - t_) / h_;
-      steps_->parts().raw(data_.data(), data_size_, extent_.size(), {&theta, 1}, Y);
+      steps_->kind().raw(data_.data(), data_size_, extent_.size(), {&theta, 1}, Y);
       break;
     }
   }
-  if (bounds_ != nullptr) clip(*bounds_, extent_, Y);
+  if (bounds_ != nullptr) clip(*bounds_, {Y, extent_.size()});
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
 // What the loop does with it
 
 Status Delays::begin(DenseOutput no_steps, const double* y, bool& jumps) {
-  const DenseOutput::Parts kind = no_steps.parts();
-  interpolant_.emplace(extent_, kind.m, kind.mode, kind.raw, nullptr, nullptr, bounds_);
+  interpolant_.emplace(no_steps.kind(), nullptr, nullptr, bounds_);
   steps_.emplace(std::move(no_steps));
   y_.assign(y, y + extent_.size());
   steps_->start(t0_, y);

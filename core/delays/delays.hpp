@@ -9,10 +9,11 @@
 
 #include "archive.hpp"
 #include "callback.hpp"
+#include "delays/marks.hpp"
 #include "linear/matrix.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
-#include "sensitivity/extent.hpp"
+#include "sensitivity/variations.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -63,10 +64,10 @@ class Delays {
   Callback augmented_within(const Callback& slope);
 
   [[nodiscard]] const std::vector<double>& lags() const { return lags_; }
-  /// ∂τ_j/∂p, (k,).
-  [[nodiscard]] std::span<const double> rates(std::size_t j) const {
-    return terms_.rates.empty() ? std::span<const double>() : std::span(terms_.rates).subspan(j * extent_.k, extent_.k);
-  }
+
+  /// Where lag j brings a jump of the derivative of order `level` at t, whose ∂t/∂p is `rates`, (k,), or empty: 0. The
+  /// next derivative jumps there; f, where the solution has jumped.
+  [[nodiscard]] Mark image(std::size_t j, double t, int level, std::span<const double> rates) const;
 
   /// (z_1, …, z_k) at t, which is at most the time reached.
   Status values(double t, double* z);
@@ -117,6 +118,10 @@ class Delays {
   Status rows(double t, const double* Y);
   Status slope_at(double s, std::size_t& near);
   [[nodiscard]] bool shifts(std::size_t j) const;
+  /// ∂τ_j/∂p, (k,); empty: 0.
+  [[nodiscard]] std::span<const double> rates(std::size_t j) const {
+    return terms_.rates.empty() ? std::span<const double>() : std::span(terms_.rates).subspan(j * extent_.k, extent_.k);
+  }
   Status at(double s, std::size_t& near, double* Y);
   Status history(double s, double* Y);
   void ahead(double s, double* Y);

@@ -12,7 +12,6 @@
 #include "linear/jacobian.hpp"
 #include "linear/matrix.hpp"
 #include "manifold/bounds.hpp"
-#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -45,9 +44,9 @@ class Confined {
     if (!function) return {};
     return {&Confined::product_entry, &functions_.emplace_back(*this, function)};
   }
-  /// The slopes of sensitivities, a function of Y.
-  Callback augmented_within(const Callback& function, Extent extent) {
-    extent_ = extent;
+  /// The slopes of sensitivities, a function of Y, which has `size` doubles.
+  Callback augmented_within(const Callback& function, std::size_t size) {
+    all_.resize(size);
     return {&Confined::augmented_entry, &functions_.emplace_back(*this, function)};
   }
   /// The function for tests of where f is defined: NaN beyond roundoff of the bounds.
@@ -95,7 +94,7 @@ class Confined {
   static Status augmented_entry(void* self, double t, const double* Y, double* out) {
     auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     if (confined.bounds_.contain(Y)) return function(t, Y, out);
-    confined.all_.assign(Y, Y + confined.extent_.size());
+    std::copy_n(Y, confined.all_.size(), confined.all_.begin());
     confined.bounds_.clip(confined.all_.data());
     return function(t, confined.all_.data(), out);
   }
@@ -116,7 +115,6 @@ class Confined {
 
   const Bounds& bounds_;
   const Weights& weights_;
-  Extent extent_;                                    // of Y
   std::vector<double> inside_, both_, all_;          // y; y and v, or complex y; Y
   std::deque<BoundedFunction<Callback>> functions_;  // which stay where they are when there are more of them
   std::deque<BoundedFunction<MatrixFunction>> matrices_;

@@ -14,7 +14,6 @@ constexpr double singular_growth = 1e13;  // of a solution over its right-hand s
 constexpr int equilibrating_sweeps = 3;   // over rows and columns; each halves what the logarithms of scales are off
 constexpr int consistency_iterations = 25;
 constexpr int consistency_halvings = 10;
-constexpr int tangent_corrections = 3;   // of linear equations: one, and what differences leave of the Jacobian
 constexpr double consistent_to = 1e-11;  // weighted size of a last correction: what it leaves is of its square
 
 Eigen::Map<const Eigen::VectorXd> as_vector(const double* v, Eigen::Index n) { return {v, n}; }
@@ -214,37 +213,8 @@ Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weig
   return Consistency::not_found;
 }
 
-Status make_tangent_consistent(const LinearAlgebra& linear, double t, double* Y) {
-  const auto& [extent, f, sensitivities, weights, iteration, quadratures] = *linear.state;
-  if (quadratures) return Status::ok;  // no equation says what they are
-  const std::size_t n = extent.n;
-  Mass& mass = *linear.mass;
-  Jacobian jacobian = *linear.jacobian;
-  Callback uncounted = *f, slopes = *sensitivities;
-  std::vector<double> slope(n), delta(extent.k * n);
-  if (mass.evaluate(t) == Status::stop || uncounted(t, Y, slope.data()) == Status::stop) return Status::stop;
-  if (!all_finite(slope.data(), n)) return Status::ok;
-  if (jacobian.evaluate(uncounted, t, Y, slope.data()) == Status::stop) return Status::stop;
-  MassSolver solver;
-  if (!solver.factor(mass, jacobian.matrix(), linear.lapack)) return Status::ok;
-  for (int correction = 0; correction < tangent_corrections; ++correction) {
-    if (slopes(t, Y, delta.data()) == Status::stop) return Status::stop;
-    if (!all_finite(delta.data(), delta.size())) return Status::ok;
-    for (std::size_t j = 0; j < extent.k; ++j) solver.correction(mass, delta.data() + j * n);
-    for (std::size_t i = 0; i < delta.size(); ++i) Y[n + i] += delta[i];
-  }
-  return Status::ok;
-}
-
-AlgebraicConstraints::AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass, Callback sensitivities,
-                                           Extent extent)
-    : f_(f),
-      sensitivities_(sensitivities),
-      extent_(extent),
-      jacobian_(std::move(jacobian)),
-      mass_(mass),
-      slope_(mass.matrix().n()),
-      slopes_(extent.n * extent.k) {}
+AlgebraicConstraints::AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass)
+    : f_(f), jacobian_(std::move(jacobian)), mass_(mass), slope_(mass.matrix().n()) {}
 
 Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) {
   auto& me = *static_cast<AlgebraicConstraints*>(self);
@@ -259,14 +229,6 @@ Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* 
   auto& me = *static_cast<AlgebraicConstraints*>(self);
   if (me.jacobian_.evaluate(me.f_, t, y, me.slope_.data()) == Status::stop) return Status::stop;
   me.mass_.algebraic_part(me.jacobian_.matrix(), out);
-  return Status::ok;
-}
-
-Status AlgebraicConstraints::tangent_entry(void* self, double t, const double* Y, double* out) {
-  auto& me = *static_cast<AlgebraicConstraints*>(self);
-  if (me.sensitivities_(t, Y, me.slopes_.data()) == Status::stop) return Status::stop;
-  for (std::size_t j = 0; j < me.extent_.k; ++j)
-    me.mass_.algebraic_part(me.slopes_.data() + j * me.extent_.n, out + j * me.count());
   return Status::ok;
 }
 

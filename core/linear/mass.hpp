@@ -14,7 +14,6 @@
 #include "linear/jacobian.hpp"
 #include "linear/matrix.hpp"
 #include "manifold/slope.hpp"
-#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -64,20 +63,7 @@ class Mass {
 };
 
 struct KrylovTerms;
-
-/// The two parts of what a method integrates, a state and its sensitivities behind it: M S_j' = J S_j + f_pj has the
-/// matrices of M y' = f. Quadratures, S_j' = g_j(t, y), have J = 0 and M = I. All belong to the caller.
-struct StateEquations {
-  Extent extent;
-  Callback* f;               ///< of the state alone
-  Callback* sensitivities;   ///< (t, Y) -> J S_j + f_pj alone, (k, n)
-  const Weights* weights;    ///< of the state
-  const Weights* iteration;  ///< of Y, in which Newton's iteration converges
-  bool quadratures;
-
-  /// Doubles at the beginning of Y to whose blocks J and M belong.
-  [[nodiscard]] std::size_t coupled() const { return quadratures ? extent.n : extent.size(); }
-};
+class BlockEquations;
 
 /// ∂f/∂y, M and the linear algebra of an implicit method, which belong to the caller. Those who evaluate the Jacobian
 /// take a copy, with increments of its own. Null: M is the identity; LAPACK is not at hand; the Jacobian is a matrix.
@@ -85,8 +71,8 @@ struct LinearAlgebra {
   const Jacobian* jacobian = nullptr;
   Mass* mass = nullptr;
   const Lapack* lapack = nullptr;
-  const KrylovTerms* krylov = nullptr;    ///< if the Jacobian is known by its products alone
-  const StateEquations* state = nullptr;  ///< with sensitivities: J and M are of the state
+  const KrylovTerms* krylov = nullptr;  ///< if the Jacobian is known by its products alone
+  BlockEquations* blocks = nullptr;     ///< with sensitivities: J and M are of the state
 };
 
 /// Solves M y' = f for y', with Zᵀ f = 0 kept along it: in the rows of the algebraic equations Zᵀ J y' = −Zᵀ f_t.
@@ -113,34 +99,25 @@ enum class Consistency { consistent, corrected, not_found, undetermined, index_t
 
 /// Moves y, in its components that M leaves undetermined, until the algebraic equations hold to roundoff.
 Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weights& weights, double t, double* y);
-/// Makes the sensitivities of a consistent y consistent: M δ_j = 0 and Zᵀ (J (S_j + δ_j) + f_pj) = 0. Where a value is
-/// not finite or a matrix is singular they stay as they are.
-Status make_tangent_consistent(const LinearAlgebra& linear, double t, double* Y);
 
 /// The algebraic equations as constraints that projection imposes together with the invariants.
 class AlgebraicConstraints {
  public:
-  /// `sensitivities`: (t, Y) -> J S_j + f_pj, or empty.
-  AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass, Callback sensitivities, Extent extent);
+  AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass);
 
   [[nodiscard]] std::size_t count() const { return mass_.equations(); }
   void state(Archive& archive) { jacobian_.state(archive); }
   Callback residual() { return {&AlgebraicConstraints::residual_entry, this}; }
   Callback jacobian() { return {&AlgebraicConstraints::jacobian_entry, this}; }
-  /// Zᵀ (J S_j + f_pj), (k, count).
-  Callback tangent() { return {&AlgebraicConstraints::tangent_entry, this}; }
 
  private:
   static Status residual_entry(void* self, double t, const double* y, double* out);
   static Status jacobian_entry(void* self, double t, const double* y, double* out);
-  static Status tangent_entry(void* self, double t, const double* Y, double* out);
 
   Callback& f_;
-  Callback sensitivities_;
-  Extent extent_;
   Jacobian jacobian_;
   const Mass& mass_;
-  std::vector<double> slope_, slopes_;
+  std::vector<double> slope_;
 };
 
 /// y' of M y' = f where M alone tells it: of all components if M is regular, else of those whose columns differ from

@@ -146,11 +146,12 @@ Status BoundedSlope::evaluate_signs(double t, const double* y) {
   return Status::ok;
 }
 
-Status BoundedSlope::find_arrived(double t, Extent extent, const double* Y0, const double* Y1,
+Status BoundedSlope::find_arrived(double t, std::span<const double> Y0, const double* Y1,
                                   std::vector<std::size_t>& arrived, bool& changed) {
+  const std::size_t n = bounds_.n(), all = Y0.size();
   arrived.clear();
   changed = false;
-  if (by_step_ && extent.k == 0) return Status::ok;   // `begin_step` sees it
+  if (by_step_ && all == n) return Status::ok;        // `begin_step` sees it
   std::vector<std::pair<std::size_t, double>> there;  // with the sense of what leads out
   for (std::size_t k = 0; k < bounds_.intervals().size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
@@ -158,7 +159,7 @@ Status BoundedSlope::find_arrived(double t, Extent extent, const double* Y0, con
     bool rests = by_step_ && rests_[k] != 0;
     if (!by_step_) {  // a component that rests in a step with an explicit method, and its S, do not change
       rests = true;
-      for (std::size_t j = 0; j <= extent.k; ++j) rests = rests && Y0[j * extent.n + i] == Y1[j * extent.n + i];
+      for (std::size_t at = i; at < all; at += n) rests = rests && Y0[at] == Y1[at];
     }
     if (!rests) there.emplace_back(i, Y1[i] <= lower ? -forward_ : forward_);
   }
@@ -167,7 +168,7 @@ Status BoundedSlope::find_arrived(double t, Extent extent, const double* Y0, con
   for (const auto& [i, outward] : there) {
     if (!(outward * slope_[i] >= 0)) continue;
     arrived.push_back(i);
-    changed = changed || slope_[i] != 0 || extent.k > 0;
+    changed = changed || slope_[i] != 0 || all > n;
   }
   return Status::ok;
 }

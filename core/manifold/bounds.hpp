@@ -12,7 +12,6 @@
 
 #include "callback.hpp"
 #include "linear/mass.hpp"
-#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -87,7 +86,7 @@ class BoundedSlope {
   void start_at(const double* y);
   /// The components that the step from Y0 to (t, Y1) has brought to rest at their bounds: f does not lead them back
   /// inside. Evaluates f if there may be any. `changed`: their slopes or sensitivities jump there.
-  Status find_arrived(double t, Extent extent, const double* Y0, const double* Y1, std::vector<std::size_t>& arrived,
+  Status find_arrived(double t, std::span<const double> Y0, const double* Y1, std::vector<std::size_t>& arrived,
                       bool& changed);
   /// Returns whether a component may be outside before the end of an attempt of signed size h from (t0, y0), with
   /// `slope` there, to y1, by the slopes that f has had since `start_at`: by more than the tolerance.

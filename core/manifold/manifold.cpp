@@ -23,14 +23,14 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
       off_bounds_only_(terms.off_bounds_only),
       check_(settings.check),
       weights_(weights),
-      extent_(Extent::within(weights.size(), step.n())) {
+      size_(step.n()) {
   if (invariants_ != nullptr) {
     projector_.emplace(*invariants_, weights, settings.iterations, settings.negligible);
     guard_.emplace(*projector_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
     if (Restoration::determines(*invariants_) || (with_events && Restoration::needed(*invariants_)))
       restoration_.emplace(*invariants_, weights);
-    harm_.emplace(extent_.n, extent_.size());
-    if (extent_.k > 0) tangent_.emplace(*invariants_, weights, extent_, bounds_);
+    harm_.emplace(weights.size(), size_);
+    if (size_ > weights.size()) tangent_.emplace(*invariants_, weights, size_, bounds_);
     if (invariants_->along_steps()) {
       directions_.resize(step.max_directions());
       if (directions_.empty())
@@ -43,10 +43,10 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
     if (invariants_->any_one_sided())
       one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr, weights.rtol());
   }
-  if (any()) y1_.resize(extent_.size());
+  if (any()) y1_.resize(size_);
   if (terms.between == nullptr) return;
   output_projector_.emplace(*terms.between, weights, 1, 0, terms.between == terms.steps ? &*projector_ : nullptr);
-  if (extent_.k > 0) output_tangent_.emplace(*terms.between, weights, extent_, bounds_);
+  if (size_ > weights.size()) output_tangent_.emplace(*terms.between, weights, size_, bounds_);
 }
 
 // ---------------------------------------------------------------------------------------------- where a solution
@@ -67,7 +67,7 @@ Status Manifold::start_tangent(double t, double* y, bool rehold) {
 Outcome Manifold::project_start(double t, double* y) {
   assert(active_set_);
   for (int i = 0; i < start_iterations; ++i) {
-    std::copy(y, y + extent_.n, y1_.begin());
+    std::copy(y, y + weights_.size(), y1_.begin());
     const Outcome outcome = active_set_->project(t, y1_.data(), y).outcome;
     if (outcome != Outcome::ok) return outcome;
   }
@@ -126,10 +126,10 @@ Manifold::Placement Manifold::place(Step& step, StepEnds& ends, std::int64_t ste
 /// Moves resting components of a candidate to their bounds. Returns the largest move, in units of thr.
 double Manifold::settle(StepEnds& ends) {
   if (bounded_slope_->held().empty()) return 0;
-  settled_.assign(ends.y1, ends.y1 + extent_.size());
+  settled_.assign(ends.y1, ends.y1 + size_);
   const double moved = bounded_slope_->settle_held(weights_, settled_.data());
   if (moved == 0) return 0;
-  forget_at_bounds(*bounds_, extent_, bounded_slope_->held(), settled_.data());
+  forget_at_bounds(*bounds_, bounded_slope_->held(), settled_);
   ends.y1 = settled_.data();
   return moved;
 }
@@ -144,7 +144,7 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   projected_.skipped = true;  // until it is projected
   if (!outside_.off_bounds) return true;
   if (outside.size > weights_.rtol()) return false;
-  std::copy(ends.y1, ends.y1 + extent_.size(), y1_.begin());
+  std::copy(ends.y1, ends.y1 + size_, y1_.begin());
   outside_.clipped = bounds_->clip(y1_.data());
   ends.y1 = y1_.data();
   return true;
@@ -153,7 +153,7 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
 /// Takes y₁ from the candidate y*. A correction that is too large fails the attempt.
 Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, std::int64_t steps) {
   const double* candidate = ends.y1;
-  std::copy(candidate, candidate + extent_.size(), y1_.begin());
+  std::copy(candidate, candidate + size_, y1_.begin());
   if (!directions_.empty()) choose_directions(step);
   projected_ = one_sided_    ? one_sided_->project(ends, step.slope(), y1_.data())
                : active_set_ ? active_set_->project(ends.t1, ends.y0, y1_.data())

@@ -132,7 +132,7 @@ class Manifold {
   const BoundedSlope* bounded_slope_;
   bool off_bounds_only_, check_;
   const Weights& weights_;
-  Extent extent_;
+  std::size_t size_;                           // doubles of Y: of the state, and of its sensitivities
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<TangentProjector> tangent_, output_tangent_;

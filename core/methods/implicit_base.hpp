@@ -27,7 +27,7 @@ class ImplicitBase : public Step, public ImplicitInterface {
   void end_attempts() override { solver_.end_attempts(); }
 
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
-  [[nodiscard]] int undefined_component() const final { return solver_.undefined_component(); }
+  [[nodiscard]] int undefined_component() const final { return solver_.system().undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const final { return solver_.work(); }
   [[nodiscard]] const Matrix* jacobian() const final { return &solver_.jacobian(); }
   Status multiply_jacobian(const double* slope, const double* v, double* out) final {
@@ -101,7 +101,7 @@ class ImplicitBase : public Step, public ImplicitInterface {
     h_ = std::abs(h);
     t1_ = t1;
     error_ = std::numeric_limits<double>::quiet_NaN();
-    solver_.forget_undefined();
+    solver_.system().forget_undefined();
   }
   [[nodiscard]] Attempt proposal(Newton::Result result) const {
     const bool converged = result == Newton::Result::converged;

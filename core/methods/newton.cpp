@@ -82,13 +82,13 @@ bool unmoved(std::span<const double> before, const double* after, const double* 
 
 AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
     : jacobian_(*linear.jacobian),
-      function_(f, weights, linear, jacobian_),
+      system_(f, weights, linear, jacobian_),
       mass_(linear.mass),
-      scratch_(linear.krylov ? 0 : extent().n) {
+      scratch_(linear.krylov ? 0 : system_.state().size()) {
   if (linear.krylov)
-    free_.emplace(function_.of_state(), function_.state_weights(), linear, complex);
+    free_.emplace(system_.state_f(), system_.state_weights(), linear, complex);
   else
-    audit_.emplace(jacobian_, function_.of_state(), function_.state_weights());
+    audit_.emplace(jacobian_, system_.state_f(), system_.state_weights());
 }
 
 void AgingJacobian::forget() {
@@ -100,18 +100,10 @@ void AgingJacobian::forget() {
   careful_ = 0;
 }
 
-/// The blocks below the first, which is solved.
-Status AgingJacobian::solve_below(Factorization& factors, double c, double t, const double* Y, const double* f,
-                                  double* b) {
-  if (couple(c, t, Y, f, b) == Status::stop) return Status::stop;
-  solve_blocks(factors, b, extent().n, extent().size());
-  return Status::ok;
-}
-
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
   cache_.forget_jacobian();
   age_.take();
-  Callback& f = function_.of_state();
+  Callback& f = system_.state_f();
   if (audit_) audit_->begin(t, y);
   if (age_.plain()) return jacobian_.evaluate_plainly(f, t, y, slope);
   if (jacobian_.evaluate(f, t, y, slope) == Status::stop) return Status::stop;
@@ -137,7 +129,7 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   if (slope == nullptr) {
     slope = scratch_.data();
     if (!jacobian_.needs_slope()) return take_jacobian(t, y, nullptr);
-    if (evaluate_state(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
+    if (system_.evaluate(system_.state(), t, y, scratch_.data()) == Outcome::stop) return Status::stop;
   }
   return take_jacobian(t, y, slope);
 }
@@ -220,15 +212,16 @@ bool AgingJacobian::set_up_again(double c, Archive& archive) {
 
 bool AgingJacobian::forget_sensitivity_roundoff(double c, const double* Y, double* v) {
   if (free_) return false;
-  const std::size_t n = extent().n;
-  for (std::size_t block = n; block < coupled(); block += n) {
+  const Part sensitivities = system_.coupled(system_.sensitivities());
+  const std::size_t n = scratch_.size();
+  for (const std::size_t block : sensitivities) {
     const double* S = Y + block;
     for (std::size_t i = 0; i < n; ++i) scratch_[i] = std::abs(S[i]);
     jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(c * value * S[j]); });
     for (std::size_t i = 0; i < n; ++i)
       if (std::abs(v[block + i]) <= Convergence::roundoff_units * eps * scratch_[i]) v[block + i] = 0;
   }
-  return coupled() > n;
+  return !sensitivities.empty();
 }
 
 bool AgingJacobian::stiff(double c, const double* w) {
@@ -274,8 +267,8 @@ LinearWork AgingJacobian::work() const {
 Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y, double* f, double* slope) {
   if (const Outcome outcome = jacobian.evaluate(t, y, f); outcome != Outcome::ok) return outcome;
   if (jacobian.take_jacobian(t, y, f) == Status::stop) return Outcome::stop;
-  const Extent extent = jacobian.extent();
-  std::copy(f, f + extent.size(), slope);
+  const Part all = jacobian.system().all();
+  std::copy(f, f + all.size(), slope);
   Mass* mass = jacobian.mass();
   if (!mass) return Outcome::ok;
   if (mass->evaluate(t) == Status::stop) return Outcome::stop;
@@ -283,8 +276,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
     jacobian.note_singular();
     return Outcome::not_finite;
   }
-  for (std::size_t first = 0; first < jacobian.coupled(); first += extent.n)
-    solver_.slope(*mass, nullptr, slope + first);
+  for (const std::size_t block : jacobian.system().coupled(all)) solver_.slope(*mass, nullptr, slope + block);
   return Outcome::ok;
 }
 
@@ -292,8 +284,9 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
 /// left out: the attempts will tell whether it matters.
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
-  const auto& [n, k] = jacobian.extent();
-  const std::size_t all = jacobian.extent().size(), coupled = jacobian.coupled();
+  BlockSystem& system = jacobian.system();
+  const Part coupled = system.coupled(system.all());
+  const std::size_t all = system.all().size();
   const Mass* mass = jacobian.mass();
   const bool singular = mass && mass->singular();
   if (jacobian.time_derivative(t, y, f, h, ft) == Status::stop) return Status::stop;
@@ -301,15 +294,18 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
     std::copy(f, f + all, slope);
     solver_.slope(*mass, ft, slope);
   }
-  if (k > 0 && jacobian.sensitivity_rate(t, y, slope, f, h, ft) == Status::stop) return Status::stop;
-  for (std::size_t first = n; first < coupled && singular; first += n) solver_.slope(*mass, ft + first, slope + first);
-  for (std::size_t first = 0; first < coupled; first += n) {
-    if (jacobian.multiply(t, y, f, slope + first, second + first) == Status::stop) return Status::stop;
-    if (jacobian.matrix_free() && !all_finite(second + first, n)) std::fill_n(second + first, n, 0);
+  if (system.sensitivity_rate(t, y, slope, f, h, ft) == Status::stop) return Status::stop;
+  if (singular)
+    for (const std::size_t block : system.coupled(system.sensitivities()))
+      solver_.slope(*mass, ft + block, slope + block);
+  std::fill(second, second + all, 0);
+  for (const std::size_t block : coupled) {
+    if (jacobian.multiply(t, y, f, slope + block, second + block) == Status::stop) return Status::stop;
+    if (jacobian.matrix_free() && !all_finite(second + block, coupled.n)) std::fill_n(second + block, coupled.n, 0);
   }
-  std::fill(second + coupled, second + all, 0);
   for (std::size_t i = 0; i < all; ++i) second[i] += ft[i];
-  for (std::size_t first = 0; first < coupled && mass; first += n) solver_.slope(*mass, nullptr, second + first);
+  if (mass)
+    for (const std::size_t block : coupled) solver_.slope(*mass, nullptr, second + block);
   return Status::ok;
 }
 
@@ -317,8 +313,8 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
 /// f along these what they do to the others.
 Status InitialSlopes::beside(AgingJacobian& jacobian, double t, const double* y, double delta, const double* f,
                              const double* slope, double* rates, double* quotient) {
-  const auto& [n, k] = jacobian.extent();
-  const std::size_t all = jacobian.extent().size();
+  const Part blocks = jacobian.system().all();
+  const std::size_t all = blocks.size();
   const Mass* mass = jacobian.mass();
   std::vector<double> point(all), slopes(slope, slope + all);
   std::fill(rates, rates + all, 0);
@@ -333,10 +329,11 @@ Status InitialSlopes::beside(AgingJacobian& jacobian, double t, const double* y,
     }
     if (looks == 1) break;
     std::copy(f, f + all, slopes.data());
-    for (std::size_t first = 0; first < all; first += n) solver_.slope(*mass, quotient + first, slopes.data() + first);
+    for (const std::size_t block : blocks) solver_.slope(*mass, quotient + block, slopes.data() + block);
     for (std::size_t i = 0; i < all; ++i) rates[i] = slopes[i] - slope[i];
   }
-  for (std::size_t first = 0; first < all && mass; first += n) solver_.slope(*mass, nullptr, quotient + first);
+  if (mass)
+    for (const std::size_t block : blocks) solver_.slope(*mass, nullptr, quotient + block);
   return Status::ok;
 }
 
@@ -351,13 +348,14 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
       f_value_(weights.size()),
       residual_(weights.size()),
       sum_(weights.size()),
-      before_(linear.krylov ? 0 : extent().n),
+      before_(linear.krylov ? 0 : system().state().size()),
       earlier_(before_.size()),
-      sensitivity_weight_(linear.state ? weights.size() : 0) {}
+      sensitivity_weight_(linear.blocks ? weights.size() : 0) {}
 
 void Newton::keep_factors() {
   const Structure& J = jacobian().structure;
-  keeps_factors_ = !matrix_free() && extent().k == 0 && J.kind == Structure::Kind::sparse && J.n >= fewest_kept;
+  keeps_factors_ =
+      !matrix_free() && !system().has_sensitivities() && J.kind == Structure::Kind::sparse && J.n >= fewest_kept;
 }
 
 bool Newton::forget_other_factors() {
@@ -397,7 +395,7 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   assert(c != 0 && std::isfinite(c));
   place_ = {c, t1, y, w};
   const Result result = fully_ ? solve_fully(p, psi, d, y) : solve_state(p, psi, d, y);
-  if (result != Result::converged || extent().k == 0) return result;
+  if (result != Result::converged || !system().has_sensitivities()) return result;
   return solve_sensitivities(p, psi, d, y);
 }
 
@@ -411,14 +409,20 @@ bool Newton::iterate_fully() {
   return fully_ = renew();
 }
 
+/// f of the state at the iterate.
+Newton::Result Newton::evaluate_state() {
+  return newton_result(system().evaluate(system().state(), place_.t, place_.y, f_value_.data()));
+}
+
 double Newton::norm_in_attempt(const double* v) const {
-  return max_norm(extent().n, [v, w = place_.w](std::size_t i) { return v[i] / w[i]; });
+  return max_norm(system().state().size(), [v, w = place_.w](std::size_t i) { return v[i] / w[i]; });
 }
 
 /// The iteration begins at the prediction, y = p and d = 0. Returns the size of an increment that is roundoff.
 double Newton::begin_iteration(const double* p, double* d, double* y) {
-  std::fill(d, d + extent().n, 0);
-  std::copy(p, p + extent().n, y);
+  const std::size_t n = system().state().size();
+  std::fill(d, d + n, 0);
+  std::copy(p, p + n, y);
   const double roundoff = Convergence::roundoff_units * eps * norm_in_attempt(p);
   convergence_.begin(weights_.rtol(), roundoff, careful());
   return roundoff;
@@ -427,15 +431,15 @@ double Newton::begin_iteration(const double* p, double* d, double* y) {
 /// Newton's iteration as it is in the books. What it converges to from p is a solution however J changes between.
 Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d, double* y) {
   const auto [c, t1, place_y, w] = place_;
-  const std::size_t n = extent().n;
+  const std::size_t n = system().state().size();
   const auto norm = [&](const double* v) { return norm_in_attempt(v); };
   const double roundoff = begin_iteration(p, d, y);
   for (int k = 0; k < most_full_iterations; ++k) {
-    Result result = newton_result(evaluate_state(t1, y, f_value_.data()));
+    Result result = evaluate_state();
     if (result == Result::converged && take_in_place(t1, y, f_value_.data()) == Status::stop) result = Result::stop;
     if (result == Result::converged) result = newton_result(prepare(c, t1));
     if (result != Result::converged) return result;
-    residual(c, psi, d, 0, n);
+    residual(system().state(), psi, d);
     lu_->solve(residual_.data());
     count_solve();
     const double size = norm(residual_.data());
@@ -450,15 +454,14 @@ Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d
 
 Newton::Result Newton::solve_state(const double* p, const double* psi, double* d, double* y) {
   const auto [c, t1, place_y, w] = place_;
-  const std::size_t n = extent().n;
+  const std::size_t n = system().state().size();
   const auto norm = [&](const double* v) { return norm_in_attempt(v); };
   const double roundoff = begin_iteration(p, d, y);
   double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   for (;;) {
-    if (const Result evaluated = newton_result(evaluate_state(t1, y, f_value_.data())); evaluated != Result::converged)
-      return evaluated;
-    residual(c, psi, d, 0, n);
+    if (const Result evaluated = evaluate_state(); evaluated != Result::converged) return evaluated;
+    residual(system().state(), psi, d);
     const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
     if (!matrix_free()) {
       before_.swap(earlier_);
@@ -493,8 +496,10 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
 /// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not. The
 /// first update of quadratures is exact.
 Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, double* d, double* y) {
-  const std::size_t n = extent().n, all = extent().size();
-  sensitivity_weights().fill(p, sensitivity_weight_.data());  // y still holds what an earlier attempt left there
+  const Part part = system().sensitivities();
+  const std::size_t n = part.first, all = part.stop;
+  system().sensitivity_weights().fill(p,
+                                      sensitivity_weight_.data());  // y still holds what an earlier attempt left there
   const double* w = sensitivity_weight_.data();
   const auto norm = [&](const double* v) {
     return max_norm(all - n, [&](std::size_t i) { return v[n + i] / w[n + i]; });
@@ -504,9 +509,9 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   sensitivity_convergence_.begin(weights_.rtol(), Convergence::roundoff_units * eps * norm(p));
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
   for (;;) {
-    const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
+    const Result evaluated = newton_result(system().evaluate(part, place_.t, y, f_value_.data()));
     if (evaluated != Result::converged) return evaluated;
-    residual(place_.c, psi, d, n, all);
+    residual(part, psi, d);
     if (const Result solved = solve_columns(sensitivity_convergence_.goal(), residual_.data());
         solved != Result::converged)
       return solved;
@@ -515,7 +520,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
-    if (coupled() == n) return Result::converged;
+    if (system().coupled(part).empty()) return Result::converged;
     switch (sensitivity_convergence_.judge(size)) {
       case Convergence::Verdict::converged: return Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
@@ -528,9 +533,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
 Newton::Result Newton::look_at_product() {
   if (!matrix_free()) return Result::converged;
   if (!matrix_free()->product().given())
-    if (const Result evaluated = newton_result(evaluate_state(place_.t, place_.y, f_value_.data()));
-        evaluated != Result::converged)
-      return evaluated;
+    if (const Result evaluated = evaluate_state(); evaluated != Result::converged) return evaluated;
   matrix_free()->product().at(place_.t, place_.y, f_value_.data());
   return Result::converged;
 }
@@ -538,12 +541,12 @@ Newton::Result Newton::look_at_product() {
 /// The blocks of b behind the state become solutions. By GMRES each alone, in its own weights, about as far as `goal`
 /// lets the iteration end, with J where `product()` is.
 Newton::Result Newton::solve_columns(double goal, double* b) {
-  const std::size_t n = extent().n;
+  const Part sensitivities = system().sensitivities();
   if (!matrix_free()) {
-    solve_blocks(*lu_, b, n, extent().size());
+    solve_blocks(*lu_, b, sensitivities);
     return Result::converged;
   }
-  for (std::size_t block = n; block < coupled(); block += n) {
+  for (const std::size_t block : system().coupled(sensitivities)) {
     count_solve();
     const double* w = sensitivity_weight_.data() + block;
     if (const Result ready = newton_result(precondition(b + block)); ready != Result::converged) return ready;
@@ -567,10 +570,10 @@ Newton::Result Newton::confirm(const double* psi, const double* d, double size, 
     case Outcome::not_finite: return slow ? Result::failed : Result::converged;
     case Outcome::ok: break;
   }
-  residual(place_.c, psi, d, 0, extent().n);
+  residual(system().state(), psi, d);
   const bool stuck = unmoved(before_, residual_.data(), place_.w, tolerated_residual(), hardly);
   if (!slow && !stuck && solved(size, before, norm_in_attempt(residual_.data()))) return Result::converged;
-  for (std::size_t i = 0; i < extent().n; ++i) residual_[i] -= before_[i];
+  for (std::size_t i = 0; i < before_.size(); ++i) residual_[i] -= before_[i];
   const Result result = doubt(norm_in_attempt(residual_.data()) <= JacobianAudit::large_stiffness * size);
   if (result == Result::failed && stuck) be_careful();
   return result;
@@ -601,7 +604,7 @@ double Newton::tolerated_residual() const { return most_left * convergence_.goal
 /// J and the factors at the iterate, once in a step: f has the branch there that it has at the solution, or nearly.
 Newton::Result Newton::renew_in_place() {
   if (!may_take_in_place()) return Result::failed;
-  const Result evaluated = newton_result(evaluate_state(place_.t, place_.y, f_value_.data()));
+  const Result evaluated = evaluate_state();
   if (evaluated != Result::converged) return evaluated;
   if (take_in_place(place_.t, place_.y, f_value_.data()) == Status::stop) return Result::stop;
   return newton_result(prepare(place_.c, place_.t));
@@ -626,7 +629,7 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
 /// right; the factor between, which is that of CVODE, leaves the same part of either in error.
 void Newton::correct_for_c(double* b) const {
   const double factor = 2 / (1 + place_.c / factored_for());
-  for (std::size_t i = 0; i < extent().n; ++i) b[i] *= factor;
+  for (std::size_t i = 0; i < system().state().size(); ++i) b[i] *= factor;
 }
 
 void Newton::state(Archive& archive) {
@@ -641,7 +644,7 @@ void Newton::state(Archive& archive) {
 Newton::Result Newton::damp(double* v) {
   if (const Matrix* M = mass_matrix()) {
     std::copy(v, v + sum_.size(), sum_.begin());
-    multiply_mass(*M, sum_.data(), v);
+    system().multiply_mass(*M, sum_.data(), v);
   }
   return filter(v);
 }
@@ -649,7 +652,7 @@ Newton::Result Newton::damp(double* v) {
 Newton::Result Newton::filter(double* v) {
   if (!matrix_free()) {
     assert(has_factors());
-    solve_blocks(*lu_, v, 0, extent().size());
+    solve_blocks(*lu_, v, system().all());
     return Result::converged;
   }
   Result result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
@@ -658,17 +661,19 @@ Newton::Result Newton::filter(double* v) {
   return result == Result::converged ? solve_columns(weights_.rtol(), v) : result;
 }
 
-/// c f − M (ψ + d) of the blocks from `first` to `end`, with f at hand.
-void Newton::residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end) {
+/// c f − M (ψ + d) of a part, with f at hand.
+void Newton::residual(const Part& part, const double* psi, const double* d) {
   const Matrix* M = mass_matrix();
+  const double c = place_.c;
+  const std::size_t first = part.first, end = part.stop;
   const double* f = f_value_.data();
   double* __restrict r = residual_.data();
-  if (M == nullptr || first >= coupled()) {
+  if (M == nullptr || system().coupled(part).empty()) {
     for (std::size_t i = first; i < end; ++i) r[i] = c * f[i] - (psi[i] + d[i]);
     return;
   }
   for (std::size_t i = first; i < end; ++i) sum_[i] = psi[i] + d[i];
-  for (std::size_t block = first; block < end; block += extent().n) M->multiply(sum_.data() + block, r + block);
+  for (const std::size_t block : part) M->multiply(sum_.data() + block, r + block);
   for (std::size_t i = first; i < end; ++i) r[i] = c * f[i] - r[i];
 }
 

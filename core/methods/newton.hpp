@@ -14,7 +14,7 @@
 #include "methods/factor_cache.hpp"
 #include "methods/jacobian_age.hpp"
 #include "methods/jacobian_audit.hpp"
-#include "methods/state_function.hpp"
+#include "sensitivity/block_system.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -141,49 +141,35 @@ class AgingJacobian {
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
   /// ∂f/∂t of the state, as `Jacobian::time_derivative`.
   Status time_derivative(double t, const double* y, const double* slope, double h, double* ft) {
-    return jacobian_.time_derivative(function_.of_state(), t, y, slope, h, ft);
-  }
-  /// See `StateFunction::sensitivity_rate`.
-  Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate) {
-    return function_.sensitivity_rate(t, Y, slope, f, h, rate);
+    return jacobian_.time_derivative(system_.state_f(), t, y, slope, h, ft);
   }
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
-  [[nodiscard]] const Extent& extent() const { return function_.extent(); }
-  [[nodiscard]] const Weights& sensitivity_weights() const { return function_.sensitivity_weights(); }
-  [[nodiscard]] std::size_t coupled() const { return function_.coupled(); }
-  /// M v, block by block.
-  void multiply_mass(const Matrix& M, const double* v, double* out) const {
-    for (std::size_t first = 0; first < coupled(); first += extent().n) M.multiply(v + first, out + first);
-    std::copy(v + coupled(), v + extent().size(), out + coupled());
-  }
-  /// b, in the blocks from component `first` to `end`, becomes the solution with the factors, of each block for itself.
+  /// The system whose iterations these are: the state, with its sensitivities if there are any.
+  [[nodiscard]] BlockSystem& system() { return system_; }
+  [[nodiscard]] const BlockSystem& system() const { return system_; }
+  /// b becomes the solution with the factors, of each block of a part for itself.
   template <class Scalar>
-  void solve_blocks(Factors<Scalar>& factors, Scalar* b, std::size_t first, std::size_t end) {
-    for (; first < std::min(end, coupled()); first += extent().n) {
+  void solve_blocks(Factors<Scalar>& factors, Scalar* b, const Part& part) {
+    for (const std::size_t block : system_.coupled(part)) {
       count_solve();
-      factors.solve(b + first);
+      factors.solve(b + block);
     }
   }
   /// Solves with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
   /// the derivatives of the slopes of the sensitivities with respect to y.
   Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b) {
-    count_solve();
-    factors.solve(b);
-    return extent().k == 0 ? Status::ok : solve_below(factors, c, t, Y, f, b);
+    solve_blocks(factors, b, system_.state());
+    if (system_.couple(c, t, Y, f, b) == Status::stop) return Status::stop;
+    solve_blocks(factors, b, system_.sensitivities());
+    return Status::ok;
   }
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
 
-  Outcome evaluate(double t, const double* y, double* out) { return function_.evaluate(t, y, out); }
-  Outcome evaluate_state(double t, const double* y, double* out) { return function_.evaluate_state(t, y, out); }
-  Outcome evaluate_sensitivities(double t, const double* Y, double* out) {
-    return function_.evaluate_sensitivities(t, Y, out);
-  }
-  [[nodiscard]] int undefined_component() const { return function_.undefined_component(); }
-  void forget_undefined() { function_.forget_undefined(); }
+  Outcome evaluate(double t, const double* y, double* out) { return system_.evaluate(t, y, out); }
   void note_singular() { work_.singular = true; }
   /// The audit of J; null if J is known by its products alone.
   [[nodiscard]] JacobianAudit* audit() { return audit_ ? &*audit_ : nullptr; }
@@ -197,21 +183,15 @@ class AgingJacobian {
   /// Shorter steps will not help: see MatrixFree.
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
- protected:
-  Status couple(double c, double t, const double* Y, const double* f, double* b) {
-    return function_.couple(c, t, Y, f, b);
-  }
-
  private:
   [[nodiscard]] bool renewable() const;
   bool defined_mass();
   bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
-  Status solve_below(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
 
   Jacobian jacobian_;
-  StateFunction function_;
+  BlockSystem system_;
   Mass* mass_;
   std::optional<MatrixFree> free_;
   std::optional<JacobianAudit> audit_;  // unless matrix-free
@@ -332,7 +312,8 @@ class Newton : public AgingJacobian {
   Result solve_fully(const double* p, const double* psi, double* d, double* y);
   Result solve_state(const double* p, const double* psi, double* d, double* y);
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
-  void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
+  Result evaluate_state();
+  void residual(const Part& part, const double* psi, const double* d);
   Result confirm(const double* psi, const double* d, double size, double last, double before);
   Result doubt(bool soft);
   [[nodiscard]] bool solved(double size, double last, double residual) const;

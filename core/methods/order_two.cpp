@@ -61,7 +61,7 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
 /// A component that y' leads away from 0, but whose prediction has the other sign, is predicted by y' alone: f may have
 /// a pole at 0, such as c / y, and Newton's iteration would converge to a solution on the other side.
 void OrderTwo::keep_sides() {
-  for (std::size_t i = 0; i < solver_.extent().n; ++i)
+  for (std::size_t i = 0; i < solver_.system().state().size(); ++i)
     if (signed_h_ * slope_[i] * y_[i] > 0 && (base_[i] + psi_[i]) * y_[i] < 0) psi_[i] = d_ * signed_h_ * slope_[i];
 }
 
@@ -101,7 +101,7 @@ Newton::Result OrderTwo::filter_defect(double theta) {
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
     psi_ = base_;
-    solver_.multiply_mass(mass->matrix(), psi_.data(), base_.data());
+    solver_.system().multiply_mass(mass->matrix(), psi_.data(), base_.data());
     if (!mass->constant() && mass->evaluate(t1_) == Status::stop) return Newton::Result::stop;
   }
   for (std::size_t i = 0; i < n(); ++i) increment_[i] = d_ * (signed_h_ * increment_[i] - base_[i]);

@@ -68,8 +68,8 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   polynomial_.resize(highest_->stages * weights.size());
   provide({&f_, &end_f_, &last_y_, &error_vector_, &gap_, &scratch_});
-  for (std::vector<double>* v : {&residual_, &earlier_}) v->resize(solver_.extent().n);
-  if (linear.state) provide({&sensitivity_weight_});
+  for (std::vector<double>* v : {&residual_, &earlier_}) v->resize(solver_.system().state().size());
+  if (linear.blocks) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
   solver_.take_scratch(candidate_.data(), gap_.data());
@@ -160,12 +160,12 @@ void Radau::predict() {
 
 /// The state first; then its sensitivities, whose equations are linear, in an iteration of their own.
 Newton::Result Radau::solve_stages() {
-  const auto [states, parameters] = solver_.extent();
-  part_ = {0, states, weight_.data()};
+  const BlockSystem& system = solver_.system();
+  part_ = system.state(), part_weight_ = weight_.data();
   const Newton::Result result = iterate(convergence_);
-  if (result != Newton::Result::converged || parameters == 0) return result;
-  solver_.sensitivity_weights().fill(y(), sensitivity_weight_.data());
-  part_ = {states, n(), sensitivity_weight_.data()};
+  if (result != Newton::Result::converged || !system.has_sensitivities()) return result;
+  system.sensitivity_weights().fill(y(), sensitivity_weight_.data());
+  part_ = system.sensitivities(), part_weight_ = sensitivity_weight_.data();
   return iterate(sensitivity_convergence_);
 }
 
@@ -176,9 +176,9 @@ Newton::Result Radau::iterate(Convergence& convergence) {
   for (bool forgets = false;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
-    if (part_.first == 0) {
+    if (part_.of_state()) {
       residual_.swap(earlier_);
-      std::copy_n(residuals_.data() + (stages() - 1) * n(), part_.end, residual_.data());
+      std::copy_n(residuals_.data() + (stages() - 1) * n(), part_.size(), residual_.data());
     }
     bool negligible = convergence.iterations() > 0;
     const Newton::Result solved = solve_part(tolerance, negligible);
@@ -188,13 +188,13 @@ Newton::Result Radau::iterate(Convergence& convergence) {
       return Newton::Result::converged;
     }
     const double size = update_stages(forgets);
-    if (part_.first == solver_.coupled()) return Newton::Result::converged;  // the first update of quadratures is exact
+    if (solver_.system().coupled(part_).empty()) return Newton::Result::converged;  // a first update, and exact
     switch (convergence.judge(size)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged:
-        if (part_.first == 0 && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
+        if (part_.of_state() && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
           solver_.note_too_large();
-        if (part_.first == 0 || forgets || solver_.matrix_free()) return Newton::Result::failed;
+        if (part_.of_state() || forgets || solver_.matrix_free()) return Newton::Result::failed;
         forgets = true;  // updates of S that are roundoff
         convergence.begin(weights_.rtol(), roundoff);
         break;
@@ -204,37 +204,35 @@ Newton::Result Radau::iterate(Convergence& convergence) {
 }
 
 Newton::Result Radau::solve_part(double tolerance, bool& negligible) {
-  return solver_.solve(mass(), part_.w, tolerance, {part_.first, part_.end}, residuals_.data(), scratch_.data(),
-                       negligible);
+  return solver_.solve(mass(), part_weight_, tolerance, part_, residuals_.data(), scratch_.data(), negligible);
 }
 
 double Radau::norm_of_part(const double* v) const {
-  const auto [first, end, w] = part_;
-  return max_norm(end - first, [v, w = w, first = first](std::size_t i) { return v[first + i] / w[first + i]; });
+  v += part_.first;
+  return max_norm(part_.size(), [v, w = part_weight_ + part_.first](std::size_t i) { return v[i] / w[i]; });
 }
 
 /// Takes the first update of a first step, which nothing predicts, for the size of components that start at 0.
 void Radau::weigh_first_update() {
-  if (memory_h_ != 0 || convergence_.iterations() > 0 || part_.first > 0) return;
-  for (std::size_t i = 0; i < part_.end; ++i) weight_[i] = weights_.at(i, y_[i], y_[i] + last_increment()[i]);
+  if (memory_h_ != 0 || convergence_.iterations() > 0 || !part_.of_state()) return;
+  for (std::size_t i = 0; i < part_.stop; ++i) weight_[i] = weights_.at(i, y_[i], y_[i] + last_increment()[i]);
 }
 
 /// h (f(t_i, Y_i) − M Y'_i), where h Y' = A⁻¹ Z.
 Outcome Radau::stage_residuals() {
-  formula_->transform(formula_->A_inverse, n(), part_.first, part_.end, increments_.data(), residuals_.data());
+  formula_->transform(formula_->A_inverse, n(), part_.first, part_.stop, increments_.data(), residuals_.data());
   for (std::size_t stage = 0; stage < stages(); ++stage) {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
     const double t = stage + 1 == stages() ? t1_ : t_ + formula_->nodes[stage] * signed_h_;
-    const Outcome outcome = part_.first == 0 ? solver_.evaluate_state(t, scratch_.data(), error_vector_.data())
-                                             : solver_.evaluate_sensitivities(t, scratch_.data(), error_vector_.data());
+    const Outcome outcome = solver_.system().evaluate(part_, t, scratch_.data(), error_vector_.data());
     if (outcome != Outcome::ok) return outcome;
     const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
-      solver_.multiply_mass(*M, rate, gap_.data());
+      solver_.system().multiply_mass(*M, rate, gap_.data());
       rate = gap_.data();
     }
-    for (std::size_t i = part_.first; i < part_.end; ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
+    for (std::size_t i = part_.first; i < part_.stop; ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
   }
   return Outcome::ok;
 }
@@ -243,7 +241,7 @@ Outcome Radau::stage_residuals() {
 /// for sensitivities that are roundoff.
 double Radau::update_stages(bool forgets) {
   for (std::size_t stage = 0; stage < stages(); ++stage)
-    for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.end; ++i) increments_[i] += residuals_[i];
+    for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.stop; ++i) increments_[i] += residuals_[i];
   weigh_first_update();
   if (forgets)
     for (std::size_t stage = 0; stage < stages(); ++stage)
@@ -265,7 +263,7 @@ Newton::Result Radau::estimate() {
   Mass* mass = solver_.mass();
   if (mass && !mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
   if (const Matrix* M = solver_.mass_matrix())
-    solver_.multiply_mass(*M, scratch_.data(), error_vector_.data());
+    solver_.system().multiply_mass(*M, scratch_.data(), error_vector_.data());
   else
     error_vector_ = scratch_;
   const double c = signed_h_ / formula_->mu;
@@ -291,7 +289,7 @@ Newton::Result Radau::damp(double* v) {
 /// v ← (M − c J)⁻¹ M v.
 Newton::Result Radau::damp_again(double* v) {
   std::copy_n(v, n(), scratch_.begin());
-  if (const Matrix* M = solver_.mass_matrix()) solver_.multiply_mass(*M, scratch_.data(), v);
+  if (const Matrix* M = solver_.mass_matrix()) solver_.system().multiply_mass(*M, scratch_.data(), v);
   return damp(v);
 }
 
@@ -356,7 +354,7 @@ Newton::Result Radau::filter_defect(double theta, double* defect) {
   const double* rate = gap_.data();
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t) == Status::stop) return Newton::Result::stop;
-    solver_.multiply_mass(mass->matrix(), gap_.data(), scratch_.data());
+    solver_.system().multiply_mass(mass->matrix(), gap_.data(), scratch_.data());
     rate = scratch_.data();
   }
   for (std::size_t i = 0; i < n(); ++i) defect[i] = c * residuals_[i] - rate[i];
@@ -409,7 +407,7 @@ double Radau::next_h() const {
 /// there anyhow unless y is projected, tells what the last stage leaves. Residuals of M y' = f have no scale.
 Newton::Result Radau::look_at_end() {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return Newton::Result::converged;
-  const std::size_t states = solver_.extent().n;
+  const std::size_t states = residual_.size();
   const double before = max_norm(states, [this](std::size_t i) { return residual_[i] / weight_[i]; });
   if (before <= left_at_end * weights_.rtol()) return Newton::Result::converged;
   const Newton::Result evaluated = newton_result(solver_.evaluate(t1_, candidate_.data(), end_f_.data()));

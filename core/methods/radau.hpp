@@ -92,14 +92,10 @@ class Radau final : public ImplicitBase<RadauSystems>, public DelayInterface {
   void lower_order();
 
   const RadauFormula *lowest_, *highest_;
-  const RadauFormula* formula_;   // of the next attempt
-  const RadauFormula* accepted_;  // of the last accepted step
-  /// The components that an iteration is for, of the state or of its sensitivities, and weights of all.
-  struct Part {
-    std::size_t first, end;
-    const double* w;
-  };
-  Part part_{};
+  const RadauFormula* formula_;          // of the next attempt
+  const RadauFormula* accepted_;         // of the last accepted step
+  Part part_{};                          // that an iteration is for: the state, or its sensitivities
+  const double* part_weight_ = nullptr;  // of all of Y
   Convergence convergence_, sensitivity_convergence_;
   std::vector<double> sensitivity_weight_;
   std::vector<double> increments_;    // Z_1 … Z_s, with room for the most stages so far

@@ -21,23 +21,23 @@ double magnification(const RadauFormula& formula) {
 /// v = [real parts | imaginary parts], 2 n numbers, becomes the complex numbers (real − i imaginary) / μ, and they
 /// become [real parts | −imaginary parts], in these components alone. An array of complex numbers is one of twice as
 /// many reals.
-Complex* to_complex(double* v, std::size_t n, RadauSystems::Blocks of, Complex mu, double* scratch) {
+Complex* to_complex(double* v, std::size_t n, const Part& of, Complex mu, double* scratch) {
   auto* z = reinterpret_cast<Complex*>(v);
   const double size = std::norm(mu), p = mu.real() / size, q = -mu.imag() / size;
-  std::copy(v + of.first, v + of.end, scratch + of.first);
-  for (std::size_t i = of.first; i < of.end; ++i) {
+  std::copy(v + of.first, v + of.stop, scratch + of.first);
+  for (std::size_t i = of.first; i < of.stop; ++i) {
     const double x = scratch[i], y = -v[n + i];  // i < n: v[n + i] is still there
     z[i] = Complex(x * p - y * q, x * q + y * p);
   }
   return z;
 }
-void from_complex(double* v, std::size_t n, RadauSystems::Blocks of, double* scratch) {
-  for (std::size_t i = of.first; i < of.end; ++i) {
+void from_complex(double* v, std::size_t n, const Part& of, double* scratch) {
+  for (std::size_t i = of.first; i < of.stop; ++i) {
     const double real = v[2 * i], imaginary = v[2 * i + 1];
     v[i] = real;
     scratch[i] = -imaginary;
   }
-  std::copy(scratch + of.first, scratch + of.end, v + n + of.first);
+  std::copy(scratch + of.first, scratch + of.stop, v + n + of.first);
 }
 
 }  // namespace
@@ -91,26 +91,26 @@ bool RadauSystems::factorize() {
 }
 
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
-Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
-                                   double* scratch, bool& negligible) {
+Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, const Part& part,
+                                   double* residuals, double* scratch, bool& negligible) {
   assert(formula_ != nullptr && (!has_matrices() || has_factors()));
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
-    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, blocks, b, may_skip, negligible);
-    solve_blocks(*lu, b, blocks.first, blocks.end);
+    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, part, b, may_skip, negligible);
+    solve_blocks(*lu, b, part);
     negligible = false;
     return Newton::Result::converged;
   };
-  const auto [first, end] = blocks;
+  const auto [first, end, n] = part;
   formula_->transform(formula_->T_inverse, n_, first, end, residuals, residuals);
   for (std::size_t i = first; i < end; ++i) residuals[i] /= formula_->mu;
   Newton::Result result = one(formula_->mu, residuals, real_lu_.get());
   for (std::size_t k = 0; k < formula_->pairs.size() && result == Newton::Result::converged; ++k) {
     double* pair = residuals + (2 * k + 1) * n_;
-    Complex* b = to_complex(pair, n_, blocks, formula_->pairs[k], scratch);
+    Complex* b = to_complex(pair, n_, part, formula_->pairs[k], scratch);
     result = one(formula_->pairs[k], b, has_matrices() ? complex_lu_[k].get() : nullptr);
-    from_complex(pair, n_, blocks, scratch);
+    from_complex(pair, n_, part, scratch);
   }
   formula_->transform(formula_->T, n_, first, end, residuals, residuals);
   return result;
@@ -124,23 +124,22 @@ Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, const 
     const Status status = solve_whole(*real_lu_, c, t, Y, f, b);
     return status == Status::stop ? Newton::Result::stop : Newton::Result::converged;
   }
-  const std::size_t n = extent().n;
   bool negligible = false;
-  const Newton::Result result = solve_by_gmres(c, M, w, tolerance, {0, n}, b, false, negligible);
-  if (result != Newton::Result::converged || n_ == n) return result;
-  if (couple(c, t, Y, f, b) == Status::stop) return Newton::Result::stop;
-  return solve_by_gmres(c, M, w_columns, tolerance, {n, n_}, b, false, negligible);
+  const Newton::Result result = solve_by_gmres(c, M, w, tolerance, system().state(), b, false, negligible);
+  if (result != Newton::Result::converged || !system().has_sensitivities()) return result;
+  if (system().couple(c, t, Y, f, b) == Status::stop) return Newton::Result::stop;
+  return solve_by_gmres(c, M, w_columns, tolerance, system().sensitivities(), b, false, negligible);
 }
 
-/// b becomes the solution of (M − c J) x = b in each of these blocks, or 0 where it may be skipped and is negligible.
+/// b becomes the solution of (M − c J) x = b in each block of a part, or 0 where it may be skipped and is negligible.
 template <class Scalar>
-Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Blocks blocks,
-                                            Scalar* b, bool may_skip, bool& negligible) {
-  Newton::Result result = Newton::Result::converged;
-  const std::size_t end = std::min(blocks.end, coupled());
-  for (std::size_t i = blocks.first; i < end && result == Newton::Result::converged; i += extent().n)
-    result = solve_block(c, M, w + i, tolerance, b + i, may_skip, negligible);
-  return result;
+Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance,
+                                            const Part& part, Scalar* b, bool may_skip, bool& negligible) {
+  for (const std::size_t i : system().coupled(part))
+    if (const Newton::Result result = solve_block(c, M, w + i, tolerance, b + i, may_skip, negligible);
+        result != Newton::Result::converged)
+      return result;
+  return Newton::Result::converged;
 }
 
 template <class Scalar>
@@ -151,7 +150,7 @@ Newton::Result RadauSystems::solve_block(Scalar c, const Matrix* M, const double
   const Newton::Result ready = newton_result(free.precondition(b));
   if (ready != Newton::Result::converged) return ready;
   if (may_skip && free.negligible(w, tolerance, b)) {
-    std::fill_n(b, extent().n, 0);
+    std::fill_n(b, system().state().size(), 0);
     return Newton::Result::converged;
   }
   negligible = false;

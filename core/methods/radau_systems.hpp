@@ -29,14 +29,10 @@ class RadauSystems : public AgingJacobian {
   /// rate of convergence is forgotten. `not_finite`: a matrix is singular.
   Outcome prepare(double t1, Convergence& convergence);
 
-  /// The components of a vector from the first block to the last that is solved for.
-  struct Blocks {
-    std::size_t first, end;
-  };
-  /// Residuals of the stages, s n numbers, in these blocks become the updates of the increments. By GMRES about the
-  /// tolerance is left as error, in units of the weights w; M is the mass matrix at t₁. Where `negligible` is true at
-  /// the start, it stays so if all updates are within the tolerance, and they may be 0. `scratch`: (n,).
-  Newton::Result solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
+  /// Residuals of the stages, s n numbers, in the blocks of a part become the updates of the increments. By GMRES about
+  /// the tolerance is left as error, in units of the weights w; M is the mass matrix at t₁. Where `negligible` is true
+  /// at the start, it stays so if all updates are within the tolerance, and they may be 0. `scratch`: (n,).
+  Newton::Result solve(const Matrix* M, const double* w, double tolerance, const Part& part, double* residuals,
                        double* scratch, bool& negligible);
   /// b becomes (M − (h/μ) J)⁻¹ b, μ real; with sensitivities the matrix is that of the whole system at (t, Y), where it
   /// has the value `f`. By GMRES to that tolerance, in units of the weights w of the state and w_columns of the others.
@@ -55,8 +51,8 @@ class RadauSystems : public AgingJacobian {
  private:
   bool factorize();
   template <class Scalar>
-  Newton::Result solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Blocks blocks, Scalar* b,
-                                bool may_skip, bool& negligible);
+  Newton::Result solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, const Part& part,
+                                Scalar* b, bool may_skip, bool& negligible);
   template <class Scalar>
   Newton::Result solve_block(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b, bool may_skip,
                              bool& negligible);

@@ -87,7 +87,7 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
     two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
     two.matrix_free = linear.krylov != nullptr;
     two.differences = two.matrix_free && !linear.krylov->product;
-    two.state_f = linear.state != nullptr ? linear.state->f : nullptr;
+    two.state_f = linear.blocks != nullptr ? &linear.blocks->state() : nullptr;
   }
   return std::make_unique<Switching>(f, weights, std::move(two));
 }

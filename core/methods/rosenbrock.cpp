@@ -52,8 +52,7 @@ Outcome Rosenbrock::linearize() {
   if (solver_.repair(t_, y(), f0_.data()) == Status::stop) return Outcome::stop;
   if (!ft_known_) {
     if (solver_.time_derivative(t_, y(), f0_.data(), signed_h_, ft_.data()) == Status::stop) return Outcome::stop;
-    if (solver_.extent().k > 0 &&
-        solver_.sensitivity_rate(t_, y(), nullptr, f0_.data(), signed_h_, ft_.data()) == Status::stop)
+    if (solver_.system().sensitivity_rate(t_, y(), nullptr, f0_.data(), signed_h_, ft_.data()) == Status::stop)
       return Outcome::stop;
   }
   ft_known_ = true;
@@ -95,7 +94,7 @@ Outcome Rosenbrock::stages() {
 /// vanishes. W⁻¹ (f₁ − f₀ − h/2 (J k₁ + f_t)), with h d (J k₁ + f_t) = M k₁ − f₀, does not. W⁻¹ removes roundoff of J
 /// and stiff components, as in the estimate.
 bool Rosenbrock::looks_like_jump() {
-  const std::size_t states = solver_.extent().n;
+  const std::size_t states = solver_.system().state().size();
   const auto size = [&] {
     return h_ * max_norm(states, [&](std::size_t i) { return bend_[i] / weights_.at(i, y_[i], candidate_[i]); });
   };
@@ -116,7 +115,7 @@ Status Rosenbrock::solve(std::vector<double>& b) {
 const double* Rosenbrock::times_mass(const std::vector<double>& k) {
   const Matrix* M = solver_.mass_matrix();
   if (!M) return k.data();
-  solver_.multiply_mass(*M, k.data(), scratch_.data());
+  solver_.system().multiply_mass(*M, k.data(), scratch_.data());
   return scratch_.data();
 }
 

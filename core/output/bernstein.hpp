@@ -41,7 +41,7 @@ inline bool on_one_side(const double* b, std::size_t count, double margin) {
 
 /// Changes of sign, zeros left out: at least as many as there are roots between 0 and 1, and more by an even number
 /// (Descartes).
-inline int variations(const double* b, std::size_t count) {
+inline int sign_changes(const double* b, std::size_t count) {
   int changes = 0, last = 0;
   for (std::size_t j = 0; j < count; ++j) {
     const int sign = sign_of(b[j]);
@@ -72,7 +72,7 @@ void isolate(const double* coefficients, std::size_t count, double narrowest, do
   while (!left.empty()) {
     const auto [low, high] = left.back();
     double* b = boxes.data() + (left.size() - 1) * count;
-    const int changes = variations(b, count);
+    const int changes = sign_changes(b, count);
     const bool small = high - low <= narrowest || max_norm(count, [b](std::size_t j) { return b[j]; }) <= flat;
     const bool unresolved = changes > 1 && small;
     if (changes <= 1 || unresolved) {

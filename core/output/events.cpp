@@ -244,7 +244,7 @@ Outcome Events::find(std::size_t event) {
     closely = true;
     outcome = scan_closely(event, EventFunction::adaptive);
   }
-  if (outcome == Outcome::ok && !closely && !brackets_.empty() && step_.interpolant->projects())
+  if (outcome == Outcome::ok && !closely && !brackets_.empty() && step_.interpolant->kind().projects())
     outcome = scan(event, true);  // decide on the values that will be returned
   if (outcome != Outcome::ok) return outcome;
   const Scan& scanned = closely ? close_scan_ : scan_;

@@ -19,15 +19,15 @@ constexpr std::array<double, 2> ends_of_step = {0, 1};
 }  // namespace
 
 void Interpolant::corrected(const Segment& segment, std::span<const double> t, double* y) const {
-  assert(segment.t0 != segment.t1 && segment.size >= overhead());
-  const std::size_t raw_size = segment.size - overhead();
+  assert(segment.t0 != segment.t1 && segment.size >= kind_.overhead());
+  const std::size_t raw_size = segment.size - kind_.overhead();
   for (std::array<double, points_at_once> room; !t.empty(); t = t.subspan(std::min(t.size(), room.size()))) {
     const std::span<double> theta(room.data(), std::min(t.size(), room.size()));
     for (std::size_t p = 0; p < theta.size(); ++p) theta[p] = (t[p] - segment.t0) / (segment.t1 - segment.t0);
-    raw_(segment.data, raw_size, n_, theta, y);
+    kind_.raw(segment.data, raw_size, n_, theta, y);
     for (const double one : theta) {
-      if (mode_ != Interpolation::raw) correct_ends(segment.data + raw_size, one, y);
-      if (bounds_ != nullptr) clip(*bounds_, extent_, y);
+      if (kind_.mode != Interpolation::raw) correct_ends(segment.data + raw_size, one, y);
+      if (bounds_ != nullptr) clip(*bounds_, {y, n_});
       y += n_;
     }
   }
@@ -61,9 +61,8 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   corrected(segment, t, y);
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   if (projector_ == nullptr || m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
-  const std::size_t invariants = 2 * m_ * (1 + extent_.k);  // their values at both ends, and those of the tangent
-  const double* w = segment.data + segment.size - extent_.n - invariants;
-  const double* g0 = w + extent_.n;
+  const double* w = segment.data + segment.size - kind_.overhead() + 2 * n_;
+  const double* g0 = segment.data + segment.size - 2 * (m_ + tangent_target_.size());
   const double* g1 = g0 + m_;
   const std::vector<double>& held = projector_->invariants().value();
   for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
@@ -89,12 +88,13 @@ Outcome Interpolant::follow_tangent(double t, double theta, const double* T0, do
   return tangent_->onto(*projector_, t, tangent_target_.data(), y);
 }
 
-StepInterpolant::StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between,
+StepInterpolant::StepInterpolant(Step& step, std::size_t n, Interpolation mode, Projector* between,
                                  TangentProjector* tangent, const Projector* steps, const Bounds* bounds)
     : step_(step),
       invariants_(between ? &between->invariants() : nullptr),
       projector_(steps),
-      interpolant_(extent, invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between, tangent, bounds),
+      interpolant_({Extent::within(n, step.n()), invariants_ ? invariants_->m() : 0, mode, step.interpolate()}, between,
+                   tangent, bounds),
       g_end_(interpolant_.m_),
       tangent_end_(interpolant_.tangent_target_.size()) {}
 
@@ -103,17 +103,17 @@ Status StepInterpolant::make() {
   assert(start_y_ != nullptr);  // a step was accepted
   const std::size_t n = interpolant_.n_;
   const std::size_t raw_size = step_.extension_size();
-  size_ = raw_size + interpolant_.overhead();
+  size_ = raw_size + kind().overhead();
   if (data_.empty()) data_.resize(max_size());
   assert(size_ <= data_.size());
   if (step_.extension(data_.data()) == Status::stop) return Status::stop;
-  if (interpolant_.mode_ != Interpolation::raw) {
+  if (kind().mode != Interpolation::raw) {
     double* e0 = data_.data() + raw_size;
     double* e1 = e0 + n;
-    interpolant_.raw_(data_.data(), raw_size, n, ends_of_step, e0);
+    kind().raw(data_.data(), raw_size, n, ends_of_step, e0);
     for (std::size_t i = 0; i < n; ++i) e0[i] = start_y_[i] - e0[i];
     for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
-    if (interpolant_.projects()) {
+    if (kind().projects()) {
       const std::span<const double> w = projector_->linearization().w;
       double* g0 = std::copy(w.begin(), w.end(), e1 + n);
       double* T0 = g0 + 2 * interpolant_.m_;
@@ -165,10 +165,10 @@ Status StepInterpolant::value(double t, double* y) {
 Status StepInterpolant::powers(std::vector<double>& c) {
   const Segment s = segment();
   if (!s.data) return Status::stop;
-  const std::size_t n = interpolant_.n_, raw_size = s.size - interpolant_.overhead();
+  const std::size_t n = interpolant_.n_, raw_size = s.size - kind().overhead();
   assert(order_of_powers() && *order_of_powers() >= 3);
   c.assign(s.data, s.data + raw_size);
-  if (interpolant_.mode_ == Interpolation::raw) return Status::ok;
+  if (kind().mode == Interpolation::raw) return Status::ok;
   const double* e0 = s.data + raw_size;
   const double* e1 = e0 + n;
   for (std::size_t i = 0; i < n; ++i) {
@@ -182,7 +182,7 @@ Status StepInterpolant::powers(std::vector<double>& c) {
 Status StepInterpolant::values(std::span<const double> t, double* y) {
   const Segment s = segment();
   if (!s.data) return Status::stop;
-  if (!interpolant_.projects()) {
+  if (!kind().projects()) {
     interpolant_.corrected(s, t, y);
     return Status::ok;
   }

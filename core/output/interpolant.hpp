@@ -12,6 +12,7 @@
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
 #include "sensitivity/tangent.hpp"
+#include "sensitivity/variations.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -31,29 +32,36 @@ struct Segment {
   std::size_t size;
 };
 
+/// What the segments of one solution hold.
+struct SegmentKind {
+  Extent extent;  ///< of a value
+  std::size_t m;  ///< invariants between steps
+  Interpolation mode;
+  Interpolate raw;
+
+  [[nodiscard]] bool projects() const { return mode == Interpolation::projected && m > 0; }
+  /// Doubles in a segment beyond its raw extension.
+  [[nodiscard]] std::size_t overhead() const {
+    if (mode == Interpolation::raw) return 0;
+    return 2 * extent.size() + (projects() ? extent.n + 2 * m * (1 + extent.k) : 0);
+  }
+  bool operator==(const SegmentKind&) const = default;
+};
+
 /// Evaluates segments. Without invariants `projector` is null; without their functions too, and values are corrected
 /// only. With sensitivities `tangent` goes with it, which moves them onto T = (1−θ) T₀ + θ T₁. Without bounds `bounds`
 /// is null; values are within them in every mode.
 class Interpolant {
  public:
-  Interpolant(Extent extent, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector,
-              TangentProjector* tangent, const Bounds* bounds)
-      : extent_(extent),
-        n_(extent.size()),
-        m_(mode == Interpolation::projected ? m : 0),
-        mode_(mode),
-        raw_(raw),
+  Interpolant(const SegmentKind& kind, Projector* projector, TangentProjector* tangent, const Bounds* bounds)
+      : kind_(kind),
+        n_(kind.extent.size()),
+        m_(kind.projects() ? kind.m : 0),
         projector_(projector),
         tangent_(tangent),
         bounds_(bounds),
         target_(m_),
-        tangent_target_(extent.k * m_) {}
-
-  [[nodiscard]] bool projects() const { return m_ > 0; }
-  /// Doubles in a segment beyond its raw extension.
-  [[nodiscard]] std::size_t overhead() const {
-    return mode_ == Interpolation::raw ? 0 : 2 * n_ + (m_ > 0 ? extent_.n + 2 * m_ * (1 + extent_.k) : 0);
-  }
+        tangent_target_(kind.extent.k * m_) {}
 
   /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
   Status value(const Segment& segment, double t, double* y);
@@ -67,11 +75,9 @@ class Interpolant {
   void choose_directions(const Segment& segment);
   Outcome follow_tangent(double t, double theta, const double* T0, double* y);
 
-  Extent extent_;
+  SegmentKind kind_;
   std::size_t n_;  // doubles of Y
-  std::size_t m_;
-  Interpolation mode_;
-  Interpolate raw_;
+  std::size_t m_;  // invariants that it projects onto
   Projector* projector_;
   TangentProjector* tangent_;
   const Bounds* bounds_;
@@ -86,9 +92,9 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  /// Makes the interpolant of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has
-  /// projected the step, and knows its weights. Null without invariants.
-  StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between, TangentProjector* tangent,
+  /// Makes the interpolant of a step of Y, whose state has n doubles. `between`: projects the points between steps,
+  /// with the tangent; `steps`: has projected the step, and knows its weights. Null without invariants.
+  StepInterpolant(Step& step, std::size_t n, Interpolation mode, Projector* between, TangentProjector* tangent,
                   const Projector* steps, const Bounds* bounds = nullptr);
 
   /// The step from (t0, y0), which stays where it is until the next one, to the method's present (t, y) was accepted.
@@ -115,11 +121,9 @@ class StepInterpolant {
   }
   /// Coefficients of θ^0 … of `corrected`, where it is within bounds, (order + 1, n).
   Status powers(std::vector<double>& c);
-  [[nodiscard]] bool projects() const { return interpolant_.projects(); }
-  /// The number of invariants between steps.
-  [[nodiscard]] std::size_t invariants() const { return invariants_ != nullptr ? invariants_->m() : 0; }
+  [[nodiscard]] const SegmentKind& kind() const { return interpolant_.kind_; }
   /// Doubles in a segment, at most.
-  [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + interpolant_.overhead(); }
+  [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + kind().overhead(); }
   /// The segment, made if it was not yet; data is null if a user function stopped the run meanwhile.
   Segment segment();
 

@@ -25,7 +25,7 @@ void DenseOutput::add(const Segment& segment, double t, const double* y) {
 }
 
 DenseOutput DenseOutput::from(std::size_t first) const {
-  DenseOutput rest(extent_, m_, mode_, raw_, bounds_);
+  DenseOutput rest(kind_, bounds_);
   rest.append(*this, first);
   return rest;
 }
@@ -36,7 +36,8 @@ void DenseOutput::append(const DenseOutput& next, std::size_t first) {
   const double* y = next.knots_.y.data();
   const double* start_y = y + first * n_;
   // At a landing without a jump of the state, the equations may have moved its sensitivities by roundoff.
-  if (knots_.t.empty() || t[first] != knots_.t.back() || !std::equal(start_y, start_y + extent_.n, knots_.y.end() - n_))
+  if (knots_.t.empty() || t[first] != knots_.t.back() ||
+      !std::equal(start_y, start_y + kind_.extent.n, knots_.y.end() - n_))
     start(t[first], start_y);
   for (std::size_t s = first; s < next.end_.size(); ++s) {
     const double* reached = y + (s + 1) * n_;
@@ -76,17 +77,16 @@ void DenseOutput::state(Archive& archive) {
   for (std::vector<double>* one : {&t, &y, &end_, &data}) archive.resizable(*one);
   archive.resizable(offset_);
   if (!archive.reading()) return;
-  const std::size_t segments = end_.size(),
-                    overhead = Interpolant(extent_, m_, mode_, raw_, nullptr, nullptr, nullptr).overhead();
+  const std::size_t segments = end_.size(), overhead = kind_.overhead();
   archive.require(t.size() == segments + 1 && y.size() == t.size() * n_ && offset_.size() == segments);
-  const NamedExtension& kind = find_extension(raw_);
+  const NamedExtension& extension = find_extension(kind_.raw);
   for (std::size_t s = 0; s < segments; ++s) {
     const std::size_t stop = s + 1 < segments ? offset_[s + 1] : data.size();
     archive.require(std::isfinite(t[s]) && t[s] <= t[s + 1] && t[s] <= end_[s] && offset_[s] <= stop &&
                     stop <= data.size());
     if (end_[s] == t[s]) continue;  // a jump
     archive.require(stop - offset_[s] >= overhead &&
-                    kind.fits(data.data() + offset_[s], stop - offset_[s] - overhead, n_));
+                    extension.fits(data.data() + offset_[s], stop - offset_[s] - overhead, n_));
   }
   archive.require(std::isfinite(t.back()));
   knots_.clear();
@@ -99,7 +99,7 @@ void DenseOutput::state(Archive& archive) {
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector,
                              TangentProjector* tangent) const {
   if (n_ == 0) return Status::ok;
-  Interpolant interpolant(extent_, m_, mode_, raw_, projector, tangent, bounds_ ? &*bounds_ : nullptr);
+  Interpolant interpolant(kind_, projector, tangent, bounds_ ? &*bounds_ : nullptr);
   const Buffer<double>& knots = knots_.t;
   const double forward = knots.back() >= knots.front() ? 1 : -1;
   for (std::size_t p = 0; p < count; ++p, out += n_) {

@@ -53,8 +53,8 @@ struct Jump {
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
 class DenseOutput {
  public:
-  DenseOutput(Extent extent, std::size_t m, Interpolation mode, Interpolate raw, std::optional<Bounds> bounds)
-      : extent_(extent), n_(extent.size()), m_(m), mode_(mode), raw_(raw), bounds_(std::move(bounds)) {}
+  DenseOutput(const SegmentKind& kind, std::optional<Bounds> bounds)
+      : kind_(kind), n_(kind.extent.size()), bounds_(std::move(bounds)) {}
 
   /// Starts at (t, y), or goes on there after a jump.
   void start(double t, const double* y);
@@ -65,10 +65,8 @@ class DenseOutput {
   /// The part from knot number `first` on, as a separate function.
   [[nodiscard]] DenseOutput from(std::size_t first) const;
 
-  /// `extent` describes the parts of a value, `size` is its number of doubles.
-  [[nodiscard]] Extent extent() const { return extent_; }
-  [[nodiscard]] std::size_t size() const { return n_; }
-  [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
+  [[nodiscard]] const SegmentKind& kind() const { return kind_; }
+  [[nodiscard]] std::size_t size() const { return n_; }  ///< doubles of a value
   [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
 
   /// The segment of the step in which t lies, or the nearest one, of a function that goes forward in t. `near`: the
@@ -89,16 +87,13 @@ class DenseOutput {
 
   /// Its parts, for storing: given to `start` and `add`, they make the same function again.
   struct Parts {
-    std::size_t m;
-    Interpolation mode;
-    Interpolate raw;
     const std::optional<Bounds>& bounds;
     const Trajectory& knots;
     const std::vector<double>& end;          ///< segment s is from knot s to knot s + 1, empty at a jump; its t1
     const std::vector<std::size_t>& offset;  ///< where its data starts
     const Buffer<double>& data;
   };
-  [[nodiscard]] Parts parts() const { return {m_, mode_, raw_, bounds_, knots_, end_, offset_, data_}; }
+  [[nodiscard]] Parts parts() const { return {bounds_, knots_, end_, offset_, data_}; }
 
   /// Y at `count` times into out (count, size): the stored value at a knot, else the segment's; before the first and
   /// after the last knot their segments are extrapolated. Where the mode projects, `projector` and `tangent` do it;
@@ -110,11 +105,8 @@ class DenseOutput {
   [[nodiscard]] std::size_t step_near(std::size_t k) const;
   void append(const DenseOutput& next, std::size_t first);
 
-  Extent extent_;
+  SegmentKind kind_;
   std::size_t n_;  // doubles of Y
-  std::size_t m_;
-  Interpolation mode_;
-  Interpolate raw_;
   std::optional<Bounds> bounds_;
   Trajectory knots_;
   std::vector<double> end_;          // t1 of each segment

@@ -39,7 +39,7 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
   const Problem& first = solvers.front()->problem();
   for (const Solver* solver : solvers) {
     const Problem& problem = solver->problem();
-    require(problem.extent().size() == ensemble.n, "rows of y0 are not of the size of the problem");
+    require(problem.size() == ensemble.n, "rows of y0 are not of the size of the problem");
     require(problem.variations.has_value() == (ensemble.tolerances != nullptr),
             "rows of tolerances go with sensitivities");
     require(problem.parameters.size() == ensemble.parameters, "rows of parameters are not as long as the problem's");
@@ -110,7 +110,7 @@ std::size_t integrate_first(Solver& solver, const Ensemble& ensemble, EnsembleRe
 
 EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
     : size(size_),
-      n(solver.problem().extent().size()),
+      n(solver.problem().size()),
       parts(solver.problem().complex ? 2 : 1),
       m(solver.problem().value.size()),
       n_t(solver.settings().times.size()),

@@ -57,8 +57,9 @@ struct Problem {
   /// The place from which the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
 
-  /// The extent of the values that runs integrate: their initial values and results have its size.
+  /// The extent of the values that runs integrate, and its size, which their initial values and results have.
   [[nodiscard]] Extent extent() const { return Extent(n, variations ? variations->k : 0); }
+  [[nodiscard]] std::size_t size() const { return extent().size(); }
 };
 
 /// Throws std::invalid_argument where sizes do not match: a mistake of whoever called, which would read past an array.

@@ -39,7 +39,6 @@ Run::Run(const Solver& solver) : solver_(solver) {
   keep_within_bounds();
   derive_slope();
   bind_invariants();
-  add_sensitivities();
   start_loop();
 }
 
@@ -94,7 +93,7 @@ void Run::wrap_in_bounds(Problem& problem) {
   users_f_ = problem.f;
   problem.f = confined_->within(problem.f);
   if (problem.variations)
-    problem.variations->slope = confined_->augmented_within(problem.variations->slope, problem.extent());
+    problem.variations->slope = confined_->augmented_within(problem.variations->slope, problem.size());
   if (!problem.linear) return;
   problem.linear->source = confined_->within(problem.linear->source);
   if (problem.linear->krylov)
@@ -119,7 +118,7 @@ LinearAlgebra Run::linear_algebra() {
           .mass = mass_ ? &*mass_ : nullptr,
           .lapack = lapack_ ? &*lapack_ : nullptr,
           .krylov = krylov ? &*krylov : nullptr,
-          .state = state_equations_ ? &*state_equations_ : nullptr};
+          .blocks = blocks_ ? &*blocks_ : nullptr};
 }
 
 void Run::keep_within_bounds() {
@@ -187,12 +186,12 @@ bool Run::moves_off_algebraic_equations() const { return solver_.problem().bound
 /// may hardly determine these equations by themselves.
 Invariants Run::with_algebraic_equations() {
   const Problem& problem = this->problem();
-  const Callback slopes = problem.variations ? problem.variations->slope : Callback();
-  algebraic_.emplace(f_, *jacobian_, *mass_, slopes, problem.extent());
+  algebraic_.emplace(f_, *jacobian_, *mass_);
   InvariantBlock block;
   block.g = algebraic_->residual();
   block.jacobian = algebraic_->jacobian();
-  if (problem.variations) block.tangent = algebraic_->tangent();
+  if (const std::optional<Variations>& varied = problem.variations)
+    block.tangent = algebraic_tangent_.emplace(varied->slope, *mass_, varied->k).callback();
   block.m = algebraic_->count();
   block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
@@ -215,24 +214,11 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
   return invariants;
 }
 
-/// Within bounds S rests with the components of the state that do.
-void Run::add_sensitivities() {
-  const Problem& problem = this->problem();
-  if (!problem.variations) return;
-  augmented_slope_.emplace(*method_f_, problem.variations->slope, problem.extent(),
-                           bounded_slope_ ? &*bounded_slope_ : nullptr);
-  augmented_f_ = augmented_slope_->callback();
-  sensitivities_f_ = augmented_slope_->of_sensitivities();
-  state_equations_ = {.extent = problem.extent(),
-                      .f = method_f_,
-                      .sensitivities = &sensitivities_f_,
-                      .weights = &solver_.weights(),
-                      .iteration = &solver_.iteration_weights(),
-                      .quadratures = problem.variations->quadratures};
-}
-
 void Run::start_loop() {
-  Callback& integrated = augmented_slope_ ? augmented_f_ : *method_f_;
+  if (problem().variations)
+    blocks_.emplace(*method_f_, *problem().variations, solver_.weights(), solver_.iteration_weights(),
+                    bounded_slope_ ? &*bounded_slope_ : nullptr);
+  Callback& integrated = blocks_ ? blocks_->whole() : *method_f_;
   std::unique_ptr<Step> step = solver_.method().step(integrated, solver_.augmented_weights(), solver_.options(),
                                                      linear_algebra(), series_ ? &*series_ : nullptr);
   const Problem& all = solver_.problem();
@@ -259,7 +245,7 @@ void Run::start_loop() {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
     };
-  if (functions.consistent && state_equations_)
+  if (functions.consistent && blocks_)
     functions.consistent_tangent = [this](double t, double* Y) {
       if (bounded_slope_) bounded_slope_->release(Y);
       return make_tangent_consistent(linear_algebra(), t, Y);
@@ -406,7 +392,7 @@ void Run::state(Archive& archive) {
   archive_prepared(archive);
   f_.state(archive);
   bounded_f_.state(archive);
-  augmented_f_.state(archive);
+  if (blocks_) blocks_->whole().state(archive);
   if (series_) series_->solution.state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);
   if (slope_) slope_->state(archive);

@@ -21,7 +21,8 @@
 #include "manifold/slope.hpp"
 #include "run/problem.hpp"
 #include "run/sections.hpp"
-#include "sensitivity/variations.hpp"
+#include "sensitivity/block_system.hpp"
+#include "sensitivity/tangent.hpp"
 
 namespace invariode {
 
@@ -100,7 +101,7 @@ class Run {
   [[nodiscard]] double forward() const;
   /// Evaluations of f by the method; an expansion is one.
   [[nodiscard]] std::int64_t evaluations() const {
-    return method_f_->calls() + augmented_f_.calls() + (series_ ? series_->solution.calls() : 0);
+    return method_f_->calls() + (blocks_ ? blocks_->whole().calls() : 0) + (series_ ? series_->solution.calls() : 0);
   }
 
   /// Returns the result of the run when it has ended. Arrays are moved out: once only.
@@ -132,7 +133,6 @@ class Run {
   [[nodiscard]] Invariants bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const;
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
-  void add_sensitivities();
   void start_loop();
   void state(Archive& archive);
   void archive_prepared(Archive& archive);
@@ -161,12 +161,11 @@ class Run {
 
   std::optional<BoundedSlope> bounded_slope_;
   Callback bounded_f_;
-  Callback* method_f_ = &f_;  // the slope of the state: f, or what keeps it within bounds
-  std::optional<AugmentedSlope> augmented_slope_;
-  Callback augmented_f_, sensitivities_f_;  // with sensitivities what the method integrates, and their part of it
-  std::optional<StateEquations> state_equations_;
+  Callback* method_f_ = &f_;              // the slope of the state: f, or what keeps it within bounds
+  std::optional<BlockEquations> blocks_;  // with sensitivities: what the method integrates
   std::unique_ptr<Slope> slope_;
   std::optional<AlgebraicConstraints> algebraic_;
+  std::optional<AlgebraicTangent> algebraic_tangent_;
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too
   std::optional<Invariants> between_;  // where those differ, the user's invariants alone
   Invariants* users_invariants_ = nullptr;

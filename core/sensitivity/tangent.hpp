@@ -8,10 +8,10 @@
 
 #include "archive.hpp"
 #include "callback.hpp"
+#include "linear/mass.hpp"
 #include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
-#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -28,8 +28,9 @@ namespace invariode {
 /// error. S keeps its G S_j + g_pj of them.
 class TangentProjector {
  public:
-  /// All blocks of the invariants have a tangent. `bounds` may be null; all belong to the caller.
-  TangentProjector(Invariants& invariants, const Weights& weights, Extent extent, const Bounds* bounds);
+  /// All blocks of the invariants have a tangent. The weights are of the state; Y has `size` doubles. `bounds` may be
+  /// null; all belong to the caller.
+  TangentProjector(Invariants& invariants, const Weights& weights, std::size_t size, const Bounds* bounds);
 
   /// dc/dp of what is held becomes G S_j + g_pj at (t, Y); of what is demanded it is 0.
   Status hold(double t, const double* Y);
@@ -56,8 +57,7 @@ class TangentProjector {
 
   Invariants& invariants_;
   const Bounds* bounds_;
-  Extent extent_;
-  std::size_t m_;
+  std::size_t n_, k_, m_;
   std::vector<Block> blocks_;
   std::optional<Projector> own_;  // of points that no other one has projected
   const Weights& weights_;
@@ -65,13 +65,34 @@ class TangentProjector {
   std::vector<double> value_, block_value_, delta_;  // (k, m), of one block, (n)
 };
 
+/// The tangent of the algebraic equations.
+class AlgebraicTangent {
+ public:
+  /// `slopes`: (t, Y) -> J S_j + f_pj, (k, n). The mass matrix belongs to the caller.
+  AlgebraicTangent(const Callback& slopes, const Mass& mass, std::size_t k)
+      : slopes_(slopes), mass_(mass), slope_(k * mass.matrix().n()) {}
+  AlgebraicTangent(const AlgebraicTangent&) = delete;
+  AlgebraicTangent& operator=(const AlgebraicTangent&) = delete;
+
+  /// Zᵀ (J S_j + f_pj), (k, equations). Refers to this object.
+  Callback callback() { return {&entry, this}; }
+
+ private:
+  static Status entry(void* self, double t, const double* Y, double* out);
+
+  Callback slopes_;
+  const Mass& mass_;
+  std::vector<double> slope_;
+};
+
 /// Moves components of the state that are outside of their bounds onto them, where they do not depend on the
-/// parameters: their rows of S become 0.
-void clip(const Bounds& bounds, Extent extent, double* Y);
+/// parameters: their rows of S become 0. Here and below Y is the state, of the size of the bounds, with any S behind
+/// it.
+void clip(const Bounds& bounds, std::span<double> Y);
 /// Components of the state that a projection or a bound has moved onto a bound do not depend on the parameters there:
 /// their rows of S become 0. From the candidate to Y, whose S is the candidate's still. Returns whether there were any.
-bool rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y);
+bool rest_at_bounds(const Bounds& bounds, const double* candidate, std::span<double> Y);
 /// Rows of S of these components become 0, if they are at their bounds.
-void forget_at_bounds(const Bounds& bounds, Extent extent, std::span<const std::size_t> held, double* Y);
+void forget_at_bounds(const Bounds& bounds, std::span<const std::size_t> held, std::span<double> Y);
 
 }  // namespace invariode

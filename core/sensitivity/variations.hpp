@@ -1,16 +1,31 @@
 #pragma once
-// Forward sensitivities: the equations of S_j = ∂y/∂p_j, and the one system that methods integrate
-// (docs/algorithms.md, 'Sensitivities').
+// Forward sensitivities: how much a run integrates with them, and by which equations (docs/algorithms.md,
+// 'Sensitivities').
 
 #include <cstddef>
+#include <limits>
+#include <utility>
 #include <vector>
 
 #include "callback.hpp"
-#include "manifold/bounds.hpp"
-#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
+
+/// Y = (y, S_1, …, S_k): a state y of n doubles and S_j = ∂y/∂p_j, n doubles each. The state is a prefix of Y: whatever
+/// concerns the state alone gets the same pointer and reads n doubles.
+struct Extent {
+  std::size_t n = 0;
+  std::size_t k = 0;
+
+  Extent() = default;
+  explicit Extent(std::size_t n_, std::size_t k_ = 0) : n(n_), k(k_) {}
+  /// Returns the extent of a state of n doubles in a Y of so many.
+  static Extent within(std::size_t n, std::size_t all) { return Extent(n, n == 0 ? 0 : all / n - 1); }
+
+  [[nodiscard]] std::size_t size() const { return n * (1 + k); }
+  bool operator==(const Extent&) const = default;
+};
 
 /// M S_j' = J S_j + f_pj for k parameters, behind the state. The tangents of invariants and of actions stand with them
 /// (`InvariantBlock::tangent`, `EventFunction::jump`, `Breakpoint::jump`).
@@ -27,32 +42,14 @@ struct Variations {
 
 /// The weights of Y: those of the state, then max(s_i |S_ij|, tolerance_ij / rtol), with the state's scales; infinite
 /// where S does not count.
-[[nodiscard]] Weights augmented(const Weights& state, const Variations& variations, bool counts);
-
-/// Y' as methods integrate it: f, then the slopes of S. Of components that f would lead out of their bounds, and that
-/// rest there, S rests too.
-class AugmentedSlope {
- public:
-  /// `f` is copied. `bounded`: whose slope f is, or null.
-  AugmentedSlope(const Callback& f, Callback slope, Extent extent, BoundedSlope* bounded)
-      : f_(f), slope_(slope), extent_(extent), bounded_(bounded) {}
-  AugmentedSlope(const AugmentedSlope&) = delete;
-  AugmentedSlope& operator=(const AugmentedSlope&) = delete;
-
-  /// Refers to this object.
-  Callback callback() { return {&whole_entry, this}; }
-  /// The slopes of S alone, (k, n), after f was evaluated at the same t and y.
-  Callback of_sensitivities() { return {&sensitivities_entry, this}; }
-
- private:
-  static Status whole_entry(void* self, double t, const double* Y, double* out);
-  static Status sensitivities_entry(void* self, double t, const double* Y, double* out);
-  const double* at_rest(const double* Y);
-
-  Callback f_, slope_;
-  Extent extent_;
-  BoundedSlope* bounded_;
-  std::vector<double> at_rest_;
-};
+[[nodiscard]] inline Weights augmented(const Weights& state, const Variations& variations, bool counts) {
+  std::vector<double> threshold = state.threshold(), scale;
+  for (const double tolerance : variations.tolerance)
+    threshold.push_back(counts ? tolerance / state.rtol() : std::numeric_limits<double>::infinity());
+  if (!state.scale().empty())
+    for (std::size_t block = 0; block <= variations.k; ++block)
+      scale.insert(scale.end(), state.scale().begin(), state.scale().end());
+  return {state.rtol(), std::move(threshold), std::move(scale)};
+}
 
 }  // namespace invariode

@@ -45,7 +45,7 @@ Errors march(const Method& method, const Mode& mode, Problem problem, int count)
   Invariants invariants = make_invariants(problem, weights, true, {});
   Projector projector(invariants, weights, method.iterations), other(invariants, weights, 1);
   const std::unique_ptr<Step> step = make_step(method, f, weights, mode.fsal);
-  StepInterpolant interpolant(*step, Extent(n), mode.project ? Interpolation::projected : Interpolation::raw,
+  StepInterpolant interpolant(*step, n, mode.project ? Interpolation::projected : Interpolation::raw,
                               mode.project ? &other : nullptr, nullptr, mode.project ? &projector : nullptr);
   const double h = problem.tf / count;
   Errors errors;

@@ -27,7 +27,7 @@ struct Case {
         invariants(static_cast<std::size_t>(n), {block(level)}, std::vector<double>(static_cast<std::size_t>(m)),
                    weights),
         projector(invariants, weights, 2),
-        tangent(invariants, weights, Extent(static_cast<std::size_t>(n), k), nullptr) {}
+        tangent(invariants, weights, static_cast<std::size_t>(n) * (1 + k), nullptr) {}
   Case(const Case&) = delete;
 
   std::vector<double> thresholds(int n) {
@@ -95,7 +95,7 @@ TEST(what_is_held_keeps_the_rate_that_it_had) {
   InvariantBlock held = one.block(0);
   held.held = true;
   Invariants invariants(5, {held}, {0, 0}, one.weights);
-  TangentProjector tangent(invariants, one.weights, Extent(5, Case::k), nullptr);
+  TangentProjector tangent(invariants, one.weights, 5 * (1 + Case::k), nullptr);
   CHECK(tangent.hold(0, one.Y.data()) == Status::ok);
   const Vector rate = one.G * one.S(1);
   one.Y.row(2).array() += 0.5;

@@ -46,8 +46,8 @@ EventSearch::EventSearch(const Solver& solver, const Ensemble& ensemble)
     projector_.emplace(*invariants_, solver.weights(), settings.iterations);
     output_projector_.emplace(*invariants_, solver.weights(), 1, 0, &*projector_);
   }
-  interpolant_.emplace(*step_, solver.problem().extent(), settings.interpolation,
-                       output_projector_ ? &*output_projector_ : nullptr, nullptr, projector_ ? &*projector_ : nullptr);
+  interpolant_.emplace(*step_, problem.n, settings.interpolation, output_projector_ ? &*output_projector_ : nullptr,
+                       nullptr, projector_ ? &*projector_ : nullptr);
 }
 
 /// The step that was made in the lane, with its interpolant.

@@ -162,8 +162,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (!std::isfinite(settings.tf)) return "the interval is infinite";
   const std::size_t occurrences = problem.events.empty() ? 0 : plenty;
   const auto points = static_cast<std::int64_t>((settings.output_at_times ? settings.times.size() : 1) + occurrences);
-  const auto bytes =
-      static_cast<std::int64_t>((problem.extent().size() + 1) * sizeof(double));  // of a point that is kept
+  const auto bytes = static_cast<std::int64_t>((problem.size() + 1) * sizeof(double));  // of a point that is kept
   const bool limited = settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
                        settings.max_bytes / bytes <= points;
   return limited ? "runs are limited" : nullptr;
