@@ -9,6 +9,7 @@ import pytest
 
 import invariode as iv
 from cases import METHODS, dealt, families
+from invariode.problems import kepler
 from problems import PROBLEMS, TestProblem, cost_of_pair, implicit, long_steps, switching
 
 ORBIT = PROBLEMS["Kepler"]
@@ -205,6 +206,18 @@ def kepler_rhs_jacobian(t, y):
         [(2 * x * x - z * z) / r5, 3 * x * z / r5, 0, 0],
         [3 * x * z / r5, (2 * z * z - x * x) / r5, 0, 0],
     ]
+
+
+@pytest.mark.parametrize("method", ["dop853", "ode78", "ode89", "rkn86", "rkn1210"])
+def test_few_attempts_fail_where_the_solution_sets_the_steps(method):
+    """The controller foresees the way to a pericentre; without that, a fifth of the attempts fail."""
+    orbit = kepler(0.91)
+    problem = iv.Problem(orbit.fun, (0, 20), orbit.y0, second_order=method.startswith("rkn"))
+    failed = []
+    for rtol in 10.0 ** -np.linspace(4, 9, 21):
+        stats = problem.solve(method, rtol=rtol, atol=rtol).stats
+        failed.append(stats.failed / (stats.steps + stats.failed))
+    assert np.median(failed) < 0.1
 
 
 @pytest.mark.slow

@@ -327,9 +327,20 @@ def test_all_codes_run_on_all_problems_and_gain_by_projection():
         assert code.projected.success
         plain, projected = code.residuals
         assert projected < 0.02 * plain, f"{code.problem}, {code.method}"
-        if code.gaps:
-            gain = 0.9 if iv.METHODS[code.method].order == 2 else 0.2  # of order 2 the errors along the orbit are large
-            assert code.gaps[1] < max(gain * code.gaps[0], 1e-3)  # the pairs of order 8 have 3e-4 with and without
+
+
+@pytest.mark.parametrize("method", experiments.GENERAL)
+def test_projection_closes_the_orbit_in_the_median_over_tolerances(method):
+    """At one tolerance the gap of either orbit may be small by chance."""
+    ratios = []
+    for rtol in 10.0 ** -np.linspace(3, 6, 25):
+        plain, projected = (
+            experiments.solved(experiments.three_body(imposed=imposed), method, rtol=rtol, atol=1e-3 * rtol)
+            for imposed in (False, True)
+        )
+        ratios.append(experiments.gap(projected) / experiments.gap(plain))
+    # Of order 2 most of the error lies along the orbit, which projection does not change.
+    assert np.median(ratios) < (0.95 if iv.METHODS[method].order == 2 else 0.5)
 
 
 def test_the_orbit_of_figure_1_closes_for_no_more_f():

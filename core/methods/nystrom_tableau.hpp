@@ -21,6 +21,7 @@ struct NystromTableau {
   static constexpr std::size_t stages = Stages;
   static constexpr std::size_t degree = Degree;
   static constexpr std::size_t all_stages = Stages + Extra;
+  static constexpr bool predicts = true;  // the controller sees a trend of the errors
 
   const char* name;     ///< of the method
   const char* summary;  ///< what it is and what it is for, in a few words

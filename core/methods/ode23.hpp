@@ -17,6 +17,7 @@ inline constexpr Tableau<4, 3> bogacki_shampine{
     .error_order = 2,
     .extension_order = 3,
     .floor = 0.5,
+    .predicts = false,
     .c = {0, 1. / 2, 3. / 4, 1},
     .A = {{{}, {1. / 2}, {0, 3. / 4}, {2. / 9, 1. / 3, 4. / 9}}},
     .E = {-5. / 72, 1. / 12, 1. / 9, -1. / 8},

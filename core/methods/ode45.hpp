@@ -21,6 +21,7 @@ inline constexpr Tableau<7, 4> dormand_prince{
     .error_order = 4,
     .extension_order = 4,
     .floor = 0.1,
+    .predicts = false,
     .c = {0, 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1, 1},
     .A = {{{},
            {1. / 5},

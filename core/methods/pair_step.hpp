@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "methods/controller.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
@@ -71,6 +72,7 @@ class PairStep : public Step {
     t_ = t;
     std::copy(y, y + n(), y_.data());
     accepted_ = failed_ = false;
+    trend_ = {};
     evaluated_ = 1;
     if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
@@ -102,7 +104,8 @@ class PairStep : public Step {
     std::copy(y_.begin(), y_.end(), start_);
     std::copy(y1, y1 + n(), y_.begin());
     t_ = t1_;
-    if (!failed_) h_ = grown(h_, std::pow(error_ / weights_.rtol(), exponent));
+    const double root = std::pow(std::max(smallest_ratio, error_ / weights_.rtol()), exponent);
+    h_ = next_h<T>(h_, root, failed_, trend_);
     failed_ = false;
     accepted_ = true;
     rest_.accept();
@@ -153,7 +156,7 @@ class PairStep : public Step {
     Step::state(archive);
     archive.values(archive.reading() ? k_[0] : first, n());
     if (archive.reading()) accepted_ = false;
-    archive(failed_);
+    archive(failed_, trend_.rate, trend_.growth);
     rest_.state(archive);
   }
 
@@ -168,6 +171,7 @@ class PairStep : public Step {
   double t1_ = 0;
   double error_ = 0;
   double purified_ = 0;  // t₁ − t
+  Trend<double> trend_;
   RestingStart rest_;
   bool failed_ = false;    // an attempt of this step failed
   bool accepted_ = false;  // a step was accepted, and the next one has not begun

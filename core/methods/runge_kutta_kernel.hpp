@@ -1,6 +1,6 @@
 #pragma once
-// The arithmetic of one step of an explicit Runge-Kutta pair: stages, candidate, error, next h, extension. The
-// numbers are doubles, or packs of them, one trajectory in each lane.
+// The arithmetic of one step of an explicit Runge-Kutta pair: stages, candidate, error, extension. The numbers are
+// doubles, or packs of them, one trajectory in each lane.
 
 #include <array>
 #include <cstddef>
@@ -12,8 +12,6 @@
 
 namespace invariode::runge_kutta {
 
-inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
-inline constexpr double largest_growth = 5;  // of h after a success
 // Slopes of the extension that are larger, in units of the largest of the step, come from beside a singularity of f.
 // (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
 inline constexpr double largest_slope = 100;
@@ -23,21 +21,6 @@ inline constexpr double largest_slope = 100;
 inline constexpr double bend_of_jump = 0.2;  // of the range of the slopes: any jump leaves more than 0.5
 inline constexpr double harmless_bend = 20;  // |h| times the difference, in units of rtol
 inline constexpr double told_bend = 100;     // the same, in units of the error estimate
-
-/// |h| after a success without failures before it, `root` = (error / rtol)^{1/q}.
-template <class Real>
-Real grown(const Real& h, const Real& root) {
-  const Real tau = root / Real(safety);
-  return choose(Real(1 / largest_growth) < tau, h / tau, largest_growth * h);
-}
-
-/// Returns the factor of |h| after the first failure of a step, `root` = (rtol / error)^{1/q}.
-template <class Real>
-Real cut(const Real& root, double floor) {
-  return larger(Real(floor), safety * root);
-}
-/// The factor of |h| after further failures of a step.
-inline constexpr double halved = 0.5;
 
 /// `Norm` collects a maximum by `add`. `Build` tells translation units apart that are compiled with different flags:
 /// they must not share these functions.

@@ -36,6 +36,7 @@ struct Tableau {
   int crude_order = 0;               ///< of the one that `crude` compares with; 0: there is none
   int extension_order;               ///< order of the continuous extension
   double floor;                      ///< smallest factor by which a first failure cuts h
+  bool predicts = true;              ///< the controller sees a trend of the errors; the suite's sees the last one
   std::array<double, all_stages> c;
   std::array<std::array<double, all_stages>, all_stages> A;
   std::array<double, Stages> E;

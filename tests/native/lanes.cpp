@@ -16,6 +16,7 @@
 
 #include "check.hpp"
 #include "methods.hpp"
+#include "methods/controller.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/worker.hpp"
 
@@ -462,7 +463,7 @@ void check_roots(std::mt19937_64& random) {
   for (int i = 0; i < many; ++i) {
     Pack<W> x, y, rest;
     for (int l = 0; l < W; ++l) x.lanes()[l] = std::exp2(exponent(random));
-    if (i == 0) x = smallest_ratio;
+    if (i == 0) x = runge_kutta::smallest_ratio;
     if (i == 1) x = 1;
     Mask<W> doubt;
     split_root<Q>(x, y, rest);

@@ -4,6 +4,7 @@
 #include <span>
 
 #include "archive.hpp"
+#include "methods/controller.hpp"
 
 namespace invariode {
 namespace {
@@ -17,11 +18,12 @@ void gather(const double* from, std::size_t stride, std::vector<double>& to) {
 /// Puts a pair between two steps, where it is after one without failures, as its `state` archives that.
 void resume(Step& step, double t, std::vector<double>& y, std::vector<double>& slope) {
   double h = 0;  // the next attempt is told its size
+  runge_kutta::Trend<double> trend;
   bool moved_onto_bounds = false, failed = false, rests = false;
   Archive written(0);
   written(t, y, h, moved_onto_bounds);
   written.values(slope.data(), slope.size());
-  written(failed, rests);
+  written(failed, trend.rate, trend.growth, rests);
   const RunMemory memory = written.take();
   Archive archive(std::span(memory.data(), memory.size()));
   step.state(archive);

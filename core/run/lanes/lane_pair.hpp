@@ -8,6 +8,7 @@
 #include <cstdint>
 
 #include "aim.hpp"
+#include "methods/controller.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/runge_kutta_kernel.hpp"
 #include "output/polynomial.hpp"
@@ -36,6 +37,7 @@ class LanePair final : public LaneMethod<W> {
         thresholds_(rows.now + rows.layout.thresholds),
         ready_thresholds_(rows.ready + rows.layout.thresholds),
         first_(rows.ready + rows.layout.memory),
+        trend_(rows.now + rows.layout.memory + job.all),
         stage_(take<W>(host, job.all)),
         slopes_(take<W>(host, job.all * (stages() - 1))) {
     k_[0] = rows.now + rows.layout.memory;
@@ -44,6 +46,8 @@ class LanePair final : public LaneMethod<W> {
 
   P start(const P& t0, const P* y, const P* p, M& undefined, M& rests) override {
     evaluate_all(t0, y, first_, p);
+    first_[job_.all] = runge_kutta::Trend<P>().rate;
+    first_[job_.all + 1] = runge_kutta::Trend<P>().growth;
     const P speed = Kernel::size_of_stage(0, {first_}, job_.all, weight(ready_thresholds_, y, y));
     undefined = ~(speed < P(infinity));
     const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, T.exponent()));
@@ -113,10 +117,13 @@ class LanePair final : public LaneMethod<W> {
     for (std::size_t i = 0; i < job_.all; ++i) k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
     const P rtol(job_.rtol), length = absolute(step.h);
     const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
-    const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
-    const P grown = choose(retries, length, runge_kutta::grown(length, root));
+    const P root = root_by_pow<T.order>(larger(P(runge_kutta::smallest_ratio), ratio));
+    runge_kutta::Trend<P> trend{trend_[0], trend_[1]};
+    const P next = runge_kutta::next_h<T>(length, root, retries, trend);
+    trend_[0] = choose(accepted, trend.rate, trend_[0]);
+    trend_[1] = choose(accepted, trend.growth, trend_[1]);
     const P factor = choose(retries, P(runge_kutta::halved), runge_kutta::cut(root, T.floor));
-    return choose(accepted, grown, larger(hmin, length * factor));
+    return choose(accepted, next, larger(hmin, length * factor));
   }
 
   /// Evaluations of f: at the start, then in each attempt those of all stages but the first; the last one only in
@@ -145,7 +152,7 @@ class LanePair final : public LaneMethod<W> {
 
   const Job& job_;
   const P *y_, *p_, *thresholds_, *ready_thresholds_;
-  P *first_, *stage_, *slopes_;
+  P *first_, *trend_, *stage_, *slopes_;
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
 };
 

@@ -9,10 +9,6 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// The smallest ratio: roots are of x in [smallest_ratio, 1]; below it h changes by the maximum factor, with every
-/// pair.
-inline constexpr double smallest_ratio = 0x1p-28;
-
 // A result is that of pow if it is farther than this from the middle of two doubles, in units of their distance: its
 // own error before rounding is at most 0.005 (tests/native/lanes.cpp), that of glibc's pow at most 0.012 (the comment
 // at the head of its sysdeps/ieee754/dbl-64/e_pow.c, for exponents below 1 and such x). Others are left to pow, which

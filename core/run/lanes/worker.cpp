@@ -101,7 +101,7 @@ lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm
           .varied = sensitivities_of(solver.problem(), ensemble, form),
           .all = ensemble.n,
           .parameters = ensemble.parameters,
-          .memory = 1 + ensemble.n,
+          .memory = 2 + ensemble.n,
           .y0 = ensemble.y0,
           .rows = ensemble.rows,
           .t0 = settings.t0,
