@@ -14,7 +14,7 @@ left it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from .._problem.events import Event, RootOf, Roots, titled
 from .._problem.parameters import ParameterName
 from .._problem.problem import Problem
 from .._results.result import DenseSolution, Result
-from .._sensitivity.actions import AlongAction, OfRoots, Rate, is_at_root, of_event, of_roots, restoration
+from .._sensitivity.actions import AlongAction, OfRoots, Rate, is_at_root, of_event, of_roots, restoration, times_of
 from .._sensitivity.algebraic import Algebraic, dense_mass
 from .._sensitivity.landings import LandingJump, Schedule, landing_jump
 from .._sensitivity.variations import SwitchCrossing, Switching, given_derivatives
@@ -40,42 +40,26 @@ Derivatives = Callable[..., Derivative]
 
 @dataclass
 class Jump:
-    """Effect of a jump at one time on S."""
+    """Effect of a jump at one time on S, along c directions: those of S⁻, of the parameters, and of everything that has
+    waited."""
 
     t: float  # time of the jump
     #: before, after, (n,): state before and after the jump
     before: Array
     after: Array
-    #: A, B, (n, n) and (n, k): S⁺ = A S⁻ + B
-    A: Array
-    B: Array
-    #: time_of_state, time_of_parameters, (n,) and (k,): ∂τ = time_of_state · S⁻ + time_of_parameters
-    time_of_state: Array
-    time_of_parameters: Array
-    reholds: bool  # invariants without a prescribed value are fixed at their values after the jump
-    moves: bool  # y jumps
-
-    def transposed(self, mu: Array, cost_of_time: float) -> tuple[Array, Array]:
-        """Aᵀ μ and Bᵀ μ, with the cost of ∂τ added."""
-        state = self.A.T @ mu + cost_of_time * self.time_of_state
-        return state, self.B.T @ mu + cost_of_time * self.time_of_parameters
-
-
-@dataclass
-class JumpOfRoots(Jump):
-    """Effect of actions of `Roots` at one time."""
-
-    #: times, moved, (c,) and (c, n): ∂τ and S⁺ along directions: those of S⁻, of the parameters, and of everything that
-    #: has waited
-    times: Array
-    moved: Array
-    left: list[tuple[Any, Array]]  # what they leave behind, and its derivatives along the directions, (c, w)
-    used: list[tuple[Any, slice, AlongAction]]  # what has waited, its directions, and the action that has used it
+    times: Array  # (c,): ∂τ
+    moved: Array  # (c, n): S⁺
+    k: int  # number of parameters
+    reholds: bool = False  # invariants without a prescribed value are fixed at their values after the jump
+    moves: bool = False  # y jumps
+    left: Sequence[tuple[Any, Array]] = ()  # what it leaves behind, and its derivatives along the directions, (c, w)
+    #: What has waited, its directions, and the action that has used it
+    used: Sequence[tuple[Any, slice, AlongAction]] = ()
     #: The costs of everything that waits, (w,), by its id, with the object and its action
-    costs: dict[int, tuple[Any, AlongAction, Array]]
+    costs: dict[int, tuple[Any, AlongAction, Array]] = field(default_factory=dict)
 
     def transposed(self, mu: Array, cost_of_time: float) -> tuple[Array, Array]:
-        """See `Jump.transposed`; costs of what has waited are added to `costs`."""
+        """Aᵀ μ and Bᵀ μ, with the cost of ∂τ added; costs of what has waited are added to `costs`."""
         along = self.moved @ mu + cost_of_time * self.times
         for one, slopes in self.left:
             if id(one) in self.costs:
@@ -84,7 +68,7 @@ class JumpOfRoots(Jump):
             before = self.costs[id(one)][-1] if id(one) in self.costs else 0.0
             self.costs[id(one)] = one, action, before + along[where]
         n = len(mu)
-        return along[:n], along[n : n + self.B.shape[1]]
+        return along[:n], along[n : n + self.k]
 
 
 class Call(NamedTuple):
@@ -137,23 +121,6 @@ def with_records(events: Sequence[Event], record: list[Call]) -> list[Any]:
     """Return the events with `Roots` that record their calls."""
     first = [one for one in events if not isinstance(one, RootOf) or one.number == 0]
     return [RecordedRoots(one.roots, record) if isinstance(one, RootOf) else one for one in first]
-
-
-class Partials(NamedTuple):
-    """The derivatives of a function with respect to everything at once."""
-
-    of_y: Array
-    of_p: Array
-    of_t: Array
-
-    @classmethod
-    def at(cls, function: Derivative, t: float, y: Array) -> Partials:
-        """Return the partial derivatives of a function at a point."""
-        return cls(function.jacobian(t, y), function.of_parameters(t, y), function.of_time(t, y))
-
-    def into(self, then: Partials) -> Partials:
-        """Return the partial derivatives of a second function of (t, y, p) evaluated at y = this function."""
-        return Partials(then.of_y @ self.of_y, then.of_y @ self.of_p + then.of_p, then.of_y @ self.of_t + then.of_t)
 
 
 class Occurrence(NamedTuple):
@@ -245,6 +212,8 @@ class Jumps:
             np.sign(problem.t_span[1] - problem.t_span[0]),
         )
         self._n, self._k = n, len(names)
+        along = np.eye(n + len(names))  # the directions of S⁻ and of the parameters
+        self._dy, self._dp = np.ascontiguousarray(along[:, :n]), np.ascontiguousarray(along[:, n:])
         self._restored = restoration(problem, names, threshold)
         self._behind: Callable[[float], Array] = lambda t: self._y0
 
@@ -364,35 +333,37 @@ class Jumps:
     def _jump(self, together: list[Action], start: Callable[[], Array]) -> Jump:
         """Return the joint jump of actions at one time, all of events or all at breakpoints; they begin in the state of
         `start`."""
-        before = start()
-        n, k, y, t = self._n, self._k, before, together[0].t
-        reholds = all(one.reholds for one in together)
-        h = Partials(np.eye(n), np.zeros((n, k)), np.zeros(n))
+        t, y = together[0].t, start()
+        times = self._time(together, y)
+        moved = self._dy + np.outer(times, self._rate(t, y))
+        before = y
         for one in together:
-            h, y = h.into(Partials.at(one.action, t, y)), one.action.value(t, y)
+            moved, y = one.action.columns(t, y, times, moved, self._dp), one.action.value(t, y)
+        return self._landed(t, before, y, times, moved, self._dp, all(one.reholds for one in together))
+
+    def _landed(
+        self, t: float, before: Array, y: Array, times: Array, moved: Array, dp: Array, reholds: bool, **more: Any
+    ) -> Jump:
+        """Return the jump of actions to y, of which the derivatives at τ(p) are `moved`."""
         if self._restored is not None and reholds:
-            h, y = h.into(Partials.at(self._restored, t, y)), self._restored.value(t, y)
+            moved, y = self._restored.columns(t, y, times, moved, dp), self._restored.value(t, y)
         if self._rate.is_singular:  # algebraic variables follow; costs of theirs are those of the others
             y = np.asarray(self._behind(t))
-        of_state, of_p = self._time(together, before)
-        moved = h.of_y @ self._rate(t, before) + h.of_t - self._rate(t, y)
-        A, B = h.of_y + np.outer(moved, of_state), h.of_p + np.outer(moved, of_p)
-        return Jump(t, before, y, A, B, of_state, of_p, reholds, moves=True)
+        moved = moved - np.outer(times, self._rate(t, y))
+        return Jump(t, before, y, times, moved, self._k, reholds, moves=True, **more)
 
-    def _time(self, together: list[Action], y: Array) -> tuple[Array, Array]:
-        """∂τ as multiples of S⁻ and for each parameter."""
+    def _time(self, together: list[Action], y: Array) -> Array:
+        """Return ∂τ along the directions of S⁻ and of the parameters."""
         t = together[0].t
-        found: list[tuple[Array, Array]] = []
+        found: list[Array] = []
         rate_before = self._rate(t, y)
         for one in together:
             if one.event is None:
-                return np.zeros(self._n), np.zeros(self._k)
+                return np.zeros(self._n + self._k)
             if found and not is_at_root(one.event, t, y, rate_before):
                 continue  # a jump has carried it over zero
-            e = Partials.at(one.event, t, y)
-            rate = float(e.of_t[0] + e.of_y[0] @ rate_before) or np.inf
-            found.append((-e.of_y[0] / rate, -e.of_p[0] / rate))
-        alike = all(np.allclose(np.concatenate(found[0]), np.concatenate(one), rtol=_ALIKE) for one in found)
+            found.append(times_of(one.event, t, y, rate_before, self._dy, self._dp))
+        alike = all(np.allclose(found[0], one, rtol=_ALIKE) for one in found)
         self._require(alike, t, "together with that of another event, which has another time for other parameters")
         return found[0]
 
@@ -420,15 +391,10 @@ class Jumps:
         moved = dy + np.outer(times, f)
         for one in calls:
             moved = self._recalled(one).action.columns(t, one.before, times, moved, dp)
-        after, reholds = calls[-1].after, all(one.roots.rehold for one in calls)
-        if self._restored is not None and reholds:
-            moved, after = self._restored.columns(t, after, times, moved, dp), self._restored.value(t, after)
-        if self._rate.is_singular:  # as in `_jump`
-            after = np.asarray(self._behind(t))
-        moved = moved - np.outer(times, self._rate(t, after))
-        A, B, both = moved[:n].T, moved[n : n + k].T, (times[:n], times[n : n + k])
         rows = [(each, action.of_waiting(each)) for each, action in left]
-        return JumpOfRoots(t, before, after, A, B, *both, reholds, True, times, moved, rows, places, self._costs)
+        waiting: dict[str, Any] = {"left": rows, "used": places, "costs": self._costs}
+        reholds = all(one.roots.rehold for one in calls)
+        return self._landed(t, before, calls[-1].after, times, moved, dp, reholds, **waiting)
 
     def _recalled(self, one: Call) -> OfRoots:
         """Return the derivatives of the functions and of the action of a `Roots`, with this call as the latest."""
@@ -471,23 +437,22 @@ class Jumps:
     def _of_landing(self, landing: LandingJump, rates: Array, solution: Callable[[float], Array], t: float) -> Jump:
         y = solution(float(np.nextafter(t, self._t0)))
         before, after = landing.sides(t, y)
-        none = np.zeros(self._n)
-        return Jump(t, y, y, np.eye(self._n), np.outer(before - after, rates), none, rates, reholds=False, moves=False)
+        return self._across(t, y, np.append(np.zeros(self._n), rates), before - after)
+
+    def _across(self, t: float, y: Array, times: Array, change: Array) -> Jump:
+        """Return the jump where f changes its branch, and y' by −`change`."""
+        return Jump(t, y, y, times, self._dy + np.outer(times, change), self._k)
 
     def _of_crossing(self, condition: Switching, crossing: SwitchCrossing, t: float, y: Array) -> Jump:
-        e = Partials.at(condition.difference, t, y)
-        moved = crossing.before - crossing.after
-        of_state, of_p = -e.of_y[0] / crossing.rate, -e.of_p[0] / crossing.rate
-        A, B = np.eye(self._n) + np.outer(moved, of_state), np.outer(moved, of_p)
-        return Jump(t, y, y, A, B, of_state, of_p, reholds=False, moves=False)
+        still = np.zeros(self._n + self._k)
+        times = -condition.difference.columns(t, y, still, self._dy, self._dp)[:, 0] / crossing.rate
+        return self._across(t, y, times, crossing.before - crossing.after)
 
     def _of_rest(self, solution: Callable[[float], Array], rest: Rest) -> Jump:
         """Return the jump at the time where a rest begins: S_i is 0."""
-        y = solution(rest.begin)
-        A, n, k = np.eye(self._n), self._n, self._k
-        A[rest.component, rest.component] = 0
-        none = np.zeros((n, k))
-        return Jump(rest.begin, y, y, A, none, np.zeros(n), np.zeros(k), reholds=False, moves=False)
+        y, moved = solution(rest.begin), self._dy.copy()
+        moved[rest.component] = 0
+        return Jump(rest.begin, y, y, np.zeros(len(moved)), moved, self._k)
 
 
 class Rest(NamedTuple):

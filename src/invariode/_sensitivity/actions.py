@@ -150,20 +150,24 @@ class Along(Protocol):
 class AlongAction(Along, Protocol):
     """The derivatives of an action that may leave something behind that waits, for a further action.
 
-    Whatever waits has w numbers, such as the time of its execution, whose derivatives wait with it.
+    Whatever waits has w numbers, such as the time of its execution, whose derivatives wait with it. By default nothing
+    waits.
     """
 
     def waits(self) -> tuple[list[Any], list[Any]]:
         """Return what the latest action has left behind, and what it has used of what waited before it."""
+        return [], []
 
     def width(self, waiting: Any) -> int:
         """Return w."""
+        return 0
 
     def give(self, waiting: Any, columns: Array | None) -> None:
         """Set the derivatives of what waits, along c directions: (c, w); None: they follow from the start."""
 
     def of_waiting(self, waiting: Any) -> Array:
         """Return the derivatives of what waits, (c, w); of what waits from the start on, those for parameters."""
+        return np.zeros((self.k, 0))
 
 
 class OfRoots(NamedTuple):
@@ -176,10 +180,21 @@ class OfRoots(NamedTuple):
 
     def times(self, t: float, y: Array, f: Array, number: int, dy: Array, dp: Array) -> Array:
         """Return the derivatives of the time of a root along c directions, (c,), with f for y' before it."""
-        c, k = dp.shape
-        dt, start = np.append(1.0, np.zeros(c)), np.vstack([f, dy])
-        rates = self.fun.columns(t, y, dt, start, np.vstack([np.zeros(k), dp]))[:, number]
-        return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(c)
+        return times_of(self.fun, t, y, f, dy, dp, number)
+
+
+def times_of(function: Along, t: float, y: Array, f: Array, dy: Array, dp: Array, number: int = 0) -> Array:
+    """Return the derivatives of the time at which a function is zero along c directions, (c,), with f for y' before it;
+    0 if it does not cross zero."""
+    rates = rates_along(function, t, y, f, dy, dp)[:, number]
+    return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(len(dp))
+
+
+def rates_along(function: Along, t: float, y: Array, f: Array, dy: Array, dp: Array) -> Array:
+    """Return the derivatives of a function along the solution, whose slope is f, and along c directions at a fixed t,
+    of shape (1 + c, m)."""
+    dt = np.append(1.0, np.zeros(len(dp)))
+    return function.columns(t, y, dt, np.vstack([f, dy]), np.vstack([np.zeros(dp.shape[1]), dp]))
 
 
 def of_roots(roots: Roots, derivatives: Callable[..., Derivative], start: Array) -> OfRoots:
@@ -204,7 +219,7 @@ def of_roots(roots: Roots, derivatives: Callable[..., Derivative], start: Array)
     return OfRoots(fun, _ActionOfRoots(roots, derivatives, fun.k), is_known)
 
 
-class _ActionOfRoots:
+class _ActionOfRoots(AlongAction):
     """The derivatives of an action that remembers nothing, for the roots of its latest call."""
 
     def __init__(self, roots: Roots, derivatives: Callable[..., Derivative], k: int) -> None:
@@ -232,20 +247,8 @@ class _ActionOfRoots:
         """Return the state after the action, (n,)."""
         return self._of_latest(y).value(t, y)
 
-    def waits(self) -> tuple[list[Any], list[Any]]:
-        """Return that nothing waits."""
-        return [], []
-
-    def width(self, waiting: Any) -> int:
-        """See `AlongAction`: nothing waits."""
-        return 0
-
     def give(self, waiting: Any, columns: Array | None) -> None:
         """See `AlongAction`: nothing waits."""
-
-    def of_waiting(self, waiting: Any) -> Array:
-        """See `AlongAction`: nothing waits."""
-        return np.zeros((self.k, 0))
 
 
 class _OneOfSeveral:
@@ -303,9 +306,7 @@ class EventTime:
     def with_slope(self, t: float, Y: Array, f: Array) -> Array:
         """Return the derivative of the time of the event with respect to the parameters, with f for y' before it."""
         k = len(Y) - 1
-        rates = self.function.columns(
-            t, Y[0], np.append(1.0, np.zeros(k)), np.vstack([f, Y[1:]]), np.vstack([np.zeros(k), np.eye(k)])
-        )[:, 0]
+        rates = rates_along(self.function, t, Y[0], f, Y[1:], np.eye(k))[:, 0]
         if self._is_known and self._is_grazing(t, Y[0], f, rates[0], k):
             self._grazing.append(t)
         return np.asarray(-rates[1:] / rates[0]) if rates[0] != 0 else np.zeros(k)
