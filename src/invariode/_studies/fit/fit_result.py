@@ -243,14 +243,11 @@ class Fit:
         return every[0] if len(every) == 1 else every
 
     def _residuals(self, e: int) -> tuple[Array, dict[str, Array]]:
-        experiments, at = self._model.experiments, self._found.at
-        place = sum(len(one.values) for each in experiments[:e] for one in each.series)
-        found = np.full(experiments[e].data.values.shape, np.nan)
+        experiment, at = self._model.experiments[e], self._found.at
+        found = np.full(experiment.data.values.shape, np.nan)
         events = {}
-        scale = math.sqrt(self._model.variance(at, self._inner))
-        for one in experiments[e].series:
-            values = at.residuals[place : place + len(one.values)] / scale
-            place += len(one.values)
+        residuals = at.residuals / math.sqrt(self._model.variance(at, self._inner))
+        for one, values in zip(experiment.series, self._model.by_series(e, residuals), strict=True):
             if one.row < len(found):
                 found[one.row, one.places] = values
             else:
@@ -449,10 +446,7 @@ class Fit:
     def _errors_of_data(self, e: int) -> list[Array]:
         """Return the standard deviations of the data, series by series."""
         model, at = self._model, self._found.at
-        place = sum(len(one.values) for each in model.experiments[:e] for one in each.series)
-        sigma = at.sigma[place:] * math.sqrt(model.variance(at, self._inner))
-        ends = np.cumsum([len(one.values) for one in model.experiments[e].series])
-        return np.split(sigma[: ends[-1]], ends[:-1])
+        return model.by_series(e, at.sigma * math.sqrt(model.variance(at, self._inner)))
 
     def rows(self) -> list[Sequence[str]]:
         """Return rows of the table: name, value, standard error, interval and remark, as text."""

@@ -161,27 +161,33 @@ class FittedModel:
             return self._last
         self.runs += 1
         found = self._evaluated(free)
-        if isinstance(found, Failed):
-            self.failures[found.reason] += 1
-            return found
-        self._last = found
+        if not isinstance(found, Failed):
+            self._last = found
         return found
 
-    def _evaluated(self, free: Array) -> ModelValues | Failed:
+    def _evaluated(self, free: Array, derivatives: bool = True) -> ModelValues | Failed:
+        """Return the model at these values, with zeros for derivatives that are not wanted."""
+        found = self._simulated(free, derivatives)
+        if isinstance(found, Failed):
+            self.failures[found.reason] += 1
+        return found
+
+    def _simulated(self, free: Array, derivatives: bool) -> ModelValues | Failed:
         values, slopes, levels, place = [], [], [], 0
         sigma = self._factors.copy()
         spread = np.zeros((self.size, len(free))) if self.estimates_noise else None
         for e, simulation in enumerate(self.simulations):
             local = self.space.local(e, free)
-            ran = simulation.run(local.values)
+            ran = simulation.run(local.values, derivatives)
             if isinstance(ran, Failed):
                 return ran
             values.append(ran.values)
-            slopes.append(ran.tangent @ local.slopes)
+            moving = local.slopes[: ran.tangent.shape[1]]
+            slopes.append(ran.tangent @ moving)
             if spread is not None and ran.sigma is not None:
                 own = slice(place, place + len(ran.values))
                 sigma[own] *= ran.sigma
-                spread[own] += ran.sigma_tangent / ran.sigma[:, None] @ local.slopes
+                spread[own] += ran.sigma_tangent / ran.sigma[:, None] @ moving
             for one in simulation.experiment.series:
                 data = np.arange(place, place + len(one.values))
                 place += len(one.values)
@@ -208,36 +214,23 @@ class FittedModel:
             return Failed("the model is not positive, where the noise is log-normal")
         return np.where(self.lognormal, np.log(np.where(self.lognormal, model, 1.0)), model)
 
+    def by_series(self, e: int, values: Array) -> list[Array]:
+        """Return the values of an experiment, series by series, among those of all data, (N,)."""
+        sizes = [len(one.values) for each in self.experiments[: e + 1] for one in each.series]
+        return np.split(values[: sum(sizes)], np.cumsum(sizes)[:-1])[-len(self.experiments[e].series) :]
+
     def value(self, free: Array) -> float:
         """Return the log-likelihood of data with known or estimated sigma, -inf where a run fails, without
         derivatives."""
-        values, place = [], 0
-        sigma = self._factors.copy()
-        for e, simulation in enumerate(self.simulations):
-            local = self.space.local(e, free).values
-            ran = simulation.run(local, slopes=False)
-            if isinstance(ran, Failed):
-                self.failures[ran.reason] += 1
-                return -math.inf
-            values.append(ran.values)
-            if ran.sigma is not None:
-                sigma[place : place + len(ran.values)] *= ran.sigma
-            for one in simulation.experiment.series:
-                if one.level is not None:
-                    sigma[place : place + len(one.values)] *= local[self.space.names[e].index(one.level)]
-                place += len(one.values)
-        compared = self._scaled(np.concatenate(values))
-        if isinstance(compared, Failed):
-            return -math.inf
-        return self._log_likelihood(compared - self._compared, sigma)
+        at = self._evaluated(free, derivatives=False)
+        return -math.inf if isinstance(at, Failed) else self.log_likelihood(at, at.sigma)
 
     def log_likelihood(self, at: ModelValues, sigma: Array) -> float:
-        """Return the log-likelihood of the data with these standard deviations, without priors."""
-        return self._log_likelihood(at.difference, sigma)
+        """Return the log-likelihood of the data with these standard deviations, without priors.
 
-    def _log_likelihood(self, difference: Array, sigma: Array) -> float:
-        """The density is exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2 σ), of logarithms divided by the datum."""
-        r = np.abs(difference / sigma)
+        The density is exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2 σ), of logarithms divided by the datum.
+        """
+        r = np.abs(at.difference / sigma)
         exponents = float((np.where(self.laplace, r, 0.5 * r**2) if self.has_laplace else 0.5 * r**2).sum())
         return -exponents - float(np.log(sigma).sum() + self._logs_of_data) - self._log_factors
 

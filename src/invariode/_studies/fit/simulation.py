@@ -143,14 +143,12 @@ class Simulation:
         """Return the numbers for which runs have derivatives, each with its parameter: those that f may use; of a
         parameter that acts by way of the initial value alone, one that f does not use, or all initial values (-1)."""
         problem = self.experiment.problem
-        uses = _used(problem)
-        entries = [(j, one) for j, one in self._own.entries if one.kind == "args"]
-        found = [(j, one) for j, one in entries if uses is None or place_of(problem.args, one.index, one.item) in uses]
+        found = _in_use(self._own, _used(problem))
         if not self._moves_start:
             return found + [(j, one) for j, one in self._own.entries if one.kind == "y0"]
         starts = self._of_start() - {j for j, _ in found}
         others = dict[int, ParameterName]()
-        for j, one in entries:
+        for j, one in _in_use(self._own, None):
             if j in starts:
                 others.setdefault(j, one)
         found += [*others.items()]
@@ -162,18 +160,10 @@ class Simulation:
         """Return the parameters on which the initial value may depend."""
         found = {j for j, one in self._own.entries if one.kind == "y0"}
         first = _used_by(self.experiment.start) if self.experiment.start is not None else set()
-
-        def inside(settings: ParameterPlaces, numbers: set[int] | None) -> set[int]:
-            return {
-                j
-                for j, one in settings.entries
-                if numbers is None or (one.kind == "args" and place_of(settings.args, one.index, one.item) in numbers)
-            }
-
-        found |= inside(self._own, first)
+        found |= {j for j, _ in _in_use(self._own, first)}
         if self._before is not None and self.experiment.before is not None:
             uses = _used(self.experiment.before.problem)
-            found |= inside(self._before, None if uses is None or first is None else uses | first)
+            found |= {j for j, _ in _in_use(self._before, None if uses is None or first is None else uses | first)}
             found |= {j for j, one in self._before.entries if one.kind == "y0"}
         return found
 
@@ -204,12 +194,7 @@ class Simulation:
         own = [j for j, one in self._columns if one.kind == "args"]
         if start.slopes is None or not self._moves_start or not own:
             return None
-        S0, seen = np.zeros((len(start.y0), len(own))), set[int]()
-        for column, j in enumerate(own):  # the first number of a parameter has the derivatives of the initial value
-            if j not in seen:
-                S0[:, column] = start.slopes[:, j]
-                seen.add(j)
-        return S0
+        return _of_first(own, start.slopes)
 
     def _parameters(self, S: Array, start: _RunStart, k: int) -> Array:
         """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, columns)."""
@@ -284,24 +269,14 @@ class Simulation:
 
     def _at_rest(self, settings: ParameterPlaces, problem: Problem, start: _RunStart) -> _RunStart | Failed:
         """Return the steady state to which a start leads, with its derivatives."""
-        uses = _used(problem)
-        entries = [(j, one) for j, one in settings.entries if one.kind == "args"]
-        columns = [
-            (j, one) for j, one in entries if uses is None or place_of(problem.args, one.index, one.item) in uses
-        ]
+        columns = _in_use(settings, _used(problem))
         there = {j for j, _ in columns}
         k = 0 if start.slopes is None else start.slopes.shape[1]
         columns += [(j, ParameterName("", "y0", 0)) for j in range(k) if j not in there]  # by way of y0 alone
         key = (id(problem.fun), id(problem.matrices.mass), problem.t_span[0], tuple(one for _, one in columns))
         if key not in self._states:
             self._states[key] = _KnownStates(SteadyStates(problem, [one for _, one in columns], "ode15s"))
-        S0, seen = None, set[int]()
-        if start.slopes is not None:
-            S0 = np.zeros((len(start.y0), len(columns)))
-            for column, (j, _) in enumerate(columns):
-                if j not in seen:
-                    S0[:, column] = start.slopes[:, j]
-                    seen.add(j)
+        S0 = None if start.slopes is None else _of_first([j for j, _ in columns], start.slopes)
         found = self._states[key].at(start.args, start.y0, S0)
         if not isinstance(found, Found):
             return Failed(found.reason)
@@ -472,6 +447,21 @@ class _ObservedCurves(NamedTuple):
         """Return a quantity at some times, with its derivatives, (times, 1 + k)."""
         values = self.values[row, places][:, None]
         return values if self.tangent is None else np.hstack([values, self.tangent[row, places]])
+
+
+def _in_use(settings: ParameterPlaces, numbers: set[int] | None) -> list[tuple[int, ParameterName]]:
+    """Return the numbers in args that parameters set, each with its parameter, of these; None: of all."""
+    found = [(j, one) for j, one in settings.entries if one.kind == "args"]
+    if numbers is None:
+        return found
+    return [(j, one) for j, one in found if place_of(settings.args, one.index, one.item) in numbers]
+
+
+def _of_first(own: Sequence[int], slopes: Array) -> Array:
+    """Return the derivatives of an initial value, (n, k), for numbers of these parameters: the first number of each has
+    them, others have zeros."""
+    first = [j not in own[:i] for i, j in enumerate(own)]
+    return np.where(first, slopes[:, own], 0.0)
 
 
 def _guesses(experiment: Experiment, names: Sequence[str], values: Array) -> Array:
