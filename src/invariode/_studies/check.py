@@ -22,6 +22,7 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.problem import Problem
 from .._results.messages import wrong_jacobian
 from .._run.run import solve
+from .precision import sizes_along
 
 
 @public
@@ -209,8 +210,7 @@ def _points_nearby(problem: Problem) -> list[tuple[float, Array]]:
     # outside its domain f may raise anything: the part of the run so far is enough
     with quietly(), suppress(Exception):
         solve(problem, "ode45", {"callback": note, "keep": "end"})
-    sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
-    sizes[sizes == 0] = sizes.max(initial=0) or 1.0
+    sizes = sizes_along(np.array([y, *(state for _, state in run)]).T)
     random = np.random.default_rng(0)
     around = random.standard_normal((_NEARBY, len(y)))
     if np.iscomplexobj(y):

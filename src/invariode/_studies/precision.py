@@ -199,9 +199,15 @@ def _stiff(problem: Problem, seconds: float) -> bool:
         return without_word(problem).solve("ode45", limits=limits, keep="end").status not in (0, 1)
 
 
-def _agreed(first: Solution, second: Solution, by: str) -> Reference:
-    size = np.abs(first.y).max(axis=1)
+def sizes_along(y: Array) -> Array:
+    """Return the largest size of each component along a solution (n, n_t), of zeros that of all, (n,)."""
+    size = np.abs(y).max(axis=1)
     size[size == 0] = size.max(initial=0) or 1.0
+    return np.asarray(size)
+
+
+def _agreed(first: Solution, second: Solution, by: str) -> Reference:
+    size = sizes_along(first.y)
     found = Reference(first.y[:, -1], size, by, first.status, 0.0)
     lowest = None if np.iscomplexobj(first.y) else np.fmin(first.y.min(axis=1), second.y.min(axis=1))
     return Reference(found.y, size, by, first.status, found.error(second.y[:, -1]), lowest)

@@ -94,6 +94,11 @@ class Found(NamedTuple):
         """True if no small change of the state grows."""
         return is_stable(self.eigenvalues)
 
+    @property
+    def reason(self) -> str:
+        """Description of how the state was found."""
+        return f"The {'solution goes to this state' if self.stable else 'state is unstable; the solution stays there'}."
+
 
 class NotFound(NamedTuple):
     """Failure of the search for a steady state, with the reason."""
@@ -102,6 +107,9 @@ class NotFound(NamedTuple):
     y: Array
     f: Array
     time: float
+    slopes: None = None
+    eigenvalues: Array = np.zeros(0)
+    stable: bool = False
 
 
 @public
@@ -246,35 +254,19 @@ def steady_state(
     S0 = None if problem.sensitivities is None else problem.sensitivities.start(names, problem.args, len(problem.y0))
     states = SteadyStates(problem, names, method or "ode15s", totals, positive("tol", tol))
     found = states.at(problem.args, problem.y0, S0)
-    W, labels = states.totals, [one.name for one in names]
-    residual = np.abs(found.f).max(initial=0.0)
-    if isinstance(found, NotFound):
-        failed = SteadyState(
-            states.t0, found.y, residual, W, False, found.reason, False, np.zeros(0), found.time, labels, None,
-            problem.labels,
-        )  # fmt: skip
-        if on_failure == "raise":
-            raise SolveError(found.reason, failed)
-        if on_failure == "warn":
-            warn(found.reason, FailureWarning)
-        return failed
-    message = "The solution goes to this state." if found.stable else "The state is unstable; the solution stays there."
-    if any(point.action is not None for point in problem.breakpoints):
+    success = isinstance(found, Found)
+    message = found.reason
+    if success and any(point.action is not None for point in problem.breakpoints):
         message += " Actions in the problem's breakpoints, such as doses, do not count."
-    return SteadyState(
-        states.t0,
-        found.y,
-        residual,
-        W,
-        True,
-        message,
-        found.stable,
-        found.eigenvalues,
-        found.time,
-        labels,
-        found.slopes,
-        problem.labels,
-    )
+    made = SteadyState(
+        states.t0, found.y, np.abs(found.f).max(initial=0.0), states.totals, success, message, found.stable,
+        found.eigenvalues, found.time, [one.name for one in names], found.slopes, problem.labels,
+    )  # fmt: skip
+    if not success and on_failure == "raise":
+        raise SolveError(message, made)
+    if not success and on_failure == "warn":
+        warn(message, FailureWarning)
+    return made
 
 
 class SteadyStates:

@@ -17,7 +17,7 @@ from .._base.style import COLOURS as PALETTE
 from .._problem.methods import METHODS, find_method
 from .._problem.problem import Problem
 from .._results.pictures.canvas import drawable, log_axis, require_matplotlib
-from .precision import WAYS, ComparedMethod, NoReferenceError, Reference, able, compare_runs
+from .precision import WAYS, ComparedMethod, NoReferenceError, Reference, able, compare_runs, sizes_along
 from .precision import reference as agreed_reference
 
 if TYPE_CHECKING:
@@ -133,9 +133,7 @@ def _truth(problem: Problem, given: Any, ratio: float, limit: float) -> Referenc
     along = along[:, None] if along.ndim == 1 else along
     if along.shape[0] != len(problem.y0) or not along.shape[1]:
         raise ValueError(f"reference must be a Solution or a state of shape ({len(problem.y0)},), got {along.shape}")
-    size = np.abs(along).max(axis=1)
-    size[size == 0] = size.max(initial=0) or 1.0
-    return Reference(along[:, -1], size, "the reference given", int(getattr(given, "status", 0)), 0.0)
+    return Reference(along[:, -1], sizes_along(along), "the reference given", int(getattr(given, "status", 0)), 0.0)
 
 
 def draw(rows: Sequence[ComparedMethod], truth: Reference, name: str, path: Path) -> None:
