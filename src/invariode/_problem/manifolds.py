@@ -6,7 +6,7 @@ All are quadratic: each equation is a sum of products of two components, so the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,22 +30,34 @@ class _NativeQuadratic(_core.Quadratic):
         return type(self), self._made_of
 
 
+class _PairEquations(NamedTuple):
+    """Σ_k y[first_ek] y[second_ek] = value_e. In an equation the first are distinct; the second are the same or all
+    others."""
+
+    first: Array
+    second: Array
+    value: Sequence[float]
+    names: list[str]
+
+
 class _Quadratic(Invariants):
-    """Equations Σ_k y[a_ek] y[b_ek] = value_e. In an equation the a are distinct; the b are the same or all others."""
+    """Sums of products of two components, by the indices of the vectors or matrices that consist of these."""
 
     def __init__(
         self,
-        first: Array,
-        second: Array,
-        value: Sequence[float],
-        names: list[str],
-        iterations: int | None,
-        when: Literal["always", "needed"],
+        indices: ArrayLike,
+        *,
+        name: str | Sequence[str] | None = None,
+        iterations: int | None = None,
+        when: Literal["always", "needed"] = "always",
     ) -> None:
-        self._first, self._second = first, second
-        self._rows = np.arange(len(first))[:, None]
-        self._least = int(first.max()) + 1  # components that the state must have
+        self._first, self._second, value, names = self._equations(indices, name)
+        self._rows = np.arange(len(names))[:, None]
+        self._least = int(self._first.max()) + 1  # components that the state must have
         super().__init__(self._products, self._gradients, value=value, names=names, iterations=iterations, when=when)
+
+    def _equations(self, indices: ArrayLike, name: str | Sequence[str] | None) -> _PairEquations:
+        raise NotImplementedError
 
     def _in_core(self, n: int) -> tuple[Any, Any]:
         first, second = self._first.ravel().tolist(), self._second.ravel().tolist()
@@ -81,17 +93,10 @@ class _UnitNorms(_Quadratic):
     _symbol: ClassVar[str]
     _size: ClassVar[int | None]
 
-    def __init__(
-        self,
-        indices: ArrayLike,
-        *,
-        name: str | Sequence[str] | None = None,
-        iterations: int | None = None,
-        when: Literal["always", "needed"] = "always",
-    ) -> None:
+    def _equations(self, indices: ArrayLike, name: str | Sequence[str] | None) -> _PairEquations:
         bodies = _bodies(type(self).__name__, indices, self._size)
         names = [f"|{one}|²" for one in _named(name, self._symbol, len(bodies))]
-        super().__init__(bodies, bodies, [1.0] * len(bodies), names, iterations, when)
+        return _PairEquations(bodies, bodies, [1.0] * len(bodies), names)
 
 
 class UnitVector(_UnitNorms):
@@ -201,14 +206,7 @@ class RotationMatrix(_Quadratic):
     True
     """
 
-    def __init__(
-        self,
-        indices: ArrayLike,
-        *,
-        name: str | Sequence[str] | None = None,
-        iterations: int | None = None,
-        when: Literal["always", "needed"] = "always",
-    ) -> None:
+    def _equations(self, indices: ArrayLike, name: str | Sequence[str] | None) -> _PairEquations:
         given = as_array("indices of RotationMatrix", indices)
         if given.ndim in (2, 3) and given.shape[-2:] == (3, 3):
             given = given.reshape(*given.shape[:-2], 9)
@@ -218,7 +216,7 @@ class RotationMatrix(_Quadratic):
         titles = _named(name, "R", len(columns))
         names = [f"{one}: {i + 1}·{j + 1}" for one in titles for i, j in _UPPER]
         identity = [float(i == j) for i, j in _UPPER] * len(columns)
-        super().__init__(first, second, identity, names, iterations, when)
+        return _PairEquations(first, second, identity, names)
 
 
 def _bodies(what: str, indices: ArrayLike, size: int | None) -> Array:

@@ -54,7 +54,34 @@ class Exports(Result):
         ModuleNotFoundError
             xarray, of the extra `data`, is not installed.
         """
-        return to_xarray(self)
+        xr = extra("xarray", "this needs", "data")
+        variables: dict[str, Any] = {"y": (("component", "t"), self.y)}
+        coordinates: dict[str, Any] = {"component": _labels(self), "t": self.t}
+        g = self._invariants
+        if len(g):
+            coordinates["invariant"] = list(g.names)
+            coordinates["value"] = ("invariant", g.value)
+            variables["residual"] = (("invariant", "t"), self.residual, {"long_name": "g - value"})
+        S = self._sensitivities
+        if S is not None:
+            coordinates["parameter"] = S.names
+            variables["sensitivities"] = (("component", "parameter", "t"), S.values, {"long_name": "dy / dp"})
+        for name, t, y in zip(_event_names(self), self.t_events or (), self.y_events or (), strict=True):
+            coordinates[f"t_events_{name}"] = (f"event_{name}", t)
+            variables[f"y_events_{name}"] = ((f"event_{name}", "component"), y.reshape(len(t), len(self.y)))
+        if self.steps is not None:
+            coordinates["t_step"] = self.steps.t
+            variables["h"] = ("t_step", self.steps.h, {"long_name": "size of the step"})
+            variables["order"] = ("t_step", self.steps.order)
+            variables["error"] = ("t_step", self.steps.error, {"long_name": "estimated error / rtol"})
+            variables["correction"] = ("t_step", self.steps.correction, {"long_name": "correction / rtol"})
+            variables["method"] = ("t_step", self.steps.method)
+        about = {
+            name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
+            for name, value in attributes(self).items()
+        }
+        data: xarray.Dataset = xr.Dataset(variables, coordinates, about)
+        return data
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the outputs as a table of pandas.
@@ -72,7 +99,28 @@ class Exports(Result):
         ModuleNotFoundError
             pandas, of the extra `data`, is not installed.
         """
-        return to_dataframe(self)
+        pd = extra("pandas", "this needs", "data")
+        columns: list[tuple[str, Array]] = []
+        for label, values in zip(_labels(self), self.y, strict=True):
+            if np.iscomplexobj(values):
+                columns += [(f"{label}.real", values.real), (f"{label}.imag", values.imag)]
+            else:
+                columns.append((label, values))
+        S = self._sensitivities
+        if S is not None:
+            names = named(S.names, _labels(self))
+            columns += zip(names, S.values.reshape(len(names), len(self.t)), strict=True)
+        g = self._invariants
+        if len(g):
+            columns += [(f"residual of {name}", row) for name, row in zip(g.names, self.residual, strict=True)]
+        rows = np.array([values for _, values in columns]).reshape(len(columns), len(self.t)).T
+        table: pandas.DataFrame = pd.DataFrame(
+            rows, index=pd.Index(self.t, name="t"), columns=[name for name, _ in columns]
+        )
+        table.attrs = attributes(self)
+        if len(g):
+            table.attrs["invariants"] = dict(zip(g.names, g.value.tolist(), strict=True))
+        return table
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything but the functions to one file, from which `invariode.load` makes an equal Solution.
@@ -106,64 +154,6 @@ class Exports(Result):
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Labelled arrays and tables
-
-
-def to_xarray(solution: Result) -> xarray.Dataset:
-    """See `Solution.to_xarray`."""
-    xr = extra("xarray", "this needs", "data")
-    variables: dict[str, Any] = {"y": (("component", "t"), solution.y)}
-    coordinates: dict[str, Any] = {"component": _labels(solution), "t": solution.t}
-    g = solution._invariants
-    if len(g):
-        coordinates["invariant"] = list(g.names)
-        coordinates["value"] = ("invariant", g.value)
-        variables["residual"] = (("invariant", "t"), solution.residual, {"long_name": "g - value"})
-    S = solution._sensitivities
-    if S is not None:
-        coordinates["parameter"] = S.names
-        variables["sensitivities"] = (("component", "parameter", "t"), S.values, {"long_name": "dy / dp"})
-    for name, t, y in zip(_event_names(solution), solution.t_events or (), solution.y_events or (), strict=True):
-        coordinates[f"t_events_{name}"] = (f"event_{name}", t)
-        variables[f"y_events_{name}"] = ((f"event_{name}", "component"), y.reshape(len(t), len(solution.y)))
-    if solution.steps is not None:
-        coordinates["t_step"] = solution.steps.t
-        variables["h"] = ("t_step", solution.steps.h, {"long_name": "size of the step"})
-        variables["order"] = ("t_step", solution.steps.order)
-        variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
-        variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
-        variables["method"] = ("t_step", solution.steps.method)
-    about = {
-        name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
-        for name, value in attributes(solution).items()
-    }
-    data: xarray.Dataset = xr.Dataset(variables, coordinates, about)
-    return data
-
-
-def to_dataframe(solution: Result) -> pandas.DataFrame:
-    """See `Solution.to_dataframe`."""
-    pd = extra("pandas", "this needs", "data")
-    columns: list[tuple[str, Array]] = []
-    for label, values in zip(_labels(solution), solution.y, strict=True):
-        if np.iscomplexobj(values):
-            columns += [(f"{label}.real", values.real), (f"{label}.imag", values.imag)]
-        else:
-            columns.append((label, values))
-    S = solution._sensitivities
-    if S is not None:
-        names = named(S.names, _labels(solution))
-        columns += zip(names, S.values.reshape(len(names), len(solution.t)), strict=True)
-    g = solution._invariants
-    if len(g):
-        columns += [(f"residual of {name}", row) for name, row in zip(g.names, solution.residual, strict=True)]
-    rows = np.array([values for _, values in columns]).reshape(len(columns), len(solution.t)).T
-    table: pandas.DataFrame = pd.DataFrame(
-        rows, index=pd.Index(solution.t, name="t"), columns=[name for name, _ in columns]
-    )
-    table.attrs = attributes(solution)
-    if len(g):
-        table.attrs["invariants"] = dict(zip(g.names, g.value.tolist(), strict=True))
-    return table
 
 
 def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:

@@ -220,6 +220,10 @@ class DiscontinuityWarning(UserWarning):
     jumps; or the actions of an event accumulate in a finite time."""
 
 
+def _column(i: int, kind: type = float) -> cached_property[Array]:
+    return cached_property(lambda steps: steps._rows[:, i].astype(kind))
+
+
 class Steps(DataRecord):
     """The accepted steps, arrays of one value each.
 
@@ -251,25 +255,8 @@ class Steps(DataRecord):
         """Rows of the accepted steps, (n_steps, 6)."""
         return self._given.record() if isinstance(self._given, Run) else self._given
 
-    @cached_property
-    def t(self) -> Array:
-        return self._rows[:, 0].copy()
-
-    @cached_property
-    def h(self) -> Array:
-        return self._rows[:, 1].copy()
-
-    @cached_property
-    def order(self) -> Array:
-        return self._rows[:, 2].astype(np.int32)
-
-    @cached_property
-    def error(self) -> Array:
-        return self._rows[:, 3].copy()
-
-    @cached_property
-    def correction(self) -> Array:
-        return self._rows[:, 4].copy()
+    t, h, order = _column(0), _column(1), _column(2, np.int32)
+    error, correction = _column(3), _column(4)
 
     @cached_property
     def method(self) -> Array:

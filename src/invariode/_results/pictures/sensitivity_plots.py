@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..._base.arguments import Array
 from ..result import Result
 from .canvas import components, drawable, indices, joined, legend, new, new_panels, properties, unused
-from .curves import continuous_times, draw_over_t, interrupted, parts
+from .curves import Curve, continuous_times, draw_over_t, interrupted, parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,14 +22,6 @@ _ROW, _AROUND = 0.28, 1.3
 
 #: Width of the lines between the rows of two components in a map, in points.
 _SEPARATOR = 1.2
-
-
-class _SensitivityCurves(NamedTuple):
-    """t (k,) and derivatives (n, parameters, k), NaN where the solution jumps."""
-
-    t: Array
-    S: Array
-    smooth: bool  # False: the outputs, which lines join
 
 
 def draw(
@@ -67,15 +59,14 @@ def _factors(sol: Result) -> Array:
     return found
 
 
-def _curves(sol: Result, factors: Array | None) -> _SensitivityCurves:
+def _curves(sol: Result, factors: Array | None) -> Curve:
+    """Return the derivatives, (n, parameters, k), as curves over t."""
     if hasattr(sol.sol, "sensitivities"):  # that of a DAE is continuous in its unknowns alone
         t, cuts = continuous_times(sol)
-        found = _SensitivityCurves(
-            np.insert(t, cuts, np.nan), np.insert(sol.sol.sensitivities(t), cuts, np.nan, axis=2), True
-        )
+        found = Curve(np.insert(t, cuts, np.nan), np.insert(sol.sol.sensitivities(t), cuts, np.nan, axis=2), True)
     else:
-        found = _SensitivityCurves(interrupted(sol, sol.t), interrupted(sol, sol.sensitivities), False)
-    return found if factors is None else found._replace(S=found.S * factors[:, :, None])
+        found = Curve(interrupted(sol, sol.t), interrupted(sol, sol.sensitivities), smooth=False)
+    return found if factors is None else found._replace(y=found.y * factors[:, :, None])
 
 
 def _title(name: str, parameter: str, relative: bool) -> str:
@@ -96,7 +87,7 @@ def _lines(
         for j in columns:
             colour, dashes = unused(panel)
             title = parameters[j] if ax is None else _title(names[k], parameters[j], factors is not None)
-            for style, part, values in zip(dashes, *parts(curves.S[k, j]), strict=False):
+            for style, part, values in zip(dashes, *parts(curves.y[k, j]), strict=False):
                 label = joined(f"{part}{drawable(title)}", given)
                 own = {"color": colour, "linestyle": style, "label": label, **look}
                 draw_over_t(panel, sol, curves.t, values, curves.smooth, own)
