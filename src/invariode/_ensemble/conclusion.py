@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,15 @@ from .._problem.invariants import AccuracyWarning
 from .._problem.parameters import names_of_arguments
 from .._results.messages import accumulating_in, below_zero, harmful_projection
 from .._results.records import DiscontinuityWarning, StiffnessWarning
-from .ensemble_solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
+from .ensemble_solution import (
+    OF_TRAJECTORIES,
+    REAL_STATS,
+    EnsembleSensitivities,
+    EnsembleSolution,
+    EnsembleStats,
+    Trajectories,
+    final_states,
+)
 from .outcomes import UNSOLVED, Outcomes, counts_by_name
 from .store import EnsembleStore
 from .task import Task
@@ -45,25 +54,9 @@ def solution(
     result = EnsembleSolution(
         t=np.array([plan.course.tf]) if times is None else times,
         y=final_states(found.y_end, found.status) if times is None else found.y,
-        t_end=found.t_end,
-        y_end=found.y_end,
-        status=found.status,
         success=found.status >= 0,
-        messages=found.messages,
-        events=found.events,
-        stats=EnsembleStats(
-            **counts_by_name(found.counts),
-            clipped_amount=found.clipped_amount,
-            stiff_since=found.stiff_since,
-            discontinuity=found.discontinuity,
-            accumulation=found.accumulation,
-            _lanes=found.lanes,
-        ),
-        value=found.value,
-        residual_before=found.residual_before,
-        residual_after=found.residual_after,
-        correction=found.correction,
-        attempt=found.attempt,
+        stats=EnsembleStats(**counts_by_name(found.counts), **_taken(found, REAL_STATS), _lanes=found.lanes),
+        **_taken(found, (*(OF_TRAJECTORIES.keys() - {"y"}), "messages", "events")),
         _trajectories=_trajectories(plan, task, found),
         _final=times is None,
         _labels=plan.called.labels,
@@ -78,6 +71,10 @@ def solution(
     else:
         remarks.conclude(result, on_failure)
     return result
+
+
+def _taken(found: Outcomes, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(found, name) for name in names}
 
 
 def _conclude_interrupted(result: EnsembleSolution, on_interrupt: OnInterrupt) -> None:

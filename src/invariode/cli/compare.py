@@ -45,6 +45,7 @@ from .session import (
     examples,
     guarded,
     method_of,
+    numbers,
     stop,
     writable,
     write_to,
@@ -293,10 +294,7 @@ def _print_ratios(console: Console, found: Sequence[Judgement]) -> None:
     if not reached:
         return
     errors = [reached[i] for i in sorted({round(i) for i in np.linspace(0, len(reached) - 1, _RATIOS)})]
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("method", no_wrap=True)
-    for error in errors:
-        table.add_column(power(error), justify="right", no_wrap=True)
+    table = numbers("method", map(power, errors))
     table.add_column("projection is", no_wrap=True)
     for one in (one for one in found if one.errors):
         ratios = {e: f"{t:.2f} ({f:.2f})" for e, t, f in zip(one.errors, one.time, one.f, strict=True)}

@@ -10,6 +10,7 @@ which does not follow jumps of x: so x must not be a variable that an event assi
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from .formulas import Expression
 from .library import UnsupportedError
@@ -35,15 +36,12 @@ def _replaced(rule: EventRule, symbol: Callable[[Expression], Expression]) -> Ev
     def inside(one: Expression) -> Expression:
         return symbol(one) if one.op == "delay" else one._replace(arguments=(*map(inside, one.arguments),))
 
-    return EventRule(
-        rule.name,
-        inside(rule.trigger),
-        rule.initial,
-        rule.persistent,
-        None if rule.priority is None else inside(rule.priority),
-        None if rule.delay is None else inside(rule.delay),
-        rule.at_trigger,
-        {name: inside(value) for name, value in rule.assignments.items()},
+    return replace(
+        rule,
+        trigger=inside(rule.trigger),
+        priority=None if rule.priority is None else inside(rule.priority),
+        delay=None if rule.delay is None else inside(rule.delay),
+        assignments={name: inside(value) for name, value in rule.assignments.items()},
     )
 
 
