@@ -43,7 +43,6 @@ _SIZED = ("component", "invariant", "t", "sensitivity")
 _UNFINISHED = "invariode store, unfinished"
 #: The version in which what an array holds where nothing was written is no missing value.
 _ZARR_FORMAT = 3
-#: The status of a trajectory that is not solved yet.
 #: The arrays with a row for each trajectory.
 _ROWS = {
     "y0": Field(None, "trajectory component"),
@@ -340,7 +339,7 @@ class EnsembleStore:
     @property
     def events(self) -> list[EnsembleEvents]:
         """Occurrences of the events, as those of `EnsembleSolution`."""
-        each = [{name: part[name][:] for name in part.array_keys()} for part in self._parts()]
+        each = [_arrays_of(part) for part in self._parts()]
         empty = {"number": np.zeros(0, dtype=np.int64), **none_of(self._group["y_end"])}
         whole = {name: np.concatenate([none, *(one[name] for one in each)]) for name, none in empty.items()}
         size = self._group["event"].shape[0] if "event" in self._group else 0
@@ -428,11 +427,8 @@ class EnsembleStore:
         for number in np.flatnonzero(group["digest"][: -(-size // length)]).tolist():
             rows = slice(number * length, min((number + 1) * length, size))
             there = {name: group[name][rows] for name in names}
-            happened: dict[str, Array] = {}
-            messages: dict[str, str] = {}
-            if number in apart:
-                messages = dict(apart[number].attrs["messages"])
-                happened = {name: apart[number][name][:] for name in apart[number].array_keys()}
+            part = apart.get(number)
+            happened, messages = ({}, {}) if part is None else (_arrays_of(part), dict(part.attrs["messages"]))
             if _checksum(there, happened, messages) != int(group["checksum"][number]):
                 raise ValueError(f"trajectories {rows.start} to {rows.stop - 1} are not as they were written")
 
@@ -446,6 +442,11 @@ class EnsembleStore:
 
 # ----------------------------------------------------------------------------------------------------------------------
 # The same problem?
+
+
+def _arrays_of(part: Any) -> dict[str, Array]:
+    """Return the events of a part, by name."""
+    return {name: part[name][:] for name in part.array_keys()}
 
 
 def _about(path: Any, group: Any) -> dict[str, Any]:

@@ -107,13 +107,13 @@ METHODS: Mapping[OwnName, Method] = MappingProxyType(
 )
 
 
-#: Methods of fixed step that a beginner may ask for.
 #: The method here for a solver or method of other packages.
 _COUNTERPARTS = {
     **dict.fromkeys(("vode", "zvode", "cvode", "ida"), "ode15s"),
     **dict.fromkeys(("dopri5", "tsit5"), "ode45"),
     **dict.fromkeys(("rodas", "rosenbrock23"), "ode23s"),
 }
+#: Methods of fixed step that a beginner may ask for.
 _FIXED_STEP = frozenset({"euler", "midpoint", "heun", "rk2", "rk4", "leapfrog", "verlet", "symplectic"})
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array, numbers, real_numbers, reals
-from .._functions.compiled import CoreFunction, NativeWithInputs, as_python, is_native, native_parameters, to_native
+from .._functions.compiled import CoreFunction, as_python, is_native, native_parameters, to_native
 from .._functions.layout import ArgumentLayout
+from .._functions.with_arguments import numbers_at
 from .delays import Delays
 from .inputs import Input, fed
 
@@ -43,24 +44,21 @@ class Slope(NamedTuple):
     def __call__(self, t: Array, y: Array) -> Array:
         """The values at points y (n, n_t), one for each t. Delayed values are those of the history."""
         rows = np.ascontiguousarray(y.T)
-        values = np.empty_like(rows)
-        fun = self.fun
-        if self.delays is not None:
-            for value, at, state in zip(values, t.tolist(), rows, strict=True):
-                value[:] = self.of_past(at, state, self.delays.past(at, state, self.args))
-            return values.T
-        if isinstance(fun, CoreFunction) or not is_native(fun):
-            for value, at, state in zip(values, t.tolist(), rows, strict=True):
-                value[:] = checked_slope(fun(at, state.copy(), *self.args), state)
-            return values.T
-        n = rows.view(float).shape[1]
-        arguments = native_parameters(self.args, [fun])
-        call, p = as_python(to_native("fun", fun, n, n, arguments), n), arguments.numbers
-        fed_by = fun.inputs if isinstance(fun, NativeWithInputs) else []
-        for value, at, state in zip(values, t.tolist(), rows, strict=True):
-            now = np.concatenate([*(one.evaluate(np.array([at]))[0] for one in fed_by), p]) if fed_by else p
-            value[:] = call(at, state.view(float), now).view(value.dtype)
+        values, at = np.empty_like(rows), self._at(rows.view(float).shape[1])
+        for value, time, state in zip(values, t.tolist(), rows, strict=True):
+            value[:] = at(time, state)
         return values.T
+
+    def _at(self, n: int) -> Callable[[float, Array], Array]:
+        """Return f as a function of (t, y), with y of n reals."""
+        fun, args, delays = self.fun, self.args, self.delays
+        if delays is not None:
+            return lambda t, y: self.of_past(t, y, delays.past(t, y, args))
+        if isinstance(fun, CoreFunction) or not is_native(fun):
+            return lambda t, y: checked_slope(fun(t, y.copy(), *args), y)
+        p = native_parameters(args, [fun])
+        call = as_python(to_native("fun", fun, n, n, p), n)
+        return lambda t, y: call(t, y.view(float), numbers_at(t, fun, p.numbers)).view(y.dtype)
 
 
 def checked_slope(given: Any, y: Array) -> Array:

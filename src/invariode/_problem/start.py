@@ -24,10 +24,9 @@ class SlopesOfStart:
         self._start, self._names, self._n = start, names, n
 
     def __call__(self, *args: Any) -> Array:
-        k, n, y = len(self._names), self._n, np.zeros(self._n)
-        at, fun = Point(0.0, y), of_t_and_y(self._start)
-        made = derivative_of(fun, (n, n), at=at, args=args, names=self._names, called="y0")
-        return made.columns(0.0, y, np.zeros(k), np.zeros((k, n)), np.eye(k)).T
+        n, at = self._n, Point(0.0, np.zeros(self._n))
+        made = derivative_of(of_t_and_y(self._start), (n, n), at=at, args=args, names=self._names, called="y0")
+        return made.of_parameters(at.t, at.y)
 
 
 class ChangedStart:

@@ -23,6 +23,8 @@ from ..sbml.reading import contents
 from .experiments import LN10, Experiments, Period, numbers
 from .problem_files import Measurement, ParameterRow, Tables, fit_prior, log_density, rows_of, tables
 
+#: Natural logarithms in units of a scale.
+_UNITS = {"lin": 0.0, "log": 1.0, "log10": LN10}
 #: The estimated parameters: an array on their scales, (k,), or their values by name.
 Point: TypeAlias = ArrayLike | Mapping[str, float]
 
@@ -184,8 +186,7 @@ class Problem:
         total = 0.0
         for one, h, s in zip(self._tables.measurements, simulated.tolist(), sigma.tolist(), strict=True):
             scale = self._tables.observables[one.observable].scale
-            unit = {"lin": 0.0, "log": 1.0, "log10": LN10}[scale]
-            r = (one.value - h) / s if scale == "lin" else math.log(one.value / h) / (unit * s)
+            r = (one.value - h) / s if scale == "lin" else math.log(one.value / h) / (_UNITS[scale] * s)
             total += r * r
         return total
 
@@ -232,8 +233,7 @@ class Problem:
 
     def _chain(self, free: Array) -> Array:
         """Return the derivatives of the parameters for their values on their scales."""
-        unit = {"lin": 0.0, "log": 1.0, "log10": LN10}
-        return np.array([unit[one.scale] * x or 1.0 for one, x in zip(self._rows, free.tolist(), strict=True)])
+        return np.array([_UNITS[one.scale] * x or 1.0 for one, x in zip(self._rows, free.tolist(), strict=True)])
 
     def _evaluated(self, free: Array, gradient: bool) -> Evaluation:
         if not np.isfinite(free).all():

@@ -20,9 +20,7 @@ from .._base.arguments import Array
 from .._base.forks import cached_property
 from .._base.suggestions import meant
 from .._base.types import MethodName
-from .._functions.derivatives import has_llvm
 from .._functions.graph.array_code import ArrayFunction
-from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import Node
 from .._functions.graph.python import Formula
 from .._problem.problem import Problem
@@ -197,13 +195,7 @@ class Experiments:
         if self.model.events:
             more["events"] = self._machine.functions(self.model._differences)
         # The initial value is a formula of p, in which that of the problem does not occur.
-        return Problem(self._fun, (0.0, end), np.ones(max(len(e.states), 1)), args=(self._p,), **more)
-
-    @cached_property
-    def _fun(self) -> Any:
-        slopes, n = self._equations.slopes, len(self._equations.states)
-        formula = Formula("f", lambda: slopes or [self._equations.graph.node(0.0)], (n or 1,))
-        return GraphFunction(formula) if has_llvm() else formula
+        return Problem(self.model.fun, (0.0, end), np.ones(max(len(e.states), 1)), args=(self._p,), **more)
 
     @cached_property
     def _machine(self) -> Machine:

@@ -202,10 +202,6 @@ class Waiting:
         self.time, self.event, self.values, self.trigger = time, event, values, trigger
         self.slopes: tuple[Array, Array] | None = None
 
-    def copy(self) -> Waiting:
-        """Return a copy, as it was triggered."""
-        return Waiting(self.time, self.event, self.values, self.trigger)
-
     def state(self) -> dict[str, Any]:
         """Return the event as JSON can hold it."""
         t, y = self.trigger
@@ -268,9 +264,8 @@ class Machine:
         one = Machine(self.code, self.equations, self._seed, self._after_events)
         t0, y0, p0 = self._start
         if t == t0 and np.array_equal(y, y0) and np.array_equal(p, p0[: len(p)]):
+            one.restore(self.state())
             one.p, one.executed = p, 0
-            one._signs, one._truths, one._holds = self._signs.copy(), self._truths.copy(), self._holds.copy()
-            one._zeros, one.queue = self._zeros.copy(), [each.copy() for each in self.queue]
         else:
             one._begun(t, y, p, executes=False)
         return one
@@ -462,9 +457,14 @@ class Machine:
 
 
 class _OfMachine(Roots):
-    """Root functions of a machine."""
+    """Root functions of a machine.
 
-    _machine: Machine
+    - `compiled`: what the class takes besides the machine
+    """
+
+    def __init__(self, machine: Machine, *compiled: Any, **roots: Any) -> None:
+        super().__init__(**roots)
+        self._machine, self._compiled = machine, compiled
 
     @property
     def is_differentiable(self) -> bool:
@@ -480,11 +480,7 @@ class _OfMachine(Roots):
         if id(machine) not in memory:
             p = np.array(args[0] if args else (), dtype=float)
             memory[id(machine)] = machine.of_run(t, np.array(y, dtype=float), p)
-        return self.on(memory[id(machine)])
-
-    def on(self, machine: Machine) -> Roots:
-        """Return these root functions of another machine."""
-        raise NotImplementedError
+        return type(self)(memory[id(machine)], *self._compiled)
 
     def state(self) -> Any:
         """See `Roots.state`."""
@@ -504,12 +500,8 @@ class _Comparisons(_OfMachine):
     """The comparisons of all triggers."""
 
     def __init__(self, machine: Machine, compiled: Any, count: int) -> None:
-        super().__init__(compiled, count, machine.on_roots, names=machine.code.names)
-        self._machine = machine
-
-    def on(self, machine: Machine) -> Roots:
-        """See `_OfMachine.on`."""
-        return _Comparisons(machine, self.fun, self.count)
+        about = {"fun": compiled, "count": count, "on_roots": machine.on_roots, "names": machine.code.names}
+        super().__init__(machine, compiled, count, **about)
 
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""
@@ -521,12 +513,7 @@ class _Due(_OfMachine):
     """The time since the next execution of a delayed event was due."""
 
     def __init__(self, machine: Machine) -> None:
-        super().__init__(machine.due, 1, machine.on_due, names=["execution"])
-        self._machine = machine
-
-    def on(self, machine: Machine) -> Roots:
-        """See `_OfMachine.on`."""
-        return _Due(machine)
+        super().__init__(machine, fun=machine.due, count=1, on_roots=machine.on_due, names=["execution"])
 
     def derivatives(self, of: Derive, start: Array) -> OfRoots:
         """See `Roots.derivatives`."""

@@ -99,6 +99,11 @@ class ModelEvent:
     persistent: bool
 
 
+def _symbol(name: str) -> str:
+    """Return the symbol of a species' concentration, in brackets, or the name itself."""
+    return name.strip("[]") if name.startswith("[") else name
+
+
 class _InitialState:
     """The initial state of a problem as a function of its parameters, a record: after events at the start, and
     consistent with algebraic rules.
@@ -292,7 +297,7 @@ class Model:
         """Return the model in which these symbols have values of their own, its p, and y0."""
         e = self._equations
         changes: dict[str, float] = {}
-        free = {name.strip("[]") if name.startswith("[") else name for name in values}
+        free = {*map(_symbol, values)}
         computed = frozenset(n for n in free if n in self._contents.initial and n not in e._given)
         if computed:
             other = self._others.get(computed)
@@ -300,7 +305,7 @@ class Model:
                 other = self._others[computed] = Model(self._contents, self._fast, {*e._given, *computed})
             return other._start(values)
         for name, value in values.items():
-            symbol = name.strip("[]") if name.startswith("[") else name
+            symbol = _symbol(name)
             if symbol not in e._index:
                 known = [*e.names, *(f"[{one}]" for one in self._contents.species)]
                 why = "is determined by a rule" if symbol in e.symbols else "is no symbol of the model"
@@ -309,7 +314,7 @@ class Model:
         p = e.parameters({n: v for n, v in changes.items() if n not in self._contents.species})
         amounts = {}
         for name, value in values.items():
-            symbol = name.strip("[]") if name.startswith("[") else name
+            symbol = _symbol(name)
             if (one := self._contents.species.get(symbol)) is None:
                 continue
             stored_as_amount = one.is_amount if symbol in e._given else one.initial_is_amount
