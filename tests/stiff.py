@@ -1,4 +1,5 @@
-"""The stiff test set, as data: right-hand sides, analytic Jacobians, linear invariants and reference solutions.
+"""The stiff test set, as data: right-hand sides, analytic Jacobians, linear invariants and reference solutions; more
+problems stand in stiff_ends.py.
 
 After Hairer & Wanner, Solving Ordinary Differential Equations II (2nd ed., 1996), and the Test Set for IVP Solvers
 (Mazzia & Magherini, release 2.4, 2008). ``benchmarks/references.py`` computes the references.
