@@ -15,8 +15,8 @@ from time import process_time
 from typing import Any, Literal
 
 import llvmlite.binding as llvm
-import numba
 import numpy as np
+from bodies import by_cyrk
 from measure import installed, interleaved, machine, ratio, run, table
 from numpy.typing import NDArray
 
@@ -268,21 +268,6 @@ def against_numba(problems: dict[str, tuple[Callable[..., Any], int]], repetitio
     return table(["f", "traced, ns", "numba, ns", "÷", "compiled in, ms", "numba, ms"], rows)
 
 
-def solved_by_cyrk(fun: Callable[..., Any], y0: Array) -> Callable[[], Array]:
-    from CyRK import nbsolve_ivp
-
-    filling = numba.njit(fun)
-
-    @numba.njit
-    def returning(t: float, y: Any) -> Any:
-        out = np.empty_like(y)
-        filling(t, y, out)
-        return out
-
-    options = {"rk_method": 2, "rtol": TOLERANCE, "atol": TOLERANCE, "warnings": False}
-    return lambda: nbsolve_ivp(returning, (0.0, END), y0, **options).y[:, -1]
-
-
 def against_cyrk(repetitions: int) -> str:
     """DOP853 of both; CyRK's f is a loop, which numba compiles better than arrays."""
     rows = []
@@ -290,7 +275,7 @@ def against_cyrk(repetitions: int) -> str:
         solver = iv.Problem(iv.compile(fun, inplace=True), (0.0, END), y0 := np.linspace(0.6, 1.4, n)).prepare(
             "dop853", rtol=TOLERANCE, atol=TOLERANCE, keep="end"
         )
-        runs = {"invariode": partial(solver, y0=y0), "CyRK": solved_by_cyrk(fun, y0)}
+        runs = {"invariode": partial(solver, y0=y0), "CyRK": by_cyrk(fun, y0, END, TOLERANCE)}
         if not np.allclose(runs["invariode"]().y[:, -1], runs["CyRK"](), rtol=1e-5, atol=1e-5):
             raise SystemExit(f"not timed: the final states of {name} differ")
         times = interleaved(runs, repetitions, process_time)

@@ -12,7 +12,7 @@ inline constexpr double largest_growth = 5;  // of h after a success
 /// Errors that are a smaller part of the tolerance count as this one, with which h grows by the maximum factor.
 inline constexpr double smallest_ratio = 0x1p-28;
 
-/// What is remembered of the last accepted step. Its rate is 1/|h| of the step whose error would have been the
+/// Memory of the last accepted step. Its rate is 1/|h| of the step whose error would have been the
 /// tolerance.
 template <class Real>
 struct Trend {

@@ -32,7 +32,7 @@ struct Segment {
   std::size_t size;
 };
 
-/// What the segments of one solution hold.
+/// Contents that the segments of one solution share: sizes, and how they are read.
 struct SegmentKind {
   Extent extent;  ///< of a value
   std::size_t m;  ///< invariants between steps

@@ -14,9 +14,9 @@
 
 namespace invariode {
 
-/// What a method integrates with sensitivities: Y' is f, then the slopes of S. M S_j' = J S_j + f_pj has the matrices
-/// of M y' = f; quadratures, S_j' = g_j(t, y), have J = 0 and M = I. Of components that f would lead out of their
-/// bounds, and that rest there, S rests too.
+/// The equations that a method integrates with sensitivities: Y' is f, then the slopes of S. M S_j' = J S_j + f_pj has
+/// the matrices of M y' = f; quadratures, S_j' = g_j(t, y), have J = 0 and M = I. Of components that f would lead out
+/// of their bounds, and that rest there, S rests too.
 class BlockEquations {
  public:
   /// f, of the state, and both weights, of the state and of Y in Newton's iteration, belong to the caller. `bounded`:

@@ -306,7 +306,7 @@ class Result(Deferred, dict[str, Any]):
 
     @property
     def _run(self) -> Origin:
-        """Origin of the solution. Raises a ValueError if there is none."""
+        """Origin of the solution. Raises a ValueError if the solution comes without its run."""
         if self._origin is None:
             raise ValueError(
                 "this solution comes from a file or a pickle, without the functions of its problem: it can neither be "
