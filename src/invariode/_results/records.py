@@ -221,7 +221,10 @@ class DiscontinuityWarning(UserWarning):
 
 
 def _column(i: int, kind: type = float) -> cached_property[Array]:
-    return cached_property(lambda steps: steps._rows[:, i].astype(kind))
+    def column(steps: Steps) -> Array:
+        return steps._rows[:, i].astype(kind)
+
+    return cached_property(column)
 
 
 class Steps(DataRecord):
