@@ -16,8 +16,8 @@ inline constexpr double smallest_ratio = 0x1p-28;
 /// tolerance.
 template <class Real>
 struct Trend {
-  Real rate = Real(std::numeric_limits<double>::infinity());  ///< infinite: there was no step
-  Real growth = Real(1);                                      ///< of the rate, from the step before
+  Real rate{std::numeric_limits<double>::infinity()};  ///< infinite: there was no step
+  Real growth{1};                                      ///< of the rate, from the step before
 };
 
 /// |h| after a success without failures before it, `root` = (error / rtol)^{1/q}.
