@@ -142,7 +142,7 @@ class _Portable(Contents):
         if callable(value) and type(value).__module__ != self._module:  # such as an interpolator
             slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
             own = (*slots, *getattr(value, "__dict__", ()))
-            names = names.union(name for name in own if isinstance(_attribute(value, name), _DATA))
+            names = names.union(name for name in own if _is_data(_attribute(value, name), type(value)))
         kept = sorted(name for name in names if ("attribute", name) not in self._changed)
         return [(name, self.of(_attribute(value, name))) for name in kept]
 
@@ -160,6 +160,13 @@ def _attribute(value: Any, name: str) -> Any:
     """Return an attribute of an object, a property or method as a function; None without it."""
     found = inspect.getattr_static(value, name, None)
     return getattr(value, name, None) if inspect.ismemberdescriptor(found) else found  # a slot
+
+
+def _is_data(value: Any, owner: type) -> bool:
+    """Return whether an attribute of a callable object of another module counts: data, or an object of the same package
+    to which its calls may be passed."""
+    package = owner.__module__.partition(".")[0]
+    return isinstance(value, _DATA) or (callable(value) and type(value).__module__.partition(".")[0] == package)
 
 
 def _kind(one: dis.Instruction) -> str | None:
