@@ -204,7 +204,7 @@ def decay(t, y):
 
 @dealt(9, method=METHODS, how=["event", "callback", "limit"])
 def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(method, how):
-    """But a limit, which is looked at when the breakpoint has been passed."""
+    """But a limit, which is checked once the breakpoint has been passed."""
     taken = []
 
     def act(t, y):

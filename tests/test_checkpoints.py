@@ -73,7 +73,7 @@ def test_where_no_checkpoint_can_be(tmp_path):
 @families
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
 def test_between_two_attempts_of_a_step(method):
-    """The limit of time is looked at after each attempt, also one that failed."""
+    """The limit of time is checked after each attempt, also one that failed."""
 
     def corner(t, y):
         return [y[1], -abs(y[0]) - 0.1 * y[1] + (3.0 if t > 1.3 else 0.0)]

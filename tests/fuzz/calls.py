@@ -63,7 +63,7 @@ def native_energy(t: float, y: Any, out: Any, p: Any) -> None:
 
 
 class Hostile:
-    """Raises wherever it is looked at as a number, an array or a truth value."""
+    """Raises wherever it is used as a number, an array or a truth value."""
 
     def __float__(self) -> float:
         raise ZeroDivisionError("of the user's own")

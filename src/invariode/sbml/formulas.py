@@ -120,7 +120,7 @@ def read(node: Any) -> Expression:
 def parse(text: str) -> Expression:
     """Return the expression of a formula as text, in the syntax of SBML Level 3, in which log is natural.
 
-    Raises ValueError: It is none.
+    Raises ValueError: The text is not a formula.
     """
     L = libsbml()
     settings = L.L3ParserSettings()

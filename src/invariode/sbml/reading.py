@@ -42,7 +42,7 @@ class Species:
     compartment : str
         Where it is.
     initial : float
-        The number in the file, NaN if there is none.
+        The number in the file, NaN if the file has no number.
     initial_is_amount : bool
         Whether that is an amount; otherwise it is a concentration.
     is_amount : bool

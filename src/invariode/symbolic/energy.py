@@ -45,7 +45,7 @@ def energy(
 
 
 def potential(gradient: Sequence[Any], q: Sequence[Any], symbols: Sequence[Any]) -> Any | None:
-    """Return V with this gradient, integrated by each coordinate; None: there is none, or SymPy does not find it."""
+    """Return V with this gradient, integrated by each coordinate; None: no V has it, or SymPy does not find one."""
     found = sympy.S.Zero
     for slope, one in zip(gradient, q, strict=True):
         for term in sympy.Add.make_args(sympy.expand(slope - found.diff(one))):
