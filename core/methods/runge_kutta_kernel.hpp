@@ -4,11 +4,14 @@
 
 #include <array>
 #include <cstddef>
+#include <type_traits>
 #include <utility>
 
+#include "instruction_sets.hpp"
 #include "methods/stability.hpp"
 #include "methods/tableau.hpp"
 #include "number.hpp"
+#include "weights.hpp"
 
 namespace invariode::runge_kutta {
 
@@ -34,7 +37,9 @@ struct Kernel {
   /// The argument of stage I: y + h Σ_{j<I} A_Ij k_j.
   template <std::size_t I>
   static void argument(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
-    for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<I>(k, [](auto j) { return T.A[I][j]; }, i);
+    in_vectors(out, [y, h, &k, n](Real* __restrict to) {
+      for (std::size_t i = 0; i < n; ++i) to[i] = y[i] + h * dot<I>(k, [](auto j) { return T.A[I][j]; }, i);
+    });
   }
 
   /// Stages 1 … last − 1 from (t, y), of the step of size h = t₁ − t as all else (docs/algorithms.md, 'Every method'):
@@ -68,9 +73,7 @@ struct Kernel {
   /// ‖k_s‖ with the weights weight(i).
   template <class Weight>
   static Real size_of_stage(std::size_t s, const Stages& k, std::size_t n, Weight weight) {
-    Norm norm;
-    for (std::size_t i = 0; i < n; ++i) norm.add(k[s][i] / weight(i));
-    return norm.value();
+    return norm_of(n, [&](std::size_t i) { return k[s][i]; }, weight);
   }
   /// Slopes of the extension that are larger are not sound: `largest_slope` times those of the step.
   template <class Weight>
@@ -82,22 +85,22 @@ struct Kernel {
 
   /// y* = y + h Σ b_j k_j
   static void candidate(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
-    for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<last>(k, [](auto j) { return T.b()[j]; }, i);
+    in_vectors(out, [y, h, &k, n](Real* __restrict to) {
+      for (std::size_t i = 0; i < n; ++i) to[i] = y[i] + h * dot<last>(k, [](auto j) { return T.b()[j]; }, i);
+    });
   }
 
   /// ‖Σ E_j k_j‖ with the weights weight(i), to be multiplied by |h|.
   template <class Weight>
   static Real error(const Stages& k, std::size_t n, Weight weight) {
-    Norm norm, crude;
-    for (std::size_t i = 0; i < n; ++i) {
-      const Real w = weight(i);
-      norm.add(dot<T.stages>(k, [](auto j) { return T.E[j]; }, i) / w);
-      if constexpr (T.crude_order > 0) crude.add(dot<T.stages>(k, [](auto j) { return T.crude[j]; }, i) / w);
-    }
+    const auto norm_by = [&k, n, weight](auto weights) {
+      return norm_of(n, [&](std::size_t i) { return dot<T.stages>(k, weights, i); }, weight);
+    };
+    const Real fine = norm_by([](auto j) { return T.E[j]; });
     if constexpr (T.crude_order > 0)
-      return combined_error(norm.value(), crude.value());
+      return combined_error(fine, norm_by([](auto j) { return T.crude[j]; }));
     else
-      return norm.value();
+      return fine;
   }
 
   /// ‖D k‖, of the divided difference over the stages `T.bends`, scaled so that it is at most 1 where the slopes jump
@@ -105,17 +108,15 @@ struct Kernel {
   template <class Weight>
   static std::array<Real, 2> bend(const Stages& k, std::size_t n, Weight weight) {
     static constexpr auto d = bend_weights<T>();
-    Norm difference, range;
-    for (std::size_t i = 0; i < n; ++i) {
-      const Real w = weight(i);
-      difference.add(dot<T.stages>(k, [](auto j) { return d[j]; }, i) / w);
+    const auto bent = [&k](std::size_t i) { return dot<T.stages>(k, [](auto j) { return d[j]; }, i); };
+    const auto range = [&k](std::size_t i) {
       Real least = k[T.bends[0]][i], most = least;
       [&]<std::size_t... J>(std::index_sequence<J...>) {
         ((least = smaller(least, k[T.bends[J + 1]][i]), most = larger(most, k[T.bends[J + 1]][i])), ...);
       }(std::make_index_sequence<T.bends.size() - 1>{});
-      range.add((most - least) / w);
-    }
-    return {difference.value(), range.value()};
+      return most - least;
+    };
+    return {norm_of(n, bent, weight), norm_of(n, range, weight)};
   }
 
   /// Returns whether slopes with that `bend`, over a step of that |h| with that error estimate, look like those of an f
@@ -173,6 +174,43 @@ struct Kernel {
   }
 
  private:
+  /// Whether loops over components become vector instructions: not in small systems, and lanes are vectors already.
+  static constexpr bool vectorised = std::is_same_v<Real, double> && Build == 0;
+  static constexpr std::size_t beside = vectorised ? 4 : 1;  // maxima, as in `max_norm`
+
+  template <class Loop>
+  INVARIODE_FOR_AVX2 static auto for_avx2(Real* __restrict out, const Loop& loop) {
+    return loop(out);
+  }
+  /// Runs a loop over components, by AVX2 where this processor has it, given where it writes.
+  template <class Loop>
+  INVARIODE_EACH static auto in_vectors(Real* __restrict out, const Loop& loop) {
+    if constexpr (vectorised)
+      if (processor_has_avx2()) return for_avx2(out, loop);
+    return loop(out);
+  }
+
+  /// ‖value(i)‖ with the weights weight(i). In vectors by blocks, where weights have a loop of their own, whose cases
+  /// are decided before it, and no maximum waits for the one before.
+  template <class Value, class Weight>
+  INVARIODE_EACH static Real norm_of(std::size_t n, const Value& value, const Weight& weight) {
+    return in_vectors(nullptr, [n, &value, &weight](Real*) {
+      Norm norm[beside];
+      std::size_t i = 0;
+      if constexpr (vectorised) {
+        for (; i + block_of_norm <= n; i += block_of_norm) {
+          double w[block_of_norm], values[block_of_norm];
+          for (std::size_t j = 0; j < block_of_norm; ++j) w[j] = weight(i + j);
+          for (std::size_t j = 0; j < block_of_norm; ++j) values[j] = value(i + j) / w[j];
+          for (std::size_t j = 0; j < block_of_norm; ++j) norm[j % beside].add(values[j]);
+        }
+      }
+      for (; i < n; ++i) norm[0].add(value(i) / weight(i));
+      for (std::size_t j = 1; j < beside; ++j) norm[0].add(norm[j].value());
+      return norm[0].value();
+    });
+  }
+
   /// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10), in a form
   /// whose squares neither overflow nor underflow before the result does.
   static Real combined_error(const Real& error, const Real& crude) {
