@@ -1,10 +1,13 @@
 // The step contract: attempt proposes, accept alone commits, and what fails leaves no trace.
 
 #include <array>
+#include <cmath>
+#include <limits>
 #include <string>
 #include <vector>
 
 #include "check.hpp"
+#include "methods/runge_kutta.hpp"
 #include "problems.hpp"
 
 namespace invariode::test::contract_laws {
@@ -63,6 +66,37 @@ struct Bench {
 
 constexpr double h = 0.1;
 
+/// What three steps of a pair show, of n equations, f of one of which is not a number at the end of the second step.
+std::vector<double> shown(runge_kutta::MakeStep make, std::size_t n, std::size_t undefined, bool scaled) {
+  Function f = [&](double t, const double* y, double* out) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = y[(i + 1) % n] - 0.3 * y[i] * y[i] + 0.1 * t;
+    if (t == 2 * h && undefined < n) out[undefined] = std::numeric_limits<double>::quiet_NaN();
+  };
+  Callback callback = as_callback(f);
+  std::vector<double> y0(n), threshold(n), scale(scaled ? n : 0), seen, extension;
+  for (std::size_t i = 0; i < n; ++i) {
+    y0[i] = std::sin(static_cast<double>(i * i + 1));
+    threshold[i] = i % 3 == 0 ? 2 : 1e-3;
+    if (scaled) scale[i] = 1 + static_cast<double>(i % 5);
+  }
+  const Weights weights(1e-6, threshold, scale);
+  const auto step = make(callback, weights, Fsal::reuse);
+  CHECK(step->start(0, y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
+  for (int k = 1; k <= 3; ++k) {
+    const Step::Attempt proposal = step->attempt(h, k * h);
+    seen.insert(seen.end(), proposal.y, proposal.y + n);
+    seen.push_back(static_cast<double>(step->trust()));
+    seen.push_back(std::isnan(proposal.error) ? -1 : proposal.error);
+    if (proposal.outcome != Outcome::ok || step->accept(proposal.y) != Outcome::ok) break;
+    if (std::isnan(proposal.error)) break;
+    extension = extension_of(*step);
+    seen.insert(seen.end(), extension.begin(), extension.end());
+    seen.push_back(step->stability());
+    seen.push_back(step->h());
+  }
+  return seen;
+}
+
 }  // namespace
 
 TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
@@ -80,6 +114,21 @@ TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
         CHECK(bench.step->h() < h);
       }
     }
+}
+
+TEST(steps_in_vector_instructions_have_the_bits_of_those_without) {
+  using namespace runge_kutta;
+  std::vector<std::size_t> sizes{127, 128, 129, 400};
+  for (std::size_t n = 1; n <= 70; ++n) sizes.push_back(n);
+  for (std::size_t pair = 0; pair < Pairs::count; ++pair)
+    for (const std::size_t n : sizes)
+      for (const bool scaled : {false, true})
+        for (const std::size_t undefined : {n, n / 2, n - 1}) {
+          const check::Case label("pair ", pair, ", n = ", n, ", undefined ", undefined);
+          const std::vector<double> plain = shown(steps_of_small_systems[pair], n, undefined, scaled);
+          CHECK(plain.size() > 2 * n);
+          CHECK(same_bits(plain, shown(steps_of_any_system[pair], n, undefined, scaled)));
+        }
 }
 
 TEST(an_extension_gives_at_each_theta_what_it_gives_at_that_alone) {
