@@ -126,6 +126,16 @@ Status StepInterpolant::make() {
   return Status::ok;
 }
 
+double* StepInterpolant::take(double t0, const double* y0, double t1) {
+  start_t_ = t0;
+  start_y_ = y0;
+  end_t_ = t1;
+  size_ = max_size();
+  data_.resize(size_);
+  made_ = true;
+  return data_.data();
+}
+
 /// g at both ends of the step.
 Status StepInterpolant::residuals(double* g0, double* g1) {
   if (g_known_ && g_t_ == start_t_)

@@ -104,6 +104,8 @@ class StepInterpolant {
     start_y_ = y0;
     end_t_ = step_.t();
   }
+  /// Takes a step from (t0, y0) to t1 that was made elsewhere. Returns the place of its segment, `max_size` doubles.
+  double* take(double t0, const double* y0, double t1);
   [[nodiscard]] const double* start_y() const { return start_y_; }
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }

@@ -6,16 +6,33 @@
 
 namespace invariode {
 
+/// Below so many components, one component after the other is faster than one coefficient after the other.
+inline constexpr std::size_t few_components = 8;
+
 /// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
 template <class Real>
 void nested_polynomial(const Real* coefficients, std::size_t size, std::size_t n, const Real& theta, Real* out) {
   if (n == 0) return;
-  const Real* c = coefficients + (size - n);
+  const Real* const last = coefficients + (size - n);
+  const Real factor[] = {theta, Real(1) - theta};
+  const std::size_t degree = size / n - 1;
+  if (sizeof(Real) > sizeof(double) || n < few_components) {
+    for (std::size_t i = 0; i < n; ++i) {
+      const Real* c = last + i;
+      Real sum = *c;
+      for (std::size_t j = degree; j-- > 0;) {
+        c -= n;
+        sum = *c + factor[j % 2] * sum;
+      }
+      out[i] = sum;
+    }
+    return;
+  }
+  const Real* c = last;
   for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
-  for (std::size_t j = size / n - 1; j-- > 0;) {
-    const Real factor = j % 2 == 1 ? Real(1) - theta : theta;
+  for (std::size_t j = degree; j-- > 0;) {
     c -= n;
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor[j % 2] * out[i];
   }
 }
 

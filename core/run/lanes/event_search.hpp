@@ -1,6 +1,6 @@
 #pragma once
-// Locates the events of a step in which a lane has seen a sign change (`EventScan`): the step is made again by the code
-// for single runs, and output/events searches it.
+// Locates the events of a step in which a lane has seen a sign change (`EventScan`): output/events searches
+// the segment of the step.
 
 #include <memory>
 #include <optional>
@@ -11,7 +11,6 @@
 #include "output/events.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
-#include "run/ensemble.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/problem.hpp"
 
@@ -20,24 +19,22 @@ namespace invariode {
 class EventSearch {
  public:
   /// For a solver whose parameters are those of the trajectory whenever `search` is called.
-  EventSearch(const Solver& solver, const Ensemble& ensemble);
+  explicit EventSearch(const Solver& solver);
 
   /// Adds what occurs to `found`, of each event.
   lanes::Found search(const lanes::Crossed& crossed, std::vector<Trajectory>& found);
 
  private:
-  bool make_step(const lanes::Crossed& crossed);
+  void take(const lanes::Crossed& crossed);
   bool keep(double t1, std::vector<Trajectory>& found);
 
-  const Solver& solver_;
-  const Ensemble& ensemble_;
   Callback f_;
-  std::unique_ptr<Step> step_;
+  std::unique_ptr<Step> step_;  // never made: the interpolant knows its extension
   std::optional<Invariants> invariants_;
-  std::optional<Projector> projector_, output_projector_;
+  std::optional<Projector> projector_;
   std::optional<StepInterpolant> interpolant_;
   Events events_;
-  std::vector<double> y0_, k_, y1_, y_;
+  std::vector<double> y0_, y1_, y_;
 };
 
 }  // namespace invariode

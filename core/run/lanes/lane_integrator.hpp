@@ -299,8 +299,10 @@ class LaneIntegrator {
   /// A terminal event cuts the step.
   void find_events(const M& accepted, LaneStep<W>& step, M& odd) {
     const unsigned crossing = bits(watched_.scan(accepted, step, between_, odd)) & occupied_;
+    if (crossing != 0 && job_.projects) held_.complete(between_.of_invariant());
     for_each_lane(crossing, [&](int l) {
-      const Found found = host_.search({lane(l), step.t1.lanes()[l], step.h.lanes()[l], step.y1->lanes() + l});
+      const Found found =
+          host_.search({lane(l), step.t1.lanes()[l], step.y1->lanes() + l, between_.segment()->lanes() + l});
       if (!found.sound) odd = odd | to_mask<W>(one_lane(l));
       if (holds()) held_.count_search(l, found);
       if (found.terminal) cut(l, found, step);

@@ -174,6 +174,13 @@ class LaneInvariant {
     return odd;
   }
 
+  /// Writes W, g₀ and g₁ of the steps that were looked into.
+  INVARIODE_SHARED void complete(P* segment) const {
+    for (std::size_t i = 0; i < job_.n; ++i) segment[i] = w_[i];
+    segment[job_.n] = start_;
+    segment[job_.n + 1] = now_[Rows::end];
+  }
+
   /// Counts the cost of a search for events.
   void count_search(int lane, const Found& found) {
     now_[Rows::evaluations].lanes()[lane] += static_cast<double>(found.evaluations);

@@ -24,11 +24,16 @@ class LaneInterpolant {
       : job_(job),
         size_((degree + 1) * job.all),
         evaluate_(evaluate),
-        data_(take<W>(host, size_)),
-        lack_(take<W>(host, job.all)) {}
+        data_(take<W>(host, size_ + 2 * job.all + job.n + 2)),
+        lack_(data_ + size_ + job.all) {
+    for (std::size_t i = 0; i < job.all; ++i) data_[size_ + i] = P(0);
+  }
 
   /// Takes the steps, whose coefficients but for the first have been put there.
   [[nodiscard]] P* coefficients() { return data_; }
+  /// The rows of the `Segment` of steps; and those of W, g₀ and g₁ in it.
+  [[nodiscard]] const P* segment() const { return data_; }
+  [[nodiscard]] P* of_invariant() { return lack_ + job_.all; }
   INVARIODE_SHARED void begin(const LaneStep<W>& step) {
     for (std::size_t i = 0; i < job_.all; ++i) data_[i] = step.y0[i];
     if (!job_.corrects) return;
@@ -47,7 +52,7 @@ class LaneInterpolant {
   const Job& job_;
   std::size_t size_;
   LaneExtension<W>* evaluate_;
-  P *data_, *lack_;
+  P *data_, *lack_;  // the rows of a `Segment`; in it e₁, as e₀ = 0
 };
 
 template <int W>

@@ -169,12 +169,12 @@ struct Fallen {
   std::int64_t attempts;
 };
 
-/// A step in which the sign of an event changes, from where the lane is, with the signed size h to (t1, y1), y1 (n,)
-/// with the stride of the lane. What is known of the events is that at t1 when it has been searched.
+/// A step in which the sign of an event changes, from where the lane is to (t1, y1), y1 (n,) and the numbers of its
+/// `Segment` with the stride of the lane. What is known of the events is that at t1 when it has been searched.
 struct Crossed {
   Lane lane;
-  double t1, h;
-  const double* y1;
+  double t1;
+  const double *y1, *segment;
 };
 
 /// The result of a search. Unless it is sound the trajectory is to be left. `terminal`: it ends at (t, y), y (n,).

@@ -192,7 +192,7 @@ LaneWorker::LaneWorker(Solver& solver, const Ensemble& ensemble, const LaneForm&
       end_(solver.problem().n) {}
 
 void LaneWorker::run() {
-  if (order_.job.count_of_events > 0) search_.emplace(solver_, ensemble_);
+  if (order_.job.count_of_events > 0) search_.emplace(solver_);
   order_.kernel.run(order_.job, *this);
   result_.add_alone(left_why_);
 }
