@@ -37,7 +37,11 @@ BY_INTERPRETER = [
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--one-case", action="store_true", help="one case of each test but those BY_INTERPRETER")
+    parser.addoption(
+        "--part",
+        choices=("interpreter", "one-case"),
+        help="the files BY_INTERPRETER, alone or with one case of the others",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -50,10 +54,15 @@ def pytest_configure(config: pytest.Config) -> None:
         config.args[:] = files[first:] + files[:first]
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    others = config.getoption("--part") == "interpreter" and collection_path.suffix == ".py"
+    return True if others and collection_path.stem not in BY_INTERPRETER else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path)
-    if not config.getoption("--one-case"):
+    if config.getoption("--part") != "one-case":
         return
     assert all((Path(__file__).parent / f"{name}.py").exists() for name in BY_INTERPRETER)
     cases: dict[str, list[pytest.Item]] = {}
