@@ -29,6 +29,7 @@ from invariode._functions.layout import ArgumentLayout
 
 machine = pytest.importorskip("invariode._functions.graph.machine")
 objects = pytest.importorskip("invariode._functions.graph.objects")
+codes = pytest.importorskip("invariode._functions.graph.codes")
 
 EPS = np.finfo(float).eps
 #: Operations that are exact or correctly rounded: all codes must have the same bits.
@@ -81,7 +82,7 @@ def in_python(outputs, t=TIME, y=Y, p=ARGS):
 
 def compiled(outputs, **form):
     """(t, y, p) → values, by machine code."""
-    code = machine.machine_code(outputs, objects.CodeForm(**form))
+    code = codes.machine_code(outputs, objects.CodeForm(**form))
     kinds = [ctypes.c_double, *[ctypes.c_void_p] * 3] if form.get("lanes", 1) == 1 else [ctypes.c_void_p] * 5
     call = ctypes.CFUNCTYPE(None, *kinds)(code.address)
 
@@ -385,9 +386,9 @@ def test_code_of_a_large_repeating_graph_does_not_grow_with_it():
 
 
 def test_code_of_equal_graphs_is_made_once():
-    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, objects.CodeForm()) for _ in range(2)]
-    assert codes[0] is codes[1]
-    assert machine.machine_code(orbit_outputs(), objects.CodeForm(own=False)) is not codes[0]
+    made = [codes.machine_code(Formula("f", orbit_outputs, (4,)).outputs, objects.CodeForm()) for _ in range(2)]
+    assert made[0] is made[1]
+    assert codes.machine_code(orbit_outputs(), objects.CodeForm(own=False)) is not made[0]
 
 
 def orbit_outputs():
@@ -563,7 +564,7 @@ def test_kept_code_is_limited_in_bytes(monkeypatch):
         node = Graph().t
         for _ in range(length):
             node = node.graph.elementary("sin", node)
-        sizes.append(machine.machine_code([node], objects.CodeForm()).size)
+        sizes.append(codes.machine_code([node], objects.CodeForm()).size)
     assert sizes[1] > sizes[0] + 100 * 1000
 
 

@@ -16,8 +16,8 @@ from invariode._functions.graph.python import as_text
 
 objects = pytest.importorskip("invariode._functions.graph.objects")
 
-from invariode._functions.graph import series  # noqa: E402  # needs what was just imported
-from invariode._functions.graph.series_writer import SeriesForm  # noqa: E402  # likewise
+from invariode._functions.graph import codes, series  # noqa: E402  # needs what was just imported
+from invariode._functions.graph.objects import SeriesForm  # noqa: E402  # likewise
 
 EPS = np.finfo(float).eps
 ORDER = 9
@@ -36,7 +36,7 @@ def batched(values, count):
 def jet(outputs, **form):
     """(t, unit, y, p) → coefficients, by machine code."""
     form = SeriesForm(**{"n": 3, "order": ORDER, **form})
-    code = series.series_code(outputs, form)
+    code = codes.machine_code(outputs, form)
     number = ctypes.c_double if form.lanes == 1 else ctypes.c_void_p
     unused = [] if form.lanes == 1 else [None]
     call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(unused), number, number, *[ctypes.c_void_p] * 3)(
@@ -177,10 +177,10 @@ def test_lanes_have_the_bits_of_one_at_a_time(most, along):
 
 def test_linear_systems_and_series_in_loops_have_no_lanes(monkeypatch):
     form = SeriesForm(3, ORDER, lanes=4)
-    assert "linear system" in series.lane_code(SYSTEMS["solve"], form, make=True)
-    assert "fewer trajectories" in series.lane_code(SYSTEMS["few"], form, make=False)
+    assert "linear system" in codes.lane_code(SYSTEMS["solve"], form, make=True)
+    assert "fewer trajectories" in codes.lane_code(SYSTEMS["few"], form, make=False)
     monkeypatch.setattr(series, "_MOST_PRODUCTS", -1)
-    assert "so large" in series.lane_code(SYSTEMS["few"], form, make=True)
+    assert "so large" in codes.lane_code(SYSTEMS["few"], form, make=True)
 
 
 def test_solutions_of_linear_systems_are_those_of_cramers_rule():

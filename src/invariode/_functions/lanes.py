@@ -6,7 +6,7 @@ vector registers at once.
 with t (lanes,), y (n, lanes), out (its values, lanes), p (k, lanes). It is written from the graph of the function, each
 operation on a vector. A function that has no graph has no such form.
 
-The Taylor coefficients of a solution, for methods by series, have one too (`graph.series`).
+The Taylor coefficients of a solution, for methods by series, have one too (`graph.codes`).
 
 What a kernel for graphics cards would take is in docs/howto/ensembles.md.
 """

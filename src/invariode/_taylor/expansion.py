@@ -26,8 +26,7 @@ from .._sensitivity.landings import with_inputs
 from .._sensitivity.variations import Variations
 
 if TYPE_CHECKING:
-    from .._functions.graph.objects import MachineCode
-    from .._functions.graph.series_writer import SeriesForm
+    from .._functions.graph.objects import MachineCode, SeriesForm
 
 #: With more conditions than this at which f changes its branch, steps do not end there.
 _MOST_CONDITIONS = 64
@@ -173,7 +172,7 @@ class Expansion(NamedTuple):
 
     def in_lanes(self, lanes: int, make: bool) -> MachineCode | str:
         """Code for the series of this many solutions side by side, or the reason why it cannot be made."""
-        from .._functions.graph.series import lane_code
+        from .._functions.graph.codes import lane_code
 
         return lane_code(self.outputs, self.form._replace(lanes=lanes), make=make)
 
@@ -187,7 +186,7 @@ def make_expansion(
 ) -> Expansion:
     """The series of a problem, whose events the core has in this form; after them are those of sensitivities. `order`
     says which order series have, by the number of their sums."""
-    from .._functions.graph.series import count_sums
+    from .._functions.graph.recurrences import count_sums
 
     forward = 1.0 if problem.t_span[1] >= problem.t_span[0] else -1.0
     tangents = [] if varied is None else with_inputs(varied.tangent_nodes(), problem.inputs)
@@ -218,15 +217,15 @@ class _Maker:
 
     def form(self, *, along: bool) -> SeriesForm:
         """Return the form of the code: its arguments and its results."""
-        from .._functions.graph.series_writer import SeriesForm
+        from .._functions.graph.objects import SeriesForm
 
         return SeriesForm(self._size, self._order, along, own=self._own)
 
     def series(self, outputs: Sequence[Node], *, along: bool) -> _core.Series:
         """Coefficients of the solution of y' = outputs, or of the outputs along a polynomial."""
-        from .._functions.graph.series import series_code
+        from .._functions.graph.codes import machine_code
 
-        code = series_code(outputs, self.form(along=along))
+        code = machine_code(outputs, self.form(along=along))
         return _core.Series(address=code.address, order=self._order, owner=code.owner)
 
     def expanded(self, spec: EventSpec, value: list[Node] | None) -> EventSpec:

@@ -47,7 +47,7 @@ class OnGraph(CompiledFunction):
         outputs = None if shape.is_complex else self.graph(shape)
         if outputs is None:
             return super()._make(shape)
-        from .machine import machine_code  # needs llvmlite
+        from .codes import machine_code  # needs llvmlite
         from .objects import CodeForm
 
         return machine_code(outputs, CodeForm(returns=shape.event, own=self.elementary == "own"))
@@ -59,7 +59,7 @@ class OnGraph(CompiledFunction):
             return None
         if any(node.op == "entry" for node in in_order(outputs)):
             return "{f} solves a linear system"
-        from .machine import machine_code
+        from .codes import machine_code
         from .objects import CodeForm
 
         return machine_code(outputs, CodeForm(lanes=lanes, own=self.elementary == "own"))

@@ -14,8 +14,8 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from ..._base.forks import compiling
-from .nodes import Node, as_rows, in_order
-from .objects import NAME, CodeForm, MachineCode, made_of, object_file, target_machine
+from .nodes import Node, in_order
+from .objects import NAME, CodeForm, object_file, target_machine
 from .operations import DOUBLE, INDEX, POINTER, Operations
 from .rolled import Group, rolled
 
@@ -28,12 +28,9 @@ _ROLLED = 300
 _MOST_WORK = 2**15
 
 
-def machine_code(outputs: Sequence[Node], form: CodeForm) -> MachineCode:
-    """Return the machine code of a function with these values; code of an equal graph compiled in this process, or kept
-    by another one, is reused."""
-    return made_of(
-        (form, as_rows(outputs)), lambda: compiled(form.lanes, lambda module: _NodeWriter(module, form), outputs)
-    )
+def written(outputs: Sequence[Node], form: CodeForm) -> bytes:
+    """Compile a function with these values to an `object_file`."""
+    return compiled(form.lanes, lambda module: _NodeWriter(module, form), outputs)
 
 
 def compiled(lanes: int, writer: Callable[[Any], Writer], outputs: Sequence[Node], level: int = 3) -> bytes:

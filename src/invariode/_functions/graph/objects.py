@@ -42,6 +42,17 @@ class CodeForm(NamedTuple):
     own: bool = True  # invariode's elementary functions are called, not the mathematical library's
 
 
+class SeriesForm(NamedTuple):
+    """Form of the code of Taylor coefficients: its arguments and its results."""
+
+    n: int  # components of y
+    order: int  # order of the last coefficients
+    #: y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'
+    along: bool = False
+    lanes: int = 1  # so many numbers side by side
+    own: bool = True  # invariode's elementary functions are called, not the mathematical library's
+
+
 def is_kept(key: Any) -> bool:
     """Return whether `once` has made code with an equal key."""
     return hashlib.sha256(repr(key).encode()).digest() in _kept

@@ -199,6 +199,23 @@ class Program(NamedTuple):
     rules: Mapping[Node, Rule]  # rules of the nodes that are not linear
     moving: set[Node]  # the nodes whose coefficients k ≥ 1 are needed
 
+    @property
+    def solves(self) -> bool:
+        """Linear systems are solved."""
+        return any(one.op == "solve" for one in self.nodes)
+
+    @property
+    def sums(self) -> int:
+        """The number of sums of products in each order."""
+        return sum(len(self.rules[one].sums) for one in self.moving if one in self.rules)
+
+
+def count_sums(outputs: Sequence[Node]) -> float:
+    """Return the number of sums of products in each order; infinity if there are linear systems, which are not
+    counted."""
+    found = program(outputs)
+    return math.inf if found.solves else found.sums
+
 
 def program(outputs: Sequence[Node]) -> Program:
     """Return the program that computes the Taylor coefficients of these values."""

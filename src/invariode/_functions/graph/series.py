@@ -12,18 +12,17 @@ compute it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 from ..llvm_values import Value
 from .machine import compiled
-from .nodes import Node, as_rows
-from .objects import MachineCode, is_kept, made_of
+from .nodes import Node
+from .objects import SeriesForm
 from .operations import INDEX
 from .recurrences import UNWEIGHTED, Program, Sum, linear, minus, plus, program
 from .series_loops import Looped
-from .series_writer import Inverse, SeriesForm, SeriesWriter, inverse_of
+from .series_writer import Inverse, SeriesWriter, inverse_of
 
 #: Passes of optimisation take up to a third of the time, and the code is no faster: it has been written without what
 #: they could remove (Kepler's orbit, the restricted three-body problem, the outer solar system at orders 15 and 19).
@@ -35,52 +34,17 @@ _LEVEL = 0
 _MOST_PRODUCTS = 2500
 
 
-def count_sums(outputs: Sequence[Node]) -> float:
-    """Return the number of sums of products in each order; infinity if there are linear systems, which are not
-    counted."""
-    found = program(outputs)
-    return math.inf if _solves(found) else _sums(found)
-
-
-def _sums(found: Program) -> int:
-    return sum(len(found.rules[one].sums) for one in found.moving if one in found.rules)
-
-
-def _solves(found: Program) -> bool:
-    return any(one.op == "solve" for one in found.nodes)
-
-
 def is_small(found: Program, order: int) -> bool:
     """Return whether the coefficients are written out, as those of linear systems always are."""
-    return _sums(found) * order * (order + 1) // 2 <= _MOST_PRODUCTS or _solves(found)
+    return found.sums * order * (order + 1) // 2 <= _MOST_PRODUCTS or found.solves
 
 
-def series_code(outputs: Sequence[Node], form: SeriesForm) -> MachineCode:
-    """Return the machine code of the Taylor coefficients for y' = these values, or for these values along a
-    polynomial."""
-
-    def written() -> bytes:
-        found = program(outputs)
-        if is_small(found, form.order):
-            return compiled(form.lanes, lambda module: Unrolled(module, form, found), outputs, _LEVEL)
-        return compiled(form.lanes, lambda module: Looped(module, form, found), outputs, _LEVEL)
-
-    return made_of((form, as_rows(outputs)), written)
-
-
-def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> MachineCode | str:
-    """The code with lanes; or why the function {f} has none. Unless it is to be made, it is that which has been made.
-
-    Coefficients in loops have none: in one lane they fill vector registers too, and those of several lanes would not
-    fit into the cache (measured in benchmarks/taylor.py: 1.1 times as fast for six bodies)."""
-    if not (make or is_kept((form, as_rows(outputs)))):
-        return "fewer trajectories than {most} do not pay for compiling the series of {f} once more"
+def written(outputs: Sequence[Node], form: SeriesForm) -> bytes:
+    """Compile the Taylor coefficients for y' = these values, or for these values along a polynomial, to an
+    `object_file`."""
     found = program(outputs)
-    if _solves(found):
-        return "{f} solves a linear system"
-    if not is_small(found, form.order):
-        return "the series of {f} is so large that one trajectory fills the vector registers"
-    return series_code(outputs, form)
+    writer = Unrolled if is_small(found, form.order) else Looped
+    return compiled(form.lanes, lambda module: writer(module, form, found), outputs, _LEVEL)
 
 
 class Unrolled(SeriesWriter):

@@ -16,9 +16,10 @@ from llvmlite import ir
 
 from ..llvm_values import Value
 from .nodes import Node
+from .objects import SeriesForm
 from .operations import DOUBLE, INDEX, POINTER, constants
 from .recurrences import UNWEIGHTED, Program, Rule, Sum, linear, needs
-from .series_writer import Inverse, SeriesForm, SeriesWriter, inverse_of
+from .series_writer import Inverse, SeriesWriter, inverse_of
 
 #: Numbers in a vector; where registers are shorter it takes several.
 _WIDTH = 8

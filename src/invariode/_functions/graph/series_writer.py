@@ -9,18 +9,8 @@ from llvmlite import ir
 
 from ..llvm_values import Value
 from .machine import Writer
+from .objects import SeriesForm
 from .operations import DOUBLE, POINTER
-
-
-class SeriesForm(NamedTuple):
-    """Form of the code of Taylor coefficients: its arguments and its results."""
-
-    n: int  # components of y
-    order: int  # order of the last coefficients
-    #: y are the coefficients of a polynomial along which a function is expanded; otherwise its values are y'
-    along: bool = False
-    lanes: int = 1  # so many numbers side by side
-    own: bool = True  # invariode's elementary functions are called, not the mathematical library's
 
 
 class Inverse(NamedTuple):
