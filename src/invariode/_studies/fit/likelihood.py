@@ -157,7 +157,7 @@ class FittedModel:
     def evaluate(self, free: Array) -> ModelValues | Failed:
         """Return the model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
         other."""
-        if self._last is not None and np.array_equal(self._last.free, free):
+        if self._last is not None and (self._last.free == free).all():
             return self._last
         self.runs += 1
         found = self._evaluated(free)
@@ -174,8 +174,10 @@ class FittedModel:
 
     def _simulated(self, free: Array, derivatives: bool) -> ModelValues | Failed:
         values, slopes, levels, place = [], [], [], 0
-        sigma = self._factors.copy()
-        spread = np.zeros((self.size, len(free))) if self.estimates_noise else None
+        sigma = self._factors
+        spread = None
+        if self.estimates_noise:
+            sigma, spread = sigma.copy(), np.zeros((self.size, len(free)))
         for e, simulation in enumerate(self.simulations):
             local = self.space.local(e, free)
             ran = simulation.run(local.values, derivatives)
@@ -184,14 +186,16 @@ class FittedModel:
             values.append(ran.values)
             moving = local.slopes[: ran.tangent.shape[1]]
             slopes.append(ran.tangent @ moving)
-            if spread is not None and ran.sigma is not None:
+            if spread is None:
+                continue
+            if ran.sigma is not None:
                 own = slice(place, place + len(ran.values))
                 sigma[own] *= ran.sigma
                 spread[own] += ran.sigma_tangent / ran.sigma[:, None] @ moving
             for one in simulation.experiment.series:
                 data = np.arange(place, place + len(one.values))
                 place += len(one.values)
-                if one.level is None or spread is None:
+                if one.level is None:
                     continue
                 i = self.space.names[e].index(one.level)
                 value, slope = float(local.values[i]), local.slopes[i]
@@ -255,7 +259,7 @@ class FittedModel:
         if not self.relative:
             return 1.0
         degrees = self.size - unknowns
-        return float(np.sum(at.residuals**2)) / degrees if degrees > 0 else math.nan
+        return float((at.residuals**2).sum()) / degrees if degrees > 0 else math.nan
 
 
 def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:

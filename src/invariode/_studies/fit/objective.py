@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, Unpack
 
@@ -43,6 +44,10 @@ class Objective:
         self.names = tuple(one.name for one in model.space.free)
         self.start: Array = start_points(model, 1, None)[0]
         self.bounds = [one.parameter.limits for one in model.space.free]
+        limits = np.reshape(self.bounds, (-1, 2))
+        positive = np.nextafter(0.0, 1.0)  # the least value of parameters that have logarithms
+        self._lower = np.where([one.log for one in model.space.free], np.maximum(limits[:, 0], positive), limits[:, 0])
+        self._upper = limits[:, 1]
 
     @property
     def failures(self) -> dict[str, int]:
@@ -60,28 +65,16 @@ class Objective:
         free = real_numbers("x", by_name("x", x, self.names, "parameters"))
         if free.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} parameters {', '.join(self.names)}, got {free.shape}")
-        nothing = -np.inf, np.full(len(free), np.nan)
-        inside = all(low <= one <= high for one, (low, high) in zip(free, self.bounds, strict=True))
-        if not inside or any(one.log and value <= 0 for one, value in zip(self._model.space.free, free, strict=True)):
-            return nothing
-        at = self._model.evaluate(free)
+        model = self._model
+        inside = ((self._lower <= free) & (free <= self._upper)).all()
+        at = model.evaluate(free) if inside else None
         if not isinstance(at, ModelValues):
-            return nothing
-        return self._value(at), self._gradient(at)
-
-    def _value(self, at: ModelValues) -> float:
-        model = self._model
-        priors = model.space.priors(at.free)
-        constant = 0.5 * len(priors.residuals) * np.log(2 * np.pi)
-        sigma = at.sigma * np.sqrt(model.variance(at))
-        return float(model.log_likelihood(at, sigma) + priors.log_factor - priors.cost - constant)
-
-    def _gradient(self, at: ModelValues) -> Array:
-        model = self._model
-        found = model.gradient(at, model.variance(at))
-        priors = model.space.priors(at.free)
-        found += priors.slope_of_factor - priors.slopes.T @ priors.residuals
-        return found
+            return -np.inf, np.full(len(free), np.nan)
+        variance, priors = model.variance(at), model.space.priors(at.free)
+        value = model.log_likelihood(at, at.sigma * math.sqrt(variance)) + priors.log_factor - priors.cost
+        gradient = model.gradient(at, variance)
+        gradient += priors.slope_of_factor - priors.slopes.T @ priors.residuals
+        return value - 0.5 * len(priors.residuals) * math.log(2 * math.pi), gradient
 
     def __repr__(self) -> str:
         return f"Objective({', '.join(self.names)}; {self._model.size} data)"

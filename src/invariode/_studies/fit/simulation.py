@@ -128,8 +128,17 @@ class Simulation:
         self._watch = _watch(experiment, self._own, at, start)
         finite = experiment.data.t[np.isfinite(experiment.data.t)]
         self._times, self._which = _once(finite, backwards=tf < t0)
+        of_events = len(experiment.data.values)
+        observed = [one for one in experiment.series if one.row < of_events]
+        #: The quantity and the time of each datum but the times of events, which come last.
+        self._rows = np.array([one.row for one in observed for _ in one.places], dtype=int)
+        self._places = np.array([place for one in observed for place in one.places], dtype=int)
+        self._events = [one for one in experiment.series if one.row >= of_events]
         #: Columns of the derivatives of runs: numbers in args, each with its parameter, or initial values.
         self._columns = self._moving()
+        #: Parameters in args on which the initial value may depend, and whether the columns are all parameters.
+        self._starting = [j for j, one in self._columns if one.kind == "args"] if self._moves_start else []
+        self._complete = [j for j, _ in self._columns] == [*range(k)]
         if not np.isfinite(tf):
             problem = experiment.ended() if np.isfinite(experiment.last) else problem.replace(t_span=(t0, t0 + 1.0))
         args, y0 = self._values(self._own, problem, values)  # floats, not integers
@@ -191,15 +200,12 @@ class Simulation:
     def _slopes_of_start(self, start: _RunStart) -> Array | None:
         """Return the derivatives of the initial value for the numbers in args that a run has sensitivities for; None:
         they are zero, or not wanted."""
-        own = [j for j, one in self._columns if one.kind == "args"]
-        if start.slopes is None or not self._moves_start or not own:
-            return None
-        return _of_first(own, start.slopes)
+        return _of_first(self._starting, start.slopes) if start.slopes is not None and self._starting else None
 
     def _parameters(self, S: Array, start: _RunStart, k: int) -> Array:
         """Return derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, columns)."""
         assert start.slopes is not None
-        if [j for j, _ in self._columns] == [*range(k)]:  # they are the same
+        if self._complete:
             return S
         chain = np.zeros((len(self._columns), k))
         own = {j for j, _ in self._columns}
@@ -324,49 +330,43 @@ class Simulation:
         curves = self._all_curves(sol, start, values) if len(experiment.data.t) else None
         if isinstance(curves, Failed):
             return curves
-        k, found, sigmas = len(values) if slopes else 0, [], []
-        for one in experiment.series:
-            if curves is None or one.row >= len(experiment.data.values):
-                occurrences = self._occurrences(sol, start, one, k)
-                if isinstance(occurrences, Failed):
-                    return occurrences
-                found.append(occurrences[one.places])
-                sigmas.append(np.eye(1, 1 + k).repeat(len(one.places), axis=0))
-                continue
-            found.append(curves.along(one.row, one.places))
-            if one.formula:
-                sigmas.append(curves.along(len(experiment.data.values) + one.row, one.places))
-        every = np.concatenate([np.zeros((0, 1 + k)), *found])
+        k = len(values) if slopes else 0
+        every = np.zeros((0, 1 + k)) if curves is None else curves.at(self._rows, self._places)
+        for one in self._events:
+            occurrences = self._occurrences(sol, start, one, k)
+            if isinstance(occurrences, Failed):
+                return occurrences
+            every = np.concatenate([every, occurrences[one.places]])
         if not np.isfinite(every).all():
             return Failed("the model or its derivatives are not finite")
         if experiment.sigma_function is None:
             return Simulated(every[:, 0], every[:, 1:])
-        sigma = np.concatenate([np.zeros((0, 1 + k)), *sigmas])
+        sigma = np.eye(1, 1 + k).repeat(len(every), axis=0)
+        if curves is not None:
+            sigma[: len(self._rows)] = curves.at(len(experiment.data.values) + self._rows, self._places)
         if not (np.isfinite(sigma).all() and (sigma[:, 0] > 0).all()):
             return Failed("sigma is not positive and finite")
         return Simulated(every[:, 0], every[:, 1:], sigma[:, 0], sigma[:, 1:])
 
     def _all_curves(self, sol: Any, start: _RunStart, values: Array) -> _ObservedCurves | Failed:
         """Return the observed quantities at the times of the data; at infinity in the steady state."""
-        t = self.experiment.data.t
-        y, which = np.empty((len(start.y0), len(t))), np.isfinite(t)
-        tangent = None if start.slopes is None else np.empty((len(start.y0), len(t), len(values)))
+        t, which = self.experiment.data.t, self._which
         if sol is None:  # all data are at the start
-            y[:, which] = start.y0[:, None]
-            if tangent is not None and start.slopes is not None:
-                tangent[:, which] = start.slopes[:, None]
+            y, which = start.y0[:, None], np.zeros_like(which)
+            tangent = None if start.slopes is None else start.slopes[:, None]
         else:
-            y[:, which] = sol.y[:, self._which]
-            if tangent is not None:
-                tangent[:, which] = self._tangent(sol, start, len(values))[:, self._which]
-        if not which.all():
+            y, tangent = sol.y, None if start.slopes is None else self._tangent(sol, start, len(values))
+        if len(which) < len(t):
             rest = self._at_rest(self._own, self.experiment.problem, start)
             if isinstance(rest, Failed):
                 return rest
-            y[:, ~which] = rest.y0[:, None]
+            finite, last = np.isfinite(t), y.shape[1]
+            y = np.concatenate([y, rest.y0[:, None]], axis=1)
             if tangent is not None and rest.slopes is not None:
-                tangent[:, ~which] = rest.slopes[:, None]
-        return self._curves(t, y, tangent, values, start)
+                tangent = np.concatenate([tangent, rest.slopes[:, None]], axis=1)
+            at_times, which = which, np.full(len(t), last)
+            which[finite] = at_times
+        return self._curves(t, y[:, which], None if tangent is None else tangent[:, which], values, start)
 
     def _tangent(self, sol: Any, start: _RunStart, k: int) -> Array:
         none = np.zeros((*sol.y.shape, 0))
@@ -443,10 +443,10 @@ class _ObservedCurves(NamedTuple):
     values: Array
     tangent: Array | None
 
-    def along(self, row: int, places: Array) -> Array:
-        """Return a quantity at some times, with its derivatives, (times, 1 + k)."""
-        values = self.values[row, places][:, None]
-        return values if self.tangent is None else np.hstack([values, self.tangent[row, places]])
+    def at(self, rows: Array, places: Array) -> Array:
+        """Return quantities, each at a time of its own, with their derivatives, (N, 1 + k)."""
+        values = self.values[rows, places][:, None]
+        return values if self.tangent is None else np.concatenate([values, self.tangent[rows, places]], axis=1)
 
 
 def _in_use(settings: ParameterPlaces, numbers: set[int] | None) -> list[tuple[int, ParameterName]]:
