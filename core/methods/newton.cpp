@@ -31,19 +31,18 @@ constexpr int old_preconditioner = 20;    // steps
 
 }  // namespace
 
-void Convergence::begin(double rtol, double roundoff, bool careful) {
+void Convergence::begin(double rtol, bool careful) {
   rtol_ = careful ? careful_part * rtol : rtol;
   most_iterations_ = careful ? careful_iterations : rules_.most_iterations;
-  roundoff_ = roundoff;
   iteration_ = 0;
 }
 
 /// A first update is judged by the rate from before. That may have been roundoff, where f was linear, and then says
 /// nothing of an update that leads far away, such as into the range of an exponential.
-Convergence::Verdict Convergence::judge(double size) {
+Convergence::Verdict Convergence::judge(double size, double roundoff) {
   ++iteration_;
   if (!std::isfinite(size)) return Verdict::diverged;
-  if (size <= roundoff_) return Verdict::converged;
+  if (size <= roundoff) return Verdict::converged;
   if (iteration_ == 1) {
     const double rate = std::max(rate_, least_first_rate);
     if (rate_known_ && size * rate / (1 - rate) <= rules_.first_goal * rtol_) return Verdict::converged;
@@ -418,22 +417,23 @@ double Newton::norm_in_attempt(const double* v) const {
   return max_norm(system().state().size(), [v, w = place_.w](std::size_t i) { return v[i] / w[i]; });
 }
 
-/// The iteration begins at the prediction, y = p and d = 0. Returns the size of an increment that is roundoff.
-double Newton::begin_iteration(const double* p, double* d, double* y) {
+/// The iteration begins at the prediction, y = p and d = 0.
+void Newton::begin_iteration(const double* p, double* d, double* y) {
   const std::size_t n = system().state().size();
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
-  const double roundoff = Convergence::roundoff_units * eps * norm_in_attempt(p);
-  convergence_.begin(weights_.rtol(), roundoff, careful());
-  return roundoff;
+  convergence_.begin(weights_.rtol(), careful());
 }
+
+/// The size of an update of p that is roundoff: at most as many ε as its units, since no weight is below |p|.
+double Newton::roundoff(const double* p) const { return Convergence::roundoff_units * eps * norm_in_attempt(p); }
 
 /// Newton's iteration as it is in the books. What it converges to from p is a solution however J changes between.
 Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d, double* y) {
   const auto [c, t1, place_y, w] = place_;
   const std::size_t n = system().state().size();
   const auto norm = [&](const double* v) { return norm_in_attempt(v); };
-  const double roundoff = begin_iteration(p, d, y);
+  begin_iteration(p, d, y);
   for (int k = 0; k < most_full_iterations; ++k) {
     Result result = evaluate_state();
     if (result == Result::converged && take_in_place(t1, y, f_value_.data()) == Status::stop) result = Result::stop;
@@ -447,7 +447,7 @@ Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
-    if (size <= std::max(convergence_.goal(), roundoff)) return Result::converged;
+    if (size <= std::max(convergence_.goal(), roundoff(p))) return Result::converged;
   }
   return Result::failed;
 }
@@ -456,13 +456,11 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
   const auto [c, t1, place_y, w] = place_;
   const std::size_t n = system().state().size();
   const auto norm = [&](const double* v) { return norm_in_attempt(v); };
-  const double roundoff = begin_iteration(p, d, y);
-  double before = 0;
-  const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
+  begin_iteration(p, d, y);
+  const double tolerance = matrix_free() ? std::max(linear_part * convergence_.goal(), roundoff(p)) : 0;
   for (;;) {
     if (const Result evaluated = evaluate_state(); evaluated != Result::converged) return evaluated;
     residual(system().state(), psi, d);
-    const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
     if (!matrix_free()) {
       before_.swap(earlier_);
       std::copy_n(residual_.begin(), n, before_.begin());
@@ -478,12 +476,11 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
-    switch (convergence_.judge(size)) {
+    switch (convergence_.judge(size, size > Convergence::roundoff_units * eps ? 0 : roundoff(p))) {
       case Convergence::Verdict::converged:
-        if (const Result confirmed = confirm(psi, d, size, last, before); confirmed != Result::failed) return confirmed;
+        if (const Result confirmed = confirm(psi, d, size); confirmed != Result::failed) return confirmed;
         if (const Result renewed = renew_in_place(); renewed != Result::converged) return renewed;
-        convergence_.begin(weights_.rtol(), roundoff, careful());
-        before = 0;
+        convergence_.begin(weights_.rtol(), careful());
         break;
       case Convergence::Verdict::diverged:
         if (convergence_.iterations() > 1 && unmoved(earlier_, before_.data(), w, 0)) note_too_large();
@@ -506,7 +503,8 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   };
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
-  sensitivity_convergence_.begin(weights_.rtol(), Convergence::roundoff_units * eps * norm(p));
+  const double roundoff = Convergence::roundoff_units * eps * norm(p);
+  sensitivity_convergence_.begin(weights_.rtol());
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
   for (;;) {
     const Result evaluated = newton_result(system().evaluate(part, place_.t, y, f_value_.data()));
@@ -521,7 +519,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
       y[i] = p[i] + d[i];
     }
     if (system().coupled(part).empty()) return Result::converged;
-    switch (sensitivity_convergence_.judge(size)) {
+    switch (sensitivity_convergence_.judge(size, roundoff)) {
       case Convergence::Verdict::converged: return Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
       case Convergence::Verdict::go_on: break;
@@ -557,14 +555,15 @@ Newton::Result Newton::solve_columns(double goal, double* b) {
   return Result::converged;
 }
 
-/// Updates say that the iteration has converged. Do its residuals: of an update of that size, after a residual of the
-/// size `before` and, if it is not the first, one of the size `last`? J of another branch of f may be so much too large
-/// that updates are too small to show that nothing is solved. What is not stiff cannot be: there the solution is not
-/// farther off than its residual.
-Newton::Result Newton::confirm(const double* psi, const double* d, double size, double last, double before) {
+/// Updates say that the iteration has converged. Do its residuals, of an update of that size? J of another branch of f
+/// may be so much too large that updates are too small to show that nothing is solved. What is not stiff cannot be:
+/// there the solution is not farther off than its residual.
+Newton::Result Newton::confirm(const double* psi, const double* d, double size) {
   if (matrix_free() || mass() != nullptr) return Result::converged;
-  const bool slow = convergence_.iterations() > 1 && !solved(size, last, before);
-  if (!slow && (before <= tolerated_residual() || !stiff(place_.c, place_.w))) return Result::converged;
+  const double before = norm_in_attempt(before_.data());
+  if (before <= tolerated_residual()) return Result::converged;
+  const bool slow = convergence_.iterations() > 1 && !solved(size, norm_in_attempt(earlier_.data()), before);
+  if (!slow && !stiff(place_.c, place_.w)) return Result::converged;
   switch (audit()->evaluate(place_.t, place_.y, f_value_.data())) {
     case Outcome::stop: return Result::stop;
     case Outcome::not_finite: return slow ? Result::failed : Result::converged;

@@ -44,11 +44,10 @@ class Convergence {
 
   /// Forgets the rate: the iteration matrix is another one.
   void forget() { rate_known_ = false; }
-  /// Starts an iteration. An update of size `roundoff` or less ends it at once. `careful`: it may leave a thousandth of
-  /// what it may otherwise.
-  void begin(double rtol, double roundoff, bool careful = false);
-  /// Judges the iteration after an update of that size.
-  Verdict judge(double size);
+  /// Starts an iteration. `careful`: it may leave a thousandth of what it may otherwise.
+  void begin(double rtol, bool careful = false);
+  /// Judges the iteration after an update of that size. One of size `roundoff` or less ends it at once.
+  Verdict judge(double size, double roundoff);
   /// Ends an iteration whose next update would have this size at most.
   void settle(double size);
   /// The error that an iteration may leave, in units of the weights.
@@ -61,7 +60,7 @@ class Convergence {
 
  private:
   Rules rules_;
-  double rtol_ = 0, roundoff_ = 0;
+  double rtol_ = 0;
   int iteration_ = 0, most_iterations_ = 0;
   double previous_ = 0;
   double rate_ = 0;
@@ -308,13 +307,14 @@ class Newton : public AgingJacobian {
   };
 
   [[nodiscard]] double norm_in_attempt(const double* v) const;
-  double begin_iteration(const double* p, double* d, double* y);
+  void begin_iteration(const double* p, double* d, double* y);
+  [[nodiscard]] double roundoff(const double* p) const;
   Result solve_fully(const double* p, const double* psi, double* d, double* y);
   Result solve_state(const double* p, const double* psi, double* d, double* y);
   Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
   Result evaluate_state();
   void residual(const Part& part, const double* psi, const double* d);
-  Result confirm(const double* psi, const double* d, double size, double last, double before);
+  Result confirm(const double* psi, const double* d, double size);
   Result doubt(bool soft);
   [[nodiscard]] bool solved(double size, double last, double residual) const;
   [[nodiscard]] double tolerated_residual() const;

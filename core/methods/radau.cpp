@@ -171,7 +171,7 @@ Newton::Result Radau::solve_stages() {
 
 Newton::Result Radau::iterate(Convergence& convergence) {
   const double roundoff = Convergence::roundoff_units * eps * norm_of_part(y());
-  convergence.begin(weights_.rtol(), roundoff, solver_.careful());
+  convergence.begin(weights_.rtol(), solver_.careful());
   const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
   for (bool forgets = false;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
@@ -189,14 +189,14 @@ Newton::Result Radau::iterate(Convergence& convergence) {
     }
     const double size = update_stages(forgets);
     if (solver_.system().coupled(part_).empty()) return Newton::Result::converged;  // a first update, and exact
-    switch (convergence.judge(size)) {
+    switch (convergence.judge(size, roundoff)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged:
         if (part_.of_state() && convergence.iterations() > 1 && unmoved(earlier_, residual_.data(), weight_.data(), 0))
           solver_.note_too_large();
         if (part_.of_state() || forgets || solver_.matrix_free()) return Newton::Result::failed;
         forgets = true;  // updates of S that are roundoff
-        convergence.begin(weights_.rtol(), roundoff);
+        convergence.begin(weights_.rtol());
         break;
       case Convergence::Verdict::go_on: break;
     }

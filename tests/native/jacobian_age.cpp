@@ -75,13 +75,13 @@ TEST(an_update_below_the_goal_of_jumps_that_has_not_shrunk_goes_on_and_a_larger_
   for (const double jump_goal : {0.0, 0.1}) {
     const check::Case label("jump_goal = ", jump_goal);
     Convergence convergence({.most_iterations = 7, .goal = 0.01, .first_goal = 0.1, .jump_goal = jump_goal});
-    convergence.begin(1, 0);
-    CHECK(convergence.judge(0.05) == Verdict::go_on);
-    CHECK(convergence.judge(0.06) == (jump_goal > 0 ? Verdict::go_on : Verdict::diverged));
+    convergence.begin(1);
+    CHECK(convergence.judge(0.05, 0) == Verdict::go_on);
+    CHECK(convergence.judge(0.06, 0) == (jump_goal > 0 ? Verdict::go_on : Verdict::diverged));
     CHECK(!convergence.rate_known());  // f may jump between the iterates: their updates say nothing of the rate
-    convergence.begin(1, 0);
-    CHECK(convergence.judge(0.5) == Verdict::go_on);
-    CHECK(convergence.judge(0.6) == Verdict::diverged);
+    convergence.begin(1);
+    CHECK(convergence.judge(0.5, 0) == Verdict::go_on);
+    CHECK(convergence.judge(0.6, 0) == Verdict::diverged);
   }
 }
 
