@@ -81,7 +81,8 @@ def _unpacked(data: bytes) -> _Planned:
 def _solve_part(what: bytes | _Planned, y0: Array, args: Any, workers: int) -> Outcomes:
     """Solve the rows of a part where an executor runs this."""
     with quietly():
-        return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, Locally(workers))
+        ensemble, plans = _unpacked(what) if isinstance(what, bytes) else what
+        return attempted(ensemble, plans, ensemble.task(y0, args), Locally(workers))
 
 
 def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> float:
@@ -139,7 +140,8 @@ class _Parted:
 
     def _solved_here(self, y0: Array, args: Any, workers: int) -> Outcomes:
         with quietly():  # the first plan has said it
-            return attempted(*self._here, y0, args, Locally(workers))
+            ensemble, plans = self._here
+            return attempted(ensemble, plans, ensemble.task(y0, args), Locally(workers))
 
     def outcomes(self, parts: Iterator[RowBlock]) -> Generator[tuple[RowBlock, Outcomes]]:
         """Yield each part with its outcomes, as parts are finished."""

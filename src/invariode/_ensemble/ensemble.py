@@ -104,7 +104,7 @@ def _at_once(
     first, plan = first_plan(task)
     plans = [plan, *(ensemble.task(y0, args, k).plan(first) for k in range(1, len(ensemble.attempts)))]
     with bar(shown, "trajectories", len(y0)) as report:
-        found = attempted(ensemble, plans, y0, args, Locally(workers, report, keep=True))
+        found = attempted(ensemble, plans, task, Locally(workers, report, keep=True))
     return solution(task, plan, found, ensemble.on_failure, on_interrupt, index)
 
 

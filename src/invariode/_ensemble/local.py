@@ -60,8 +60,8 @@ _CODES = np.array(
     dtype=np.int8,
 )
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
-#: Seconds that rows whose functions only calculate are solved in this process before others are started, which takes
-#: about as long (benchmarks/overhead.py). Any other function might end the process, and with it the caller's.
+#: Seconds of this thread that rows whose functions only calculate are solved here before processes are started, which
+#: takes about as long (benchmarks/overhead.py). Any other function might end the process, and with it the caller's.
 _PATIENCE = 0.05
 #: Trajectories that failed, and runs that tell why they ended.
 Failures = Sequence[tuple[int, _core.Run]]
@@ -78,17 +78,17 @@ class Locally(NamedTuple):
 def attempted(
     ensemble: Ensemble,
     plans: Sequence[Plan],
-    y0: Array,
-    args: Any,
+    task: Task,
     means: Locally,
 ) -> Outcomes:
     """Solve the rows and return their outcomes; rows that failed are solved again as long as there are other
     attempts."""
-    found = _solved(ensemble.task(y0, args), plans[0], means)
+    found = _solved(task, plans[0], means)
     for k, plan in enumerate(plans[1:], 1):
         failed = found.failed
         if failed.size and not found.interrupted:
-            again = _solved(ensemble.task(y0[failed], rows_of(args, failed), k), plan, means._replace(report=None))
+            rest = ensemble.task(task.y0[failed], rows_of(task.args, failed), k)
+            again = _solved(rest, plan, means._replace(report=None))
             found.replace(failed, again, k)
             found.interrupted |= again.interrupted
     return found
@@ -423,12 +423,12 @@ def _here(task: Task) -> Generator[list[_Outcome]]:
 def _here_and_elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
     """Solve rows in worker processes; where functions cannot end a process, what takes no longer than to start these is
     solved in this one."""
-    first, end = 0, time.monotonic() + _PATIENCE
+    first, end = 0, time.thread_time() + _PATIENCE  # a busy machine makes no row longer
     if task.first_here and task.only_calculates():
         for outcomes in _here(task):
             yield outcomes
             first += 1
-            if time.monotonic() > end:
+            if time.thread_time() > end:
                 break
     if first < len(task.y0):
         rest = solve_rows(partial(_solve_later, task, first), len(task.y0) - first, workers, partial(_died, first))

@@ -13,11 +13,10 @@ from .._base.arguments import Array, quietly
 from .._base.types import MethodName, OnFailure
 from .._functions.graph.plain import only_calculates
 from .._plan.plan import Plan, solver
-from .._plan.planning import make_plan
 from .._problem.options import Options
 from .._problem.problem import Problem
 from .._problem.start import ChangedStart
-from .._run.prepared import OnCourse, kind_of, run_or_plan
+from .._run.prepared import OnCourse, kind_of, run_or_plan, shared_or_plan
 
 #: Rows with arguments of these types are of one kind, whatever the values.
 _NUMBERS = frozenset({float, int})
@@ -36,14 +35,18 @@ class Task:
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
     in_lanes: bool
     first_here: bool = False  # see `_ensemble.local`
-    _alike: tuple[OnCourse, Plan] | None = None  # of the rows, found with the first that is run
+    _alike: tuple[OnCourse, Plan] | None = None  # of the rows, found with the first
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_alike": None}
 
     def plan(self, i: int) -> Plan:
         """Return the plan of one trajectory."""
-        return make_plan(self._problem(i), self.method, self.options)
+        found = shared_or_plan(self._problem(i), self.method, self.options)
+        if isinstance(found, Plan):
+            return found
+        self._share(found)
+        return found.prepared.plan_of(found.problem, found.course, None)
 
     def run(self, i: int) -> tuple[_core.Run, Plan, Callable[[], Plan]]:
         """Return the run of one trajectory, the plan that all trajectories of its kind share, and a function that
@@ -62,10 +65,13 @@ class Task:
                 return solver(begun).integrate(begun.start), begun, lambda: begun
             shared, run = begun
             if self.options.get("breakpoints") is None:
-                # Only the types of y0 and of the arguments decide the kind of a row.
-                self._alike = shared, shared.prepared.plan._replace(course=shared.course)
+                self._share(shared)
             plan = shared.prepared.plan_of(shared.problem, shared.course, run)
             return run, plan, lambda: plan
+
+    def _share(self, shared: OnCourse) -> None:
+        """Run further rows by a plan: only the types of y0 and of the arguments decide the kind of a row."""
+        self._alike = shared, shared.prepared.plan._replace(course=shared.course)
 
     def only_calculates(self) -> bool:
         """Return whether the functions of the rows do nothing but calculate with numbers: they cannot end a process."""

@@ -156,12 +156,13 @@ class Prepared:
         self._idle.append(core)  # but not after an exception
         return run
 
-    def plan_of(self, problem: Problem, course: Course, run: _core.Run) -> Plan:
-        """Return the plan as a run of a problem carried it out."""
+    def plan_of(self, problem: Problem, course: Course, run: _core.Run | None) -> Plan:
+        """Return the plan as a run of a problem carried it out; without invariants, a run is not needed."""
         plan, described = self.plan, problem
         bound = replace(plan.bound, args=problem.args, forward=course.forward)
         if bound.specs:
             used = [f for one in described.invariants for f in (one.fun, one.jac, one.metric)]
+            assert run is not None
             bound = replace(bound, value=run.value, parameters=native_parameters(problem.args, used))
             if self._lends:
                 bound = bound.with_functions(described.invariants)
@@ -257,6 +258,18 @@ def prepared_or_plan(problem: Problem, method: MethodName, options: Options) -> 
         return plan
     kept[kind] = prepared
     return prepared
+
+
+def shared_or_plan(problem: Problem, method: MethodName, options: Options) -> OnCourse | Plan:
+    """Return the plan that all problems of a kind share, for one whose f is in Python; or the problem's own plan, if
+    there is no such plan, or it follows from more than y0 and args."""
+    more = problem.invariants or options.get("breakpoints") is not None
+    if type(problem.fun) is not FunctionType or more:
+        return make_plan(problem, method, options)
+    found = prepared_or_plan(problem, method, options)
+    if not isinstance(found, Prepared):
+        return found
+    return OnCourse(found, problem, course_of(found.choice, problem.t_span, problem.y0, options.get("t_eval")))
 
 
 def run_or_plan(
