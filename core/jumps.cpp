@@ -22,8 +22,7 @@ Jumps::Jumps(const Parts& parts, std::function<Consistency(double t, double* y)>
       consistent_tangent_(std::move(consistent_tangent)),
       f_(f),
       rate_(std::move(rate)),
-      extent_(Extent::within(n, size)),
-      raw_(n) {
+      extent_(Extent::within(n, size)) {
   jumped_.resize(extent_.k * extent_.n);
   if (parts_.delays == nullptr || extent_.k == 0) return;
   past_.resize(parts_.delays->lags().size() * extent_.n);
@@ -124,7 +123,7 @@ State Jumps::at_breakpoints(double t, double* Y, bool inside) {
 /// Algebraic variables jump where their equations do, and invariants may have other values. If these determine y, it
 /// jumps with them.
 State Jumps::without_action(double t, double* Y, bool inside) {
-  std::copy_n(Y, extent_.n, raw_.begin());
+  raw_.assign(Y, Y + extent_.n);
   State state = onto_equations(t, Y);
   if (state != State::running) return state;
   if (parts_.manifold.compare_values(t, Y, others_) == Status::stop) return State::interrupted;
@@ -159,7 +158,7 @@ State Jumps::work(double t, double* Y) {
   for (int round = 0; state == State::running; ++round) {
     while (state == State::running && !due_.empty()) state = take_next(t, Y);
     if (terminal_ || state != State::running) break;
-    std::copy_n(Y, extent_.n, raw_.begin());
+    raw_.assign(Y, Y + extent_.n);
     state = restore(t, Y);
     if (state != State::running || std::equal(raw_.begin(), raw_.end(), Y)) break;
     state = judge(t, Y, round);

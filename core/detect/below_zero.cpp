@@ -69,7 +69,6 @@ Component BelowZero::deepest(std::size_t n, const double* y, const double* watch
 void BelowZero::start(const double* y, const std::vector<double>& lower) {
   watch_.assign(weights_.size(), unwatched);
   if (!watches_) return;
-  work_.resize(2 * watch_.size());  // now: steps allocate nothing
   for (std::size_t i = 0; i < watch_.size(); ++i)
     if (y[i] >= 0 && (lower.empty() || !std::isfinite(lower[i]))) watch_[i] = depth(weights_.absolute_tolerance(i));
 }

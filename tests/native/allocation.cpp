@@ -55,6 +55,8 @@ namespace {
 /// The search for jumps of f makes these vectors once, when attempts first fail one after the other: two points of the
 /// series, weights and three points with f there, a point ahead and f, and the nine ends of eight parts with f there.
 constexpr std::int64_t room_of_search = 2 + 1 + 3 * 2 + 2 + 1 + 9 * 2;
+/// The judge of components that fall below 0 makes a point with f there, when the first one falls.
+constexpr std::int64_t room_of_falls = 1;
 /// radau makes its polynomial once, when a step is first looked at inside, and the two systems of each other order,
 /// with matrix, factors and pivots of each, when it first takes one.
 constexpr std::int64_t room_of_radau = 1 + 4 * 3;
@@ -71,6 +73,7 @@ std::int64_t allocations_of(Run& run) {
   const std::int64_t after = allocations;
   CHECK(run->counts().steps > 20);
   return std::max(std::int64_t{0}, after - before - (run->counts().failed > 0 ? room_of_search : 0) -
+                                       (run->evaluations_of_checks() > 0 ? room_of_falls : 0) -
                                        (run->step().parts_seen() > 0 ? room_of_radau : 0));
 }
 
