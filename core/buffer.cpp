@@ -15,10 +15,11 @@ namespace {
 /// requests them from 4 MB on too.)
 constexpr std::size_t large = std::size_t{4} * 1024 * 1024, page = 4096;
 
-/// A wish, which the system may ignore.
+/// A wish, which the system may ignore. It is for whole pages, the first one too: `realloc` moves a block that grows
+/// without copying it if the advice is the same for all of it.
 void ask_for_large_pages(void* block, std::size_t bytes) {
-  const std::size_t to_page = (page - reinterpret_cast<std::uintptr_t>(block) % page) % page;
-  madvise(static_cast<char*>(block) + to_page, bytes - to_page, MADV_HUGEPAGE);
+  const std::size_t inside = reinterpret_cast<std::uintptr_t>(block) % page;
+  madvise(static_cast<char*>(block) - inside, bytes + inside, MADV_HUGEPAGE);
 }
 #endif
 
