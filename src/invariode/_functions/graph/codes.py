@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from .nodes import Node, as_rows
 from .objects import CodeForm, MachineCode, SeriesForm, is_kept, made_of
-from .recurrences import program
 
 
 def machine_code(outputs: Sequence[Node], form: CodeForm | SeriesForm) -> MachineCode:
@@ -33,6 +32,7 @@ def lane_code(outputs: Sequence[Node], form: SeriesForm, *, make: bool) -> Machi
     fit into the cache (measured in benchmarks/taylor.py: 1.1 times as fast for six bodies)."""
     if not (make or is_kept((form, as_rows(outputs)))):
         return "fewer trajectories than {most} do not pay for compiling the series of {f} once more"
+    from .recurrences import program
     from .series import is_small
 
     found = program(outputs)
