@@ -4,6 +4,7 @@
 
 #include <bit>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 
 // Functions of which the code for packs shares one, and those that are a part of each caller: the compiler would take
@@ -17,6 +18,14 @@
 #endif
 
 namespace invariode {
+
+/// Two doubles in a register of every processor of 64 bits, where the compiler knows such.
+#if defined(__GNUC__)
+typedef double Pair __attribute__((vector_size(2 * sizeof(double))));  // NOLINT(modernize-use-using): as in pack.hpp
+#else
+using Pair = double;
+#endif
+inline constexpr std::size_t in_pair = sizeof(Pair) / sizeof(double);
 
 inline bool any(bool condition) { return condition; }
 inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }

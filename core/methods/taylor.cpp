@@ -22,6 +22,15 @@ constexpr int most_close = 8;          // cuts in a row so shortly after the sta
 constexpr double beyond = 4;           // ulp of t, from the root of a condition to the end of the step
 constexpr double shortened = 0x1p-32;  // the unit of time, where coefficients overflow
 
+/// Calls act(n), with a constant for n up to 8: loops over few components become straight code.
+template <std::size_t N = 1, class Act>
+INVARIODE_EACH auto with_size(std::size_t n, const Act& act) {
+  if constexpr (N > 8)
+    return act(n);
+  else
+    return n == N ? act(std::integral_constant<std::size_t, N>()) : with_size<N + 1>(n, act);
+}
+
 /// The shortest step that a condition is given: roundoff of t, also where t is 0.
 double shortest(double t, double length) { return hmin_ulps * ulp(std::max(std::abs(t), length)); }
 
@@ -36,12 +45,11 @@ Taylor::Taylor(Callback& f, const Weights& weights, SystemSeries& series, bool p
       order_(static_cast<std::size_t>(series_.order())),
       exponent_(1.0 / (series_.order() + 1)),
       factor_(std::exp((std::log(weights.rtol()) - margin) / (series_.order() - 1))),
-      current_{.c = std::vector<double>((order_ + 1) * weights.size())},
-      next_{.c = std::vector<double>((order_ + 1) * weights.size())},
       remainder_(weights.size()),
       values_(5 * weights.size()) {
   assert(lowest_order <= series_.order() && series_.order() <= highest_order);
   double* next = values_.data();
+  for (Expansion& one : expansions_) one.c.resize((order_ + 1) * n());
   for (double** v : {&candidate_, &end_slope_, &f_value_, &inverse_weight_, &slope_})
     *v = std::exchange(next, next + n());
 }
@@ -59,11 +67,11 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
   }
   for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y[i]);
   h_ = with_exact_square(initial_step(norm(f_value_), t, span));
-  if (expand(t, y, current_) == Status::stop) return Outcome::stop;
-  if (!current_.finite) return Outcome::not_finite;
-  h_ = with_exact_square(initial_step(1 / reach(current_), t, span));
+  if (expand(t, y, *current_) == Status::stop) return Outcome::stop;
+  if (!current_->finite) return Outcome::not_finite;
+  h_ = with_exact_square(initial_step(1 / reach(*current_), t, span));
   close_ = 0;
-  return look_ahead(t, current_, span.tf >= t ? h_ : -h_, h_) == Status::stop ? Outcome::stop : Outcome::ok;
+  return look_ahead(t, *current_, span.tf >= t ? h_ : -h_, h_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
 /// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
@@ -139,7 +147,9 @@ int Taylor::first_undefined(const double* v) const {
 double Taylor::norm(const double* v) const { return taylor::norm(v, n(), inverse_weight_); }
 
 double Taylor::reach(const Expansion& expansion) const {
-  return taylor::reach(expansion.c.data(), n(), order_, expansion.unit, factor_, inverse_weight_);
+  return with_size(n(), [&](auto size) {
+    return taylor::reach(expansion.c.data(), size, order_, expansion.unit, factor_, inverse_weight_);
+  });
 }
 
 Step::Attempt Taylor::attempt(double h, double t1) {
@@ -151,25 +161,39 @@ Step::Attempt Taylor::attempt(double h, double t1) {
   t1_ = t1;
   length_ = t1 - t_;
   expanded_ = false;
-  if (conditions_.any() && h_ > searched_ && find_cut(t_, current_, length_) == Status::stop)
+  if (conditions_.any() && h_ > searched_ && find_cut(t_, *current_, length_) == Status::stop)
     return {Outcome::stop, error_, candidate_};
   if (h_ > cut_) return {Outcome::ok, std::numeric_limits<double>::max(), candidate_};
   crosses_ = h_ == cut_;
   error_ = std::numeric_limits<double>::quiet_NaN();
-  per_unit_ = current_.per_unit;
+  per_unit_ = current_->per_unit;
   unit_of_error_ = h_ * exponent_ * std::min(1.0, weights_.rtol() / least_tested);
-  evaluate_polynomial(current_.c.data(), n(), order_, length_ * per_unit_, candidate_, end_slope_);
-  for (std::size_t i = 0; i < n(); ++i) candidate_[i] = remainder_.propose(i, y_[i], candidate_[i]);
-  if (!all_finite(candidate_, n())) return {Outcome::not_finite, error_, candidate_};
-  for (std::size_t i = 0; i < n(); ++i) inverse_weight_[i] = 1 / weights_.at(i, y_[i], candidate_[i]);
+  if (!with_size(n(), [this](auto size) { return propose(size); })) return {Outcome::not_finite, error_, candidate_};
   if (evaluate_at_candidate() == Status::stop) return {Outcome::stop, error_, candidate_};
   if (crosses_)
-    error_ = norm(row(current_, order_)) * std::pow(h_ * per_unit_, order());
+    error_ = norm(row(*current_, order_)) * std::pow(h_ * per_unit_, order());
   else
-    error_ = unit_of_error_ * max_norm(n(), [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
+    error_ = unit_of_error_ * with_size(n(), [this](auto size) {
+               return max_norm(size, [this](std::size_t i) { return inverse_weight_[i] * defect(i); });
+             });
   if (bounds_ != nullptr && error_ <= weights_.rtol() && look_at_rest() == Status::stop)
     return {Outcome::stop, error_, candidate_};
   return {Outcome::ok, error_, candidate_};
+}
+
+/// Evaluates the polynomial at the end of the step, and the weights with it. False: it is not finite.
+template <class Size>
+bool Taylor::propose(Size size) {
+  double sum = 0;
+  evaluate_polynomial(current_->c.data(), size, order_, length_ * per_unit_,
+                      [&](std::size_t i, double rise, double slope) {
+                        const double y1 = remainder_.propose(i, y_[i], rise);
+                        candidate_[i] = y1;
+                        end_slope_[i] = slope;
+                        inverse_weight_[i] = 1 / weights_.at(i, y_[i], y1);
+                        sum += 0 * y1;
+                      });
+  return sum == 0;
 }
 
 /// A component that rests at its bound throughout the polynomial may have left it between the ends: its y' there is a
@@ -178,14 +202,14 @@ Status Taylor::look_at_rest() {
   std::vector<std::size_t> resting;
   for (const auto& [i, lower, upper] : bounds_->intervals()) {
     bool rests = y_[i] <= lower || y_[i] >= upper;
-    for (std::size_t k = 1; rests && k <= order_; ++k) rests = row(current_, k)[i] == 0;
+    for (std::size_t k = 1; rests && k <= order_; ++k) rests = row(*current_, k)[i] == 0;
     if (rests) resting.push_back(i);
   }
   const std::size_t parts = intervals_of_step(order_);
   std::vector<double> y(n()), slope(n());
   for (std::size_t j = 1; j < parts && !resting.empty(); ++j) {
     const double theta = static_cast<double>(j) / static_cast<double>(parts);
-    power_series(current_.c.data(), current_.c.size(), n(), theta * length_ * per_unit_, y.data());
+    power_series(current_->c.data(), current_->c.size(), n(), theta * length_ * per_unit_, y.data());
     if (f_(t_ + theta * length_, y.data(), slope.data()) == Status::stop) return Status::stop;
     for (const std::size_t i : resting)
       error_ = std::max(error_, unit_of_error_ * inverse_weight_[i] * std::abs(slope[i]));
@@ -204,9 +228,9 @@ Status Taylor::evaluate_at_candidate() {
     return status;
   }
   expanded_ = true;
-  const Status status = expand(t1_, candidate_, next_);
-  per_end_unit_ = next_.per_unit;
-  end_f_ = row(next_, 1);
+  const Status status = expand(t1_, candidate_, *next_);
+  per_end_unit_ = next_->per_unit;
+  end_f_ = row(*next_, 1);
   return status;
 }
 
@@ -218,12 +242,12 @@ double Taylor::defect(std::size_t i) const { return end_f_[i] * per_end_unit_ - 
 bool Taylor::errors(double* out) const {
   const double last = crosses_ ? std::pow(length_ * per_unit_, order()) : 0;
   for (std::size_t i = 0; i < n(); ++i)
-    out[i] = crosses_ ? last * row(current_, order_)[i] : length_ * exponent_ * defect(i);
+    out[i] = crosses_ ? last * row(*current_, order_)[i] : length_ * exponent_ * defect(i);
   return true;
 }
 
 std::size_t Taylor::directions(const double** vectors) const {
-  for (std::size_t k = 1; k <= order_; ++k) *vectors++ = row(current_, k);
+  for (std::size_t k = 1; k <= order_; ++k) *vectors++ = row(*current_, k);
   return order_;
 }
 
@@ -244,14 +268,14 @@ bool Taylor::reject(Cause cause, double hmin) {
 Outcome Taylor::accept(const double* y1) {
   if (!expanded_ || (y1 != candidate_ && !std::equal(y1, y1 + n(), candidate_))) {
     expanded_ = false;
-    if (expand(t1_, y1, next_) == Status::stop) return Outcome::stop;
+    if (expand(t1_, y1, *next_) == Status::stop) return Outcome::stop;
   }
-  if (!next_.finite && !all_finite(row(next_, 1), n())) return Outcome::not_finite;
+  if (!next_->finite && !all_finite(row(*next_, 1), n())) return Outcome::not_finite;
   const double longest = crosses_ ? free_ : failed_ ? h_ : largest_growth * h_;
-  const double allowed = next_.finite ? reach(next_) : h_;
-  const double length = next_.finite ? with_exact_square(std::min(allowed, longest)) : h_;
+  const double allowed = next_->finite ? reach(*next_) : h_;
+  const double length = next_->finite ? with_exact_square(std::min(allowed, longest)) : h_;
   const double scale = std::isfinite(allowed) ? allowed : length;  // infinite beside polynomials
-  if (look_ahead(t1_, next_, std::copysign(length, length_), scale) == Status::stop) return Outcome::stop;
+  if (look_ahead(t1_, *next_, std::copysign(length, length_), scale) == Status::stop) return Outcome::stop;
   if (moved_onto_bounds_)
     remainder_.clear();
   else
@@ -275,7 +299,7 @@ void Taylor::state(Archive& archive) {
 Interpolate Taylor::interpolate() const { return power_series; }
 
 Status Taylor::extension(double* data) {
-  scale_coefficients(current_.c.data(), n(), order_, length_ / current_.unit, data);
+  scale_coefficients(current_->c.data(), n(), order_, length_ / current_->unit, data);
   return Status::ok;
 }
 
@@ -286,8 +310,8 @@ Status Taylor::extension_of_attempt(double* data, std::size_t& size) {
 }
 
 double Taylor::stability() const {
-  const double before = norm(row(current_, order_ - 1)), last = norm(row(current_, order_));
-  const double s = std::abs(length_) / current_.unit;
+  const double before = norm(row(*current_, order_ - 1)), last = norm(row(*current_, order_));
+  const double s = std::abs(length_) / current_->unit;
   return before > 0 ? static_cast<double>(order_) * s * last / before / real_limit() : 0;
 }
 

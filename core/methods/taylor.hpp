@@ -62,11 +62,13 @@ class Taylor final : public Step {
   [[nodiscard]] const double* row(const Expansion& expansion, std::size_t k) const {
     return expansion.c.data() + k * n();
   }
-  [[nodiscard]] const Expansion& at_point_reached() const { return accepted_ ? next_ : current_; }
-  [[nodiscard]] Expansion& at_point_reached() { return accepted_ ? next_ : current_; }
+  [[nodiscard]] const Expansion& at_point_reached() const { return accepted_ ? *next_ : *current_; }
+  [[nodiscard]] Expansion& at_point_reached() { return accepted_ ? *next_ : *current_; }
 
   Status rest(double t, const double* y, Expansion& into);
   Status expand(double t, const double* y, Expansion& into);
+  template <class Size>
+  INVARIODE_SHARED bool propose(Size size);
   Status evaluate_at_candidate();
   Status look_at_rest();
   Status look_ahead(double t, const Expansion& expansion, double length, double reach);
@@ -89,7 +91,8 @@ class Taylor final : public Step {
   std::size_t order_;
   double exponent_;  // 1 / (p + 1)
   double factor_;    // of h: (rtol e^{−0.7})^{1/(p−1)}
-  Expansion current_, next_;
+  Expansion expansions_[2];
+  Expansion *current_ = &expansions_[0], *next_ = &expansions_[1];
   Remainder remainder_;
   std::vector<double> values_;
   double* candidate_ = nullptr;    // y*

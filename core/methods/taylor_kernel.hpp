@@ -6,6 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 #include <numbers>
 #include <type_traits>
@@ -116,39 +117,50 @@ INVARIODE_EACH Real reach(const Real* c, std::size_t n, std::size_t order, const
   return choose(Real(-infinity) < rate, length, Real(infinity));
 }
 
-/// P(s) = Σ c_k s^k less c_0, and P′(s), of `Width` components beside each other, in registers. As a sum of an odd and
-/// an even polynomial, s A(s²) + s² B(s²), no number waits for more than half of the others.
-template <std::size_t Width, class Real>
-INVARIODE_EACH void evaluate_beside(const Real* c, std::size_t n, std::size_t order, const Real& s, Real* rise,
-                                    Real* slope) {
+/// Passes P(s) = Σ c_k s^k less c_0, and P′(s), of the components of `Width` registers beside each other to
+/// each(i, P, P′). As a sum of an odd and an even polynomial, s A(s²) + s² B(s²), no number waits for more than half of
+/// the others.
+template <std::size_t Width, class Register, class Real, class Each>
+INVARIODE_EACH void evaluate_beside(const Real* c, std::size_t n, std::size_t order, const Real& s, const Each& each) {
+  constexpr std::size_t numbers = sizeof(Register) / sizeof(Real);
   const Real u = s * s;
-  Real a[Width], da[Width], b[Width], db[Width];
-  for (std::size_t i = 0; i < Width; ++i) a[i] = da[i] = b[i] = db[i] = Real(0);
+  Register a[Width]{}, da[Width]{}, b[Width]{}, db[Width]{};
   const Real* row = c + order * n;
-  const auto add = [&](Real* p, Real* d) {
-    for (std::size_t i = 0; i < Width; ++i) d[i] = d[i] * u + p[i];
-    for (std::size_t i = 0; i < Width; ++i) p[i] = p[i] * u + row[i];
+  const auto add = [&](Register* p, Register* d) {
+    for (std::size_t i = 0; i < Width; ++i) {
+      Register coefficients;
+      std::memcpy(&coefficients, row + i * numbers, sizeof(Register));
+      d[i] = d[i] * u + p[i];
+      p[i] = p[i] * u + coefficients;
+    }
     row -= n;
   };
   std::size_t k = order;
   if (k % 2 == 1) add(a, da), --k;
   for (; k > 0; k -= 2) add(b, db), add(a, da);
   for (std::size_t i = 0; i < Width; ++i) {
-    rise[i] = s * a[i] + u * b[i];
-    slope[i] = a[i] + 2.0 * (u * da[i] + s * (b[i] + u * db[i]));
+    const Register rise = s * a[i] + u * b[i], slope = a[i] + 2.0 * (u * da[i] + s * (b[i] + u * db[i]));
+    if constexpr (numbers == 1)
+      each(i, rise, slope);
+    else
+      for (std::size_t j = 0; j < numbers; ++j) each(i * numbers + j, rise[j], slope[j]);
   }
 }
 
-/// Evaluates the polynomials of all n components.
-template <class Real>
-void evaluate_polynomial(const Real* c, std::size_t n, std::size_t order, const Real& s, Real* rise, Real* slope) {
+/// Evaluates the polynomials of all n components, and passes P(s) less c_0 and P′(s) of each to each(i, P, P′).
+/// `Size`: n, or a constant of that value.
+template <class Real, class Size, class Each>
+INVARIODE_EACH void evaluate_polynomial(const Real* c, Size n, std::size_t order, const Real& s, const Each& each) {
+  const auto from = [&each](std::size_t first) {
+    return [&each, first](std::size_t j, const Real& rise, const Real& slope) { each(first + j, rise, slope); };
+  };
   std::size_t i = 0;
   if constexpr (std::is_same_v<Real, double>) {
-    for (; i + 4 <= n; i += 4) evaluate_beside<4>(c + i, n, order, s, rise + i, slope + i);
-    if (i + 3 == n) return evaluate_beside<3>(c + i, n, order, s, rise + i, slope + i);
-    for (; i + 2 <= n; i += 2) evaluate_beside<2>(c + i, n, order, s, rise + i, slope + i);
+    for (; i + 4 <= n; i += 4) evaluate_beside<4 / in_pair, Pair>(c + i, n, order, s, from(i));
+    if (i + 3 == n) return evaluate_beside<3, Real>(c + i, n, order, s, from(i));
+    for (; i + 2 <= n; i += 2) evaluate_beside<2 / in_pair, Pair>(c + i, n, order, s, from(i));
   }
-  for (; i < n; ++i) evaluate_beside<1>(c + i, n, order, s, rise + i, slope + i);
+  for (; i < n; ++i) evaluate_beside<1, Real>(c + i, n, order, s, from(i));
 }
 
 /// The extension of a step of length s, in units of its expansion: c_k s^k.

@@ -72,12 +72,13 @@ class LaneTaylor final : public LaneMethod<W> {
     const P *y = now_ + Rows::y, *remainder = unit_ + 1;
     const P size = absolute(at.h), per_unit = P(1) / *unit_;
     length_ = at.purified;
-    taylor::evaluate_polynomial(current_, job_.n, job_.order, length_ * per_unit, candidate, end_slope_);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      const auto [value, lost] = two_sum(y[i], candidate[i] + remainder[i]);
-      candidate[i] = value;
-      lost_[i] = lost;
-    }
+    taylor::evaluate_polynomial(current_, job_.n, job_.order, length_ * per_unit,
+                                [&](std::size_t i, const P& rise, const P& slope) {
+                                  const auto [value, lost] = two_sum(y[i], rise + remainder[i]);
+                                  candidate[i] = value;
+                                  lost_[i] = lost;
+                                  end_slope_[i] = slope;
+                                });
     odd = odd | mend(candidate, y, job_.n);
     const auto weight = weight_of<W>(job_, y, candidate);
     for (std::size_t i = 0; i < job_.n; ++i) inverse_weight_[i] = P(1) / weight(i);
