@@ -4,6 +4,7 @@
 #include <array>
 #include <cassert>
 #include <cmath>
+#include <type_traits>
 
 #include "methods/initial_step.hpp"
 
@@ -28,7 +29,7 @@ constexpr double largest_growth = 10;
 
 /// R(ρ), leading k × k part: R_ij = Π_{l≤i} (l − 1 − jρ)/l
 using Small = std::array<std::array<double, most>, most>;
-Small differences_at(double rho, int k) {
+constexpr Small differences_at(double rho, int k) {
   Small R{};
   for (int j = 1; j <= k; ++j) {
     double product = 1;
@@ -38,6 +39,29 @@ Small differences_at(double rho, int k) {
     }
   }
   return R;
+}
+
+constexpr Small U = differences_at(1, Ndf::highest_order);  // upper triangular: [l][j] is 0 where l > j
+
+/// Calls visit(k) with a constant k, so that its loops over differences are unrolled, and those over components become
+/// vector instructions.
+template <class Visit>
+void with_order(int k, const Visit& visit) {
+  switch (k) {
+    case 1: return visit(std::integral_constant<std::size_t, 1>());
+    case 2: return visit(std::integral_constant<std::size_t, 2>());
+    case 3: return visit(std::integral_constant<std::size_t, 3>());
+    case 4: return visit(std::integral_constant<std::size_t, 4>());
+    default: return visit(std::integral_constant<std::size_t, 5>());
+  }
+}
+
+/// Returns whether `error`, in units of the tolerance, surely allows formula k no longer step: no root tells more.
+bool too_large_to_grow(int k, double error, double safety) {
+  constexpr double rounding = 1 + 1e-9;
+  double power = safety;
+  for (int j = 0; j < k; ++j) power *= safety;
+  return error * power > rounding;
 }
 
 }  // namespace
@@ -98,21 +122,23 @@ void Ndf::rescale_memory(double h) {
   assert(k >= 1 && k <= options_.max_order && memory_h_ > 0);
   const double rho = h / memory_h_;
   if (rho != 1) {
-    static const Small U = differences_at(1, highest_order);  // upper triangular: [l][j] is 0 where l > j
     const Small R = differences_at(rho, k);
-    Small RU{};
-    for (std::size_t i = 1; i <= static_cast<std::size_t>(k); ++i)
-      for (std::size_t j = 1; j <= static_cast<std::size_t>(k); ++j)
-        for (std::size_t l = 1; l <= j; ++l) RU[i][j] += R[i][l] * U[l][j];
-    for (std::size_t c = 0; c < n(); ++c) {
-      double row[most];
-      for (int j = 1; j <= k; ++j) row[j] = D(j)[c];
-      for (int j = 1; j <= k; ++j) {
-        double sum = 0;
-        for (int i = 1; i <= k; ++i) sum += row[i] * RU[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)];
-        D(j)[c] = sum;
+    with_order(k, [this, &R](const auto order) {
+      Small RU{};
+      for (std::size_t i = 1; i <= order; ++i)
+        for (std::size_t j = 1; j <= order; ++j)
+          for (std::size_t l = 1; l <= j; ++l) RU[i][j] += R[i][l] * U[l][j];
+      double* first = differences_.data();
+      for (std::size_t c = 0; c < n(); ++c, ++first) {
+        double row[order];
+        for (std::size_t j = 0; j < order; ++j) row[j] = first[j * n()];
+        for (std::size_t j = 0; j < order; ++j) {
+          double sum = 0;
+          for (std::size_t i = 0; i < order; ++i) sum += row[i] * RU[i + 1][j + 1];
+          first[j * n()] = sum;
+        }
       }
-    }
+    });
   }
   memory_h_ = h;
   memory_order_ = k;
@@ -151,16 +177,19 @@ void Ndf::predict() {
   const double scale = gamma_inverse(order_);
   std::array<double, most> factor{};
   for (std::size_t j = 1; j <= static_cast<std::size_t>(order_); ++j) factor[j] = gamma[j] * scale;
-  for (std::size_t i = 0; i < n(); ++i) {
-    double p = y_[i], psi = 0;
-    const double* difference = D(1) + i;
-    for (std::size_t j = 1; j <= static_cast<std::size_t>(order_); ++j, difference += n()) {
-      p += *difference;
-      psi += *difference * factor[j];
+  with_order(order_, [&, n = n()](const auto order) {
+    const double* __restrict difference = differences_.data();
+    double* __restrict predictor = predictor_.data(), * __restrict psi = psi_.data();
+    for (std::size_t i = 0; i < n; ++i) {
+      double p = y_[i], sum = 0;
+      for (std::size_t j = 0; j < order; ++j) {
+        p += difference[j * n + i];
+        sum += difference[j * n + i] * factor[j + 1];
+      }
+      predictor[i] = p;
+      psi[i] = sum;
     }
-    predictor_[i] = p;
-    psi_[i] = psi;
-  }
+  });
   weights_.fill(y(), predictor_.data(), weight_.data());
 }
 
@@ -203,16 +232,18 @@ double Ndf::retry_order_and_h() {
 }
 
 Outcome Ndf::accept(const double* y1) {
-  const int k = order_;
-  const double c = signed_h_ * gamma_inverse(k);
-  for (std::size_t i = 0; i < n(); ++i) {
-    slope_[i] = (psi_[i] + d_[i]) / c;
-    d_[i] += y1[i] - candidate_[i];  // the correction, if any, enters all differences
-    D(k + 2)[i] = d_[i] - D(k + 1)[i];
-    D(k + 1)[i] = d_[i];
-  }
-  for (int j = k; j >= 1; --j)
-    for (std::size_t i = 0; i < n(); ++i) D(j)[i] += D(j + 1)[i];
+  const double c = signed_h_ * gamma_inverse(order_);
+  with_order(order_, [&, n = n()](const auto order) {
+    double* __restrict difference = differences_.data(), * __restrict slope = slope_.data(), * __restrict d = d_.data();
+    const double *psi = psi_.data(), *candidate = candidate_.data();
+    for (std::size_t i = 0; i < n; ++i) {
+      slope[i] = (psi[i] + d[i]) / c;
+      d[i] += y1[i] - candidate[i];  // the correction, if any, enters all differences
+      difference[(order + 1) * n + i] = d[i] - difference[order * n + i];
+      difference[order * n + i] = d[i];
+      for (std::size_t j = order; j-- > 0;) difference[j * n + i] += difference[(j + 1) * n + i];
+    }
+  });
   commit(y1);
   failed_ = false;
   steps_at_h_ = std::min(steps_at_h_ + 1, options_.max_order + 2);
@@ -223,23 +254,19 @@ Outcome Ndf::accept(const double* y1) {
 void Ndf::choose_order_and_step() {
   const int k = order_;
   if (steps_at_h_ < k + 2) return;
-  const auto h_of = [this](int order, double safety) {
-    return optimal_h(order, norm(D(order + 1)) * error_constant(order), safety);
-  };
-  double best = h_of(k, safety_same);
-  int order = k;
-  const auto offer = [&](int candidate, double safety) {
-    if (const double h = h_of(candidate, safety); h > best) {
+  double best = h_;
+  const auto offer = [&](int order, double safety) {
+    const double error = norm(D(order + 1)) * error_constant(order);
+    if (too_large_to_grow(order, error / weights_.rtol(), safety)) return;
+    if (const double h = optimal_h(order, error, safety); h > best) {
       best = h;
-      order = candidate;
+      order_ = order;
     }
   };
+  offer(k, safety_same);
   if (k > 1) offer(k - 1, safety_lower);
   if (k < options_.max_order) offer(k + 1, safety_higher);
-  if (best > h_) {
-    h_ = best;
-    order_ = order;
-  }
+  h_ = best;
 }
 
 void Ndf::state(Archive& archive) {

@@ -29,6 +29,8 @@ constexpr double tolerated_change = 0.3;  // of c, with a preconditioner, or spa
 constexpr std::size_t fewest_kept = 200;  // rows of such factors: those of smaller matrices cost no more than a step
 constexpr int old_preconditioner = 20;    // steps
 
+constexpr double most_roundoff = Convergence::roundoff_units * eps;  // of vectors whose norm is at most 1
+
 }  // namespace
 
 void Convergence::begin(double rtol, bool careful) {
@@ -425,8 +427,8 @@ void Newton::begin_iteration(const double* p, double* d, double* y) {
   convergence_.begin(weights_.rtol(), careful());
 }
 
-/// The size of an update of p that is roundoff: at most as many ε as its units, since no weight is below |p|.
-double Newton::roundoff(const double* p) const { return Convergence::roundoff_units * eps * norm_in_attempt(p); }
+/// The size of an update of p that is roundoff, at most `most_roundoff`: no weight is below |p|.
+double Newton::roundoff(const double* p) const { return most_roundoff * norm_in_attempt(p); }
 
 /// Newton's iteration as it is in the books. What it converges to from p is a solution however J changes between.
 Newton::Result Newton::solve_fully(const double* p, const double* psi, double* d, double* y) {
@@ -476,7 +478,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
       d[i] += residual_[i];
       y[i] = p[i] + d[i];
     }
-    switch (convergence_.judge(size, size > Convergence::roundoff_units * eps ? 0 : roundoff(p))) {
+    switch (convergence_.judge(size, size > most_roundoff ? 0 : roundoff(p))) {
       case Convergence::Verdict::converged:
         if (const Result confirmed = confirm(psi, d, size); confirmed != Result::failed) return confirmed;
         if (const Result renewed = renew_in_place(); renewed != Result::converged) return renewed;
@@ -503,7 +505,6 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
   };
   std::fill(d + n, d + all, 0);
   std::copy(p + n, p + all, y + n);
-  const double roundoff = Convergence::roundoff_units * eps * norm(p);
   sensitivity_convergence_.begin(weights_.rtol());
   if (const Result ready = look_at_product(); ready != Result::converged) return ready;
   for (;;) {
@@ -519,7 +520,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
       y[i] = p[i] + d[i];
     }
     if (system().coupled(part).empty()) return Result::converged;
-    switch (sensitivity_convergence_.judge(size, roundoff)) {
+    switch (sensitivity_convergence_.judge(size, size > most_roundoff ? 0 : most_roundoff * norm(p))) {
       case Convergence::Verdict::converged: return Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
       case Convergence::Verdict::go_on: break;
