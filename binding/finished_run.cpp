@@ -10,6 +10,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <iterator>
 #include <optional>
 #include <tuple>
 #include <utility>
@@ -23,47 +24,75 @@ namespace {
 
 using RunClass = nb::class_<FinishedRun>;
 
-nb::tuple take_points(FinishedRun& self) {
+std::pair<nb::object, nb::object> points_of(FinishedRun& self) {
   RunResult& r = self.result;
   if (std::exchange(self.points_taken, true)) throw handed_over_already();
   const std::size_t count = r.points.t.size();
   if (!r.y_end) r.y_end.emplace(r.end(), r.end() + r.n);
-  const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
-  return nb::make_tuple(times_array(std::move(r.points.t)), y);
+  nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
+  return {times_array(std::move(r.points.t)), std::move(y)};
 }
 
-/// Sets items of a solution, whose names are made once.
-void put_into(FinishedRun& self, const nb::dict& items) {
+/// The name of a state, an object that is made once.
+nb::str name_object(State state) {
+  constexpr std::size_t size = std::size(state_names);
+  static const std::array<PyObject*, size> names = [] {
+    std::array<PyObject*, size> made{};
+    for (std::size_t i = 0; i < made.size(); ++i) made[i] = PyUnicode_InternFromString(state_names[i].name);
+    return made;
+  }();
+  return nb::borrow<nb::str>(names[static_cast<std::size_t>(state)]);
+}
+
+/// An object of a class derived from dict, with items, and `make` as the attribute `_make`. Written out, since calling
+/// the class takes twice as long.
+nb::object new_dict(const nb::type_object& kind, const nb::dict& items, nb::handle make) {
+  static PyObject* const name = PyUnicode_InternFromString("_make");
+  auto* const type = reinterpret_cast<PyTypeObject*>(kind.ptr());
+  nb::object made = nb::steal(type->tp_new(type, nb::tuple().ptr(), nullptr));
+  const bool complete = made.is_valid() && PyDict_Update(made.ptr(), items.ptr()) == 0 &&
+                        PyObject_GenericSetAttr(made.ptr(), name, make.ptr()) == 0;
+  if (!complete) throw nb::python_error();
+  return made;
+}
+
+/// Makes the solution, with the names of the items made once.
+nb::object make_solution(FinishedRun& self, const nb::type_object& kind, const nb::dict& items, nb::handle make) {
   constexpr std::size_t size = 6;
   static const std::array<PyObject*, size> names = {
       PyUnicode_InternFromString("t"),    PyUnicode_InternFromString("y"),   PyUnicode_InternFromString("nfev"),
       PyUnicode_InternFromString("njev"), PyUnicode_InternFromString("nlu"), PyUnicode_InternFromString("t_end")};
-  const nb::tuple points = take_points(self);
+  const auto [t, y] = points_of(self);
   const RunResult& r = self.result;
   const std::array<nb::object, size> values = {
-      points[0],          points[1], nb::int_(r.nfev), nb::int_(r.linear.jacobians), nb::int_(r.linear.factorizations),
-      nb::float_(r.t_end)};
+      t, y, nb::int_(r.nfev), nb::int_(r.linear.jacobians), nb::int_(r.linear.factorizations), nb::float_(r.t_end)};
+  const nb::object solution = new_dict(kind, items, make);
   for (std::size_t i = 0; i < size; ++i)
-    if (PyDict_SetItem(items.ptr(), names[i], values[i].ptr()) < 0) throw nb::python_error();
+    if (PyDict_SetItem(solution.ptr(), names[i], values[i].ptr()) < 0) throw nb::python_error();
+  return solution;
+}
+
+/// (t, y) of the occurrences of the first `count` events, y with a row for each.
+nb::list take_events(FinishedRun& self, std::size_t count) {
+  nb::list all;
+  for (std::size_t e = 0; e < count; ++e) {
+    Trajectory& one = self.result.occurrences.at(e);
+    const std::size_t times = one.t.size();
+    all.append(nb::make_tuple(times_array(std::move(one.t)),
+                              rows_array(std::move(one.y), times, self.result.n, self.complex)));
+  }
+  return all;
 }
 
 void define_arrays_of_run(RunClass& run) {
-  run.def("take_points", &take_points, nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
+  run.def("take_points", &points_of, nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray]"),
           "(t, y) of the points, y of shape (n, n_t).")
       .def_prop_ro(
           "end", [](const FinishedRun& self) { return state_array(self.result.end(), self.result.n, self.complex); },
           nb::sig("def end(self) -> numpy.ndarray"), "y at the end.")
-      .def(
-          "take_events",
-          [](FinishedRun& self) {
-            nb::list all;
-            for (Trajectory& one : self.result.occurrences) {
-              const nb::object columns = states_array(std::move(one.y), self.result.n, one.t.size(), false);
-              all.append(nb::make_tuple(times_array(std::move(one.t)), columns.attr("T")));
-            }
-            return all;
-          },
-          nb::sig("def take_events(self) -> list[tuple[numpy.ndarray, numpy.ndarray]]"))
+      .def("take_events", &take_events, nb::arg("count"),
+           nb::sig("def take_events(self, count: int) -> list[tuple[numpy.ndarray, numpy.ndarray]]"),
+           "(t, y) of the occurrences of each of the first `count` events, y with a row for each.")
       .def(
           "record",
           [](nb::handle_t<FinishedRun> run) {
@@ -96,10 +125,11 @@ void define_arrays_of_run(RunClass& run) {
 }
 
 void define_course_of_run(RunClass& run) {
-  run.def("put_into", &put_into, nb::arg("items"),
-          "Sets `t` and `y`, handed over as by `take_points`, the counts `nfev`, `njev` and `nlu`, and `t_end` among "
-          "the "
-          "items of a solution.")
+  run.def("solution", &make_solution, nb::arg("kind"), nb::arg("items"), nb::arg("make"),
+          nb::sig("def solution(self, kind: type, items: dict[str, object], make: object) -> object"),
+          "An object of a class derived from dict, without a call of its constructor: it has `items`, with `t` and "
+          "`y`, handed over as by `take_points`, the counts `nfev`, `njev` and `nlu`, and `t_end` in their places, and "
+          "`make` as its attribute `_make`.")
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
       .def(
           "take_sections",
@@ -124,7 +154,7 @@ bool remarkable(const RunResult& r) {
 }
 
 void define_report_of_run(RunClass& run) {
-  property(run, "state", [](const RunResult& r) { return name_of(r.state); });
+  property(run, "state", [](const RunResult& r) { return name_object(r.state); });
   property(run, "t", [](const RunResult& r) { return r.report.t; });
   property(run, "h", [](const RunResult& r) { return r.report.h; });
   property(run, "cause", [](const RunResult& r) { return name_of(r.report.cause); });
@@ -197,15 +227,17 @@ void define_summary_of_run(RunClass& run) {
   property(run, "remarkable", [](const RunResult& r) { return remarkable(r); });
   property(run, "below_zero", [](const RunResult& r) { return component(r.below_zero); });
   run.def_prop_ro(
-      "ordinary",
-      [](const FinishedRun& self) {
+      "outcome",
+      [](const FinishedRun& self) -> nb::object {
         const RunResult& r = self.result;
         const bool usual =
             r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
-        return usual && !remarkable(r) && r.below_zero.index < 0 && std::isnan(r.linear.abandoned_complex_steps) &&
-               !r.linear.misfit;
+        const bool all = usual && !remarkable(r) && r.below_zero.index < 0 &&
+                         std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
+        return all ? nb::object(name_object(r.state)) : nb::none();
       },
-      "True if the state of the run describes its end, and nothing else is to be reported.");
+      nb::sig("def outcome(self) -> str | None"),
+      "The state of the run, if that describes its end, and nothing else is to be reported; otherwise None.");
   run.def_prop_ro(
       "told",
       [](const FinishedRun& self) {

@@ -474,3 +474,21 @@ def test_occurrences_are_found_by_the_name_of_their_event(tmp_path):
         sol.t_events["gat"]
     assert run("ode45", [at(1.0), at(2.0)]).t_events["event_1"] == pytest.approx([2.0])
     assert run("ode45", {"first": at(1.0), "then": iv.Event(at(2.0))}).t_events["then"] == pytest.approx([2.0])
+
+
+def test_states_of_a_complex_problem_at_its_events_are_complex() -> None:
+    def event(t, y):
+        return y[0].real
+
+    sol = iv.solve_ivp(
+        lambda t, y: [1j * y[0], 2 * y[1]],
+        (0, 5),
+        [1.0, 1j],
+        "dop853",
+        rtol=1e-9,
+        atol=1e-9,
+        events=[event, lambda t, y: 1.0],
+    )
+    expected = np.array([[1j, 1j * np.exp(np.pi)], [-1j, 1j * np.exp(3 * np.pi)]])
+    np.testing.assert_allclose(sol.y_events[0], expected, rtol=1e-6)
+    assert sol.y_events[1].shape == (0,)

@@ -368,3 +368,20 @@ def test_sensitivities_after_doses_follow_the_args_of_each_call(dose: Callable[.
             for s in (1, -1)
         ]
         np.testing.assert_allclose(sol.sensitivities[:, j, -1], (ends[0] - ends[1]) / (2 * h), rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_results_of_one_solver_share_no_memory(form: str) -> None:
+    """What is written into one result is neither in another nor in a later run."""
+
+    def arrays(sol: iv.Solution) -> list[Any]:
+        return [sol.t, sol.y, sol.y_end, *sol.t_events, *sol.y_events, sol.steps.h]
+
+    problem = described(form, events=True)
+    solver = problem.prepare("ode45")
+    spoiled, other = solver(), solver()
+    for mine in arrays(spoiled):
+        assert not any(np.shares_memory(mine, one) for one in arrays(other))
+        mine[...] = np.nan
+    same(other, problem.solve("ode45"))
+    same(solver(), other)

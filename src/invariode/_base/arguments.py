@@ -125,7 +125,7 @@ def call_name(fun: object, default: str) -> str:
 
 def encodable(name: str) -> str:
     """A name as the core and files take it: with question marks for lone surrogates, which UTF-8 does not have."""
-    return name.encode(errors="replace").decode()
+    return name if name.isascii() else name.encode(errors="replace").decode()
 
 
 #: What SymPy's `lambdify` calls every function that it makes.

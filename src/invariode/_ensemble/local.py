@@ -272,9 +272,8 @@ def _solve_one(task: Task, i: int) -> _Outcome:
             del row["y_end"]
         events = []
         if plan.own_events:
-            n = plan.functions.n
-            happened = run.take_events()[: plan.own_events]
-            events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in happened]
+            happened = run.take_events(plan.own_events)
+            events = [(times, points[:, : plan.components].copy()) for times, points in happened]
         return _Outcome(i, status, message, row, events)
     except KeyboardInterrupt:
         raise

@@ -352,7 +352,7 @@ def to_events(events: EventsLike) -> list[Event]:
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
-    if type(events) is FunctionType:  # the common case
+    if type(events) is FunctionType or isinstance(events, CompiledFunction):  # the common cases
         return [_from_function(events)]
     if isinstance(events, Mapping):
         return [_called(name, event) for name, one in events.items() for event in to_events(one)]
@@ -376,25 +376,26 @@ _ATTRIBUTES = ("terminal", "direction", "action", "rehold", "at_start", "samples
 
 
 def _from_function(fun: EventFunction) -> Event:
-    if type(fun) is FunctionType and not fun.__dict__:  # the common case
-        return Event.plain(fun)
-    stated = not isinstance(fun, CompiledFunction) or not vars(fun).keys().isdisjoint(_ATTRIBUTES)
-    attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)} if stated else {}
-    for name, near in _misspelt(tuple(getattr(fun, "__dict__", ()))):
+    stated, misspelt = _looked_at(tuple(getattr(fun, "__dict__", ())))
+    for name, near in misspelt:
         warn(f"the attribute {name} of {call_name(fun, 'an event')} has no meaning; did you mean {near}?")
-    return Event(fun, **attributes) if attributes or not isinstance(fun, CompiledFunction) else Event.plain(fun)
+    if not stated and (type(fun) is FunctionType or isinstance(fun, CompiledFunction)):  # the common cases
+        return Event.plain(fun)
+    return Event(fun, **{name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)})
 
 
 @lru_cache(maxsize=64)
-def _misspelt(names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return those of some attributes that are like one of events, each with the one that it is most like."""
-    return [(one, near) for one in names if one not in _ATTRIBUTES and (near := nearest(one, _ATTRIBUTES))]
+def _looked_at(names: tuple[str, ...]) -> tuple[bool, list[tuple[str, str]]]:
+    """Return whether there are attributes of events among some, and those that are only like one, each with the one
+    that it is most like."""
+    misspelt = [(one, near) for one in names if one not in _ATTRIBUTES and (near := nearest(one, _ATTRIBUTES))]
+    return any(one in _ATTRIBUTES for one in names), misspelt
 
 
 def terminal_count(event: Event) -> int:
     """The occurrence that ends the integration, 0 for none (SciPy's rule)."""
     terminal = event.terminal
-    if type(terminal) in (bool, int, type(None)) and not terminal:  # the common case
+    if terminal is False or terminal is None:  # the common cases
         return 0
     try:
         count = number("terminal", terminal)

@@ -209,7 +209,7 @@ class Problem:
         described = self.__dict__
         if inplace is not False:
             fun = _filled(fun, inplace, delays is not None)
-        described |= self.plain(fun, t_span, state, args).__dict__
+        self._pose(fun, t_span, state, args)
         called, start = self.fun, self.y0
         if of_args is not None:
             described["y0_of_args"] = of_args
@@ -254,6 +254,12 @@ class Problem:
     def plain(cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> Self:
         """Return the problem ``y' = fun(t, y, *args)`` with nothing else, which takes less time than to see that
         every other argument is missing."""
+        problem = cls.__new__(cls)
+        problem._pose(fun, t_span, y0, args)
+        return problem
+
+    def _pose(self, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> None:
+        """Set the attributes of ``y' = fun(t, y, *args)`` with nothing else."""
         plain = plainly_posed(t_span, y0, args)
         if plain is not None:
             span, start, extra = plain
@@ -273,11 +279,10 @@ class Problem:
             second_order = states_second_order(called) and _is_second_order(False, called, start)
         if extra and np.ndarray in map(type, extra):  # which the caller could change
             extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
-        problem = cls.__new__(cls)
-        problem.__dict__.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra, second_order=second_order)
+        described = self.__dict__
+        described.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra, second_order=second_order)
         if plain is None and by_label is not None:  # names of components that have no others
-            problem.__dict__["_labels"] = distinct_labels([*by_label], len(start))
-        return problem
+            described["_labels"] = distinct_labels([*by_label], len(start))
 
     @property
     def name(self) -> str:

@@ -74,7 +74,9 @@ class Deferred:
         self.__dict__.pop("_make", None)
         return True
 
-    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+    if TYPE_CHECKING:
+        _make: Callable[[], Mapping[str, Any]]
+    else:  # a type checker would accept every misspelt field
 
         def __getattr__(self, name: str) -> Any:
             """Make the deferred attributes, for a name that is not there yet."""
@@ -184,7 +186,7 @@ class Stats(Deferred, DataRecord):
     def when_needed(cls, make: Callable[[], Mapping[str, Any]]) -> Stats:
         """Return counts that are computed when one of them is first read."""
         later = cls.__new__(cls)
-        later.__dict__["_make"] = make
+        later._make = make
         return later
 
     def __dir__(self) -> list[str]:

@@ -249,17 +249,15 @@ class Result(Deferred, dict[str, Any]):
 
     def __init__(
         self,
-        private: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
+        private: Mapping[str, Any],
         items: Mapping[str, Any] = _NO_ITEMS,
         /,
         **fields: Any,
     ) -> None:
-        """`private` holds what is not an item; a callable makes it when it is first needed."""
+        """`private` holds what is not an item. Runs make their solutions by `Run.solution`, with a function that makes
+        it when it is first needed."""
         dict.__init__(self, items, **fields)
-        if callable(private):
-            self.__dict__["_make"] = private
-        else:
-            self.__dict__.update(private)  # past __setattr__
+        self.__dict__.update(private)  # past __setattr__
 
     def __getstate__(self) -> dict[str, Any]:
         self._settle()

@@ -91,8 +91,11 @@ class Prepared:
         self.any_y0 = _of_any_y0(problem, plan, core.native)
         self.any_args = self.any_y0 and _of_any_args(problem, plan)
         self.any_span = self.any_y0 and _of_any_span(problem, plan)
-        self._parameters = plan.functions.parameters.size > 0
-        self._calls_others = bool(problem.invariants or problem.events or isinstance(problem.fun, CompiledFunction))
+        self._parameters, self._complex = plan.functions.parameters.size > 0, plan.functions.complex
+        self._varied = plan.varied
+        #: Whether runs are lent Python functions, and whether there is any besides f.
+        self._lent = bool(lends and _functions_of(problem, plan.bound))
+        self._calls_others = bool(problem.invariants or problem.events)
 
     def run(
         self,
@@ -128,31 +131,30 @@ class Prepared:
         dy0dp : array_like or callable, optional
             Derivatives of y0 in place of those of the problem's `Sensitivities`.
         """
-        plan, varied, value, tolerances = self.plan, self.plan.varied, None, None
+        functions: tuple[Any, ...] | None = None
+        value = tolerances = None
         if self._starts:
+            plan = self.plan
             value = values_at_start(plan.bound, problem.invariants, course.t0, y0, args, plan.tolerances.threshold)
             if value is None:
                 return None
-        functions = None
-        if self._lends:
-            functions = _functions_of(problem, plan.bound) if self._calls_others else (problem.fun,)
-        if plan.functions.complex:
+        if self._lent:
+            functions = _functions_of(problem, self.plan.bound) if self._calls_others else (problem.fun,)
+        elif self._lends:
+            functions = ()
+        if self._complex:
             y0 = y0.view(float)
-        if varied is not None:
+        if (varied := self._varied) is not None:
             tolerances = varied.tolerances_at(y0, args)
             y0 = varied.augmented(y0, args, dy0dp)
-        parameters: Array | None = None
         try:
             core = self._idle.pop()
         except IndexError:
-            core = solver(plan)
-        for _ in range(2):
-            run = core.integrate_anew(
-                y0, functions, args, parameters, course, breaks, limit, remember, self._remarks, value, tolerances
-            )
-            if run is not None or not self._parameters:  # otherwise args are not only floats
-                break
-            parameters = layout_of(args).numbers
+            core = solver(self.plan)
+        rest = course, breaks, limit, remember, self._remarks, value, tolerances
+        run = core.integrate_anew(y0, functions, args, None, *rest)
+        if run is None and self._parameters:  # args are not only floats
+            run = core.integrate_anew(y0, functions, args, layout_of(args).numbers, *rest)
         self._idle.append(core)  # but not after an exception
         return run
 

@@ -230,7 +230,7 @@ def points(problem: Problem, method: MethodName, options: Options) -> Outputs:
     """The outputs of a solve that needs nothing else: the same run, without making a solution of it."""
     try:
         begun = run_or_plan(problem, method, options, remember=False)
-        if not isinstance(begun, Plan) and (run := begun[1]).ordinary and uncompared(problem) is None:
+        if not isinstance(begun, Plan) and (run := begun[1]).outcome is not None and uncompared(problem) is None:
             return Outputs(run.take_points()[1], run.t_end, *MESSAGES[run.state])
         sol = _solved(begun, Solved(problem, method, options))
         return Outputs(sol["y"], sol["t_end"], sol["status"], sol["message"])
@@ -330,6 +330,7 @@ class Finished:
         checkpoint: RunFiles | None = None,
     ) -> None:
         self.run = run
+        self.outcome = run.outcome
         self.general = plan  # what it shares with all runs of its kind, if it is not its own plan
         self.source = source
         self.members = members  # the methods that took turns
@@ -383,12 +384,12 @@ class Finished:
 def presented(finished: Finished) -> Solution:
     """Return the solution of a finished run and warn of its problems, or raise its exception."""
     run = finished.run
-    if not run.ordinary:
+    if finished.outcome is None:
         _require_start(finished)
     sol = _solution(finished)
     if finished.general.names and (run.harmed >= 0 or run.dropped or max(run.unresolved, default=0.0) > _UNRESOLVED):
         warn_of_projection(run, finished.plan, sol)
-    if not run.ordinary:
+    if finished.outcome is None:
         _warn(finished)
         if run.below_zero is not None:
             i, y, _ = run.below_zero
@@ -453,18 +454,18 @@ def _integrated(
 
 def _solution(finished: Finished) -> Solution:
     run, plan = finished.run, finished.general
-    known = _ITEMS.get(run.state) if run.ordinary and plan.watch is None else None
-    sol = Solution(finished.private, known or _items(*finished.plan.verdict(run)))
-    run.put_into(sol)
+    known = _ITEMS.get(finished.outcome) if plan.watch is None else None
+    made: Any = run.solution(Solution, known or _items(*finished.plan.verdict(run)), finished.private)
+    sol: Solution = made
     sol["stats"] = Stats.when_needed(finished.stats)
-    happened = run.take_events()[: plan.own_events] if plan.records_events else None
+    happened = run.take_events(plan.own_events) if plan.records_events else None
     if plan.varied is not None:
         names, n = plan.varied.names, plan.components
         S_events = None if happened is None else plan.varied.at_events(happened, n)
         sol["y"], S = states_and_sensitivities(sol["y"], n, len(names))
         finished.y_end, S_end = states_and_sensitivities(run.end, n, len(names))
         if happened is not None:
-            happened = [(t, np.ascontiguousarray(rows[:, : plan.functions.n])) for t, rows in happened]
+            happened = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened]
         sol.__dict__["_sensitivities"] = SensitivityData(names, S, S_end, S_events)  # without the other attributes
         plan.varied.tell_of_steps(sol["t"], sol["y"])
     settings = plan.settings
@@ -473,9 +474,8 @@ def _solution(finished: Finished) -> Solution:
     if settings.dense and (dense := run.take_dense()) is not None:
         sol["sol"] = DenseSolution(dense, sol["y"].dtype, finished.bound).after(finished.source.history)
     if happened is not None:
-        dtype = sol["y"].dtype
         sol["t_events"] = ByEvent(plan.called.events, [times for times, _ in happened])
-        sol["y_events"] = ByEvent(plan.called.events, [at_events(points.view(dtype)) for _, points in happened])
+        sol["y_events"] = ByEvent(plan.called.events, [at_events(points) for _, points in happened])
     if settings.record:
         sol["steps"] = Steps(run, finished.members)
     return sol
@@ -489,7 +489,7 @@ def _items(status: int, message: str) -> dict[str, Any]:
 
 
 #: By the state of the run, if that says everything.
-_ITEMS = {state: _items(*ended) for state, ended in MESSAGES.items()}
+_ITEMS: dict[str | None, dict[str, Any]] = {state: _items(*ended) for state, ended in MESSAGES.items()}
 
 
 #: Of a run without invariants.

@@ -105,7 +105,7 @@ class PreparedSolver:
                 course = course_of(prepared.choice, interval(t_span), start, self._options.get("t_eval"))
                 shared = shared._replace(course=course)
             run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
-            if run is not None and (run.ordinary or run.state in MESSAGES or run.steps > 0):
+            if run is not None and (run.outcome or run.state in MESSAGES or run.steps > 0):
                 source = self._source
                 if y0 is not None or args is not None or t_span is not None or dy0dp is not None:
                     changed = partial(_changed, problem, None if y0 is None else start, args, t_span, dy0dp)
