@@ -33,17 +33,6 @@ std::pair<nb::object, nb::object> points_of(FinishedRun& self) {
   return {times_array(std::move(r.points.t)), std::move(y)};
 }
 
-/// The name of a state, an object that is made once.
-nb::str name_object(State state) {
-  constexpr std::size_t size = std::size(state_names);
-  static const std::array<PyObject*, size> names = [] {
-    std::array<PyObject*, size> made{};
-    for (std::size_t i = 0; i < made.size(); ++i) made[i] = PyUnicode_InternFromString(state_names[i].name);
-    return made;
-  }();
-  return nb::borrow<nb::str>(names[static_cast<std::size_t>(state)]);
-}
-
 /// An object of a class derived from dict, with items, and `make` as the attribute `_make`. Written out, since calling
 /// the class takes twice as long.
 nb::object new_dict(const nb::type_object& kind, const nb::dict& items, nb::handle make) {
@@ -259,6 +248,16 @@ void define_summary_of_run(RunClass& run) {
 }
 
 }  // namespace
+
+nb::str name_object(State state) {
+  constexpr std::size_t size = std::size(state_names);
+  static const std::array<PyObject*, size> names = [] {
+    std::array<PyObject*, size> made{};
+    for (std::size_t i = 0; i < made.size(); ++i) made[i] = PyUnicode_InternFromString(state_names[i].name);
+    return made;
+  }();
+  return nb::borrow<nb::str>(names[static_cast<std::size_t>(state)]);
+}
 
 void define_finished_run(nb::module_& module) {
   RunClass run(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.");

@@ -42,6 +42,9 @@ inline std::optional<std::tuple<int, double, double>> component(const Component&
   return std::tuple(one.index, one.y, one.slope);
 }
 
+/// The name of a state, an object that is made once.
+nb::str name_object(State state);
+
 void define_finished_run(nb::module_& module);
 
 }  // namespace invariode::binding

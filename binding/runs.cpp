@@ -757,7 +757,7 @@ void define_steps_of_stepper(nb::class_<Stepper>& stepper) {
       .def("result", &Stepper::result, nb::lock_self(),
            "Return the result of the run so far, and why it ended, if it has.")
       .def_prop_ro(
-          "state", [](Stepper& s) { return name_of(s.integration().state()); }, nb::lock_self())
+          "state", [](Stepper& s) { return name_object(s.integration().state()); }, nb::lock_self())
       .def_prop_ro(
           "t", [](Stepper& s) { return s.integration().t(); }, nb::lock_self())
       .def_prop_ro("t_old", &Stepper::t_old, nb::lock_self(), "Time at which the last accepted step began.")

@@ -438,8 +438,8 @@ class ode:  # noqa: N801 - SciPy's name
     def _start_anew(self, target: float, chosen: _Integrator) -> None:
         """Integrate from the current time to `target`, calling solout at the start and after each step."""
         walk = self._walk_to(target, chosen)
-        solout, most, steps, core = self._solout is not None, chosen.nsteps, 0, walk.core
-        stopped, state = solout and self._is_stopped(), core.state
+        solout, most, steps, core, state = self._solout is not None, chosen.nsteps, 0, walk.core, "running"
+        stopped = solout and self._is_stopped()
         while not stopped and steps != most and state == "running":
             steps += walk.advance(target, 1 if solout else most)
             self.t, self._y, state = core.t, core.y, core.state
