@@ -151,10 +151,14 @@ class Prepared:
             core = self._idle.pop()
         except IndexError:
             core = solver(self.plan)
-        rest = course, breaks, limit, remember, self._remarks, value, tolerances
-        run = core.integrate_anew(y0, functions, args, None, *rest)
-        if run is None and self._parameters:  # args are not only floats
-            run = core.integrate_anew(y0, functions, args, layout_of(args).numbers, *rest)
+        parameters: Array | None = None
+        while True:
+            run = core.integrate_anew(
+                y0, functions, args, parameters, course, breaks, limit, remember, self._remarks, value, tolerances
+            )
+            if run is not None or not self._parameters or parameters is not None:
+                break
+            parameters = layout_of(args).numbers  # args are not only floats
         self._idle.append(core)  # but not after an exception
         return run
 
