@@ -19,7 +19,7 @@ ONLY_IN = {
     r"next\(iter\(\w+\)\)\]": {"_base/latest.py"},
     r"^class ArgumentLayout\b": {"_functions/layout.py"},
     r"^class \w+\((int|float|np\.ndarray)\b": set(),
-    r"__dict__(\.get\(|\[)\"_make\"|^class Deferred\b": {"_results/records.py", "_results/result.py"},
+    r"__dict__(\.get\(|\[)\"_make\"|^class Deferred\b": {"_results/records.py"},
     r"^class (Problem|Posed|Description)\b": {"_problem/problem.py", "petab/estimation_problem.py"},
     r"^class (Weights|Tolerances)\b": {"_base/arguments.py"},
     r"^class Course\b": {"_plan/plan.py"},

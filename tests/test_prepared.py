@@ -372,7 +372,7 @@ def test_sensitivities_after_doses_follow_the_args_of_each_call(dose: Callable[.
 
 @pytest.mark.parametrize("form", FORMS)
 def test_results_of_one_solver_share_no_memory(form: str) -> None:
-    """What is written into one result is neither in another nor in a later run."""
+    """Values that are written into one result are neither in another nor in a later run."""
 
     def arrays(sol: iv.Solution) -> list[Any]:
         return [sol.t, sol.y, sol.y_end, *sol.t_events, *sol.y_events, sol.steps.h]

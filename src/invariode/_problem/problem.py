@@ -209,7 +209,7 @@ class Problem:
         described = self.__dict__
         if inplace is not False:
             fun = _filled(fun, inplace, delays is not None)
-        self._pose(fun, t_span, state, args)
+        self.plain(fun, t_span, state, args, self)
         called, start = self.fun, self.y0
         if of_args is not None:
             described["y0_of_args"] = of_args
@@ -251,15 +251,11 @@ class Problem:
                 described["sensitivities"] = follow_start(wanted, of_args, self.parameter_names(), len(start))
 
     @classmethod
-    def plain(cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> Self:
+    def plain(
+        cls, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None, problem: Self | None = None
+    ) -> Self:
         """Return the problem ``y' = fun(t, y, *args)`` with nothing else, which takes less time than to see that
-        every other argument is missing."""
-        problem = cls.__new__(cls)
-        problem._pose(fun, t_span, y0, args)
-        return problem
-
-    def _pose(self, fun: Any, t_span: Span, y0: ArrayLike, args: Iterable[Any] | None) -> None:
-        """Set the attributes of ``y' = fun(t, y, *args)`` with nothing else."""
+        every other argument is missing. `problem`: one that is being made, and is to be that problem."""
         plain = plainly_posed(t_span, y0, args)
         if plain is not None:
             span, start, extra = plain
@@ -279,10 +275,13 @@ class Problem:
             second_order = states_second_order(called) and _is_second_order(False, called, start)
         if extra and np.ndarray in map(type, extra):  # which the caller could change
             extra = tuple(one.copy() if type(one) is np.ndarray else one for one in extra)
-        described = self.__dict__
+        if problem is None:
+            problem = cls.__new__(cls)
+        described = problem.__dict__
         described.update(_NOTHING_ELSE, fun=called, t_span=span, y0=start, args=extra, second_order=second_order)
         if plain is None and by_label is not None:  # names of components that have no others
             described["_labels"] = distinct_labels([*by_label], len(start))
+        return problem
 
     @property
     def name(self) -> str:
