@@ -777,13 +777,13 @@ void define_remarks_of_stepper(nb::class_<Stepper>& stepper) {
           "nfev_check",
           [](Stepper& s) {
             const Integration& loop = s.integration();
-            return loop.evaluations_of_checks() + linear_work(loop.step()).checks;
+            return loop.evaluations_of_checks() + loop.step().linear_work().checks;
           },
           nb::lock_self())
       .def_prop_ro(
-          "njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; }, nb::lock_self())
+          "njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; }, nb::lock_self())
       .def_prop_ro(
-          "nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; }, nb::lock_self());
+          "nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; }, nb::lock_self());
 }
 
 void define_stepper(nb::module_& module) {

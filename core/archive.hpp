@@ -35,6 +35,7 @@ class Archive {
   /// it then restarts the method.
   explicit Archive(std::size_t most_values) : most_values_(most_values) {
     std::uint32_t own = version;
+    written_.reserve(usual_size);
     (*this)(own, whole_);
   }
   /// Makes an archive that reads bytes that belong to the caller and outlive it.
@@ -98,6 +99,8 @@ class Archive {
   }
 
  private:
+  static constexpr std::size_t usual_size = 1024;  // of small problems: room that need not grow field by field
+
   static std::invalid_argument damaged() {
     return std::invalid_argument("the memory of the run is damaged, or of another problem");
   }

@@ -26,9 +26,9 @@ constexpr std::size_t most_marks = 10000;  // that are ahead at one time
 Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const ManifoldTerms& manifold,
                          LoopFunctions functions, Settings settings)
     : step_(std::move(step)),
-      composite_(dynamic_cast<CompositeInterface*>(step_.get())),
+      composite_(step_->composite()),
       delays_(functions.delays),
-      delayed_(dynamic_cast<DelayInterface*>(step_.get())),
+      delayed_(delays_ == nullptr ? nullptr : dynamic_cast<DelayInterface*>(step_.get())),
       history_jumps_(functions.history_jumps.begin(), functions.history_jumps.end()),
       most_level_(functions.most_level),
       weights_(weights),
@@ -144,7 +144,7 @@ Integration::Course Integration::start_memory(double t, const double* y) {
   }
   report_.component = step_->undefined_component();
   report_.coefficient = step_->undefined_coefficient();
-  report_.linear = linear_work(*step_);
+  report_.linear = step_->linear_work();
   return end(State::start_undefined);
 }
 
@@ -454,7 +454,7 @@ Integration::Course Integration::explain_failure(Cause cause) {
   report_.t = t0_;
   report_.h = aim_.h();
   report_.cause = cause;
-  report_.linear = linear_work(*step_);
+  report_.linear = step_->linear_work();
   if (cause == Cause::not_finite || cause == Cause::newton) {
     report_.component = step_->undefined_component();
     report_.coefficient = step_->undefined_coefficient();
@@ -849,10 +849,6 @@ std::optional<DenseOutput> Integration::last_step() {
 
 std::size_t Integration::most_bytes_of_step() const {
   return (interpolant_.max_size() + DenseOutput::most_of_step(n_)) * sizeof(double);
-}
-
-void Integration::end_attempts() {
-  if (auto* implicit = dynamic_cast<ImplicitInterface*>(step_.get())) implicit->end_attempts();
 }
 
 }  // namespace invariode

@@ -18,7 +18,6 @@
 #include "detect/below_zero.hpp"
 #include "detect/discontinuity.hpp"
 #include "detect/stiffness.hpp"
-#include "implicit_interface.hpp"
 #include "initial_checks.hpp"
 #include "jumps.hpp"
 #include "limits.hpp"
@@ -83,7 +82,7 @@ class Integration {
   /// All that a run remembers between two steps, but what it has put out.
   void state(Archive& archive);
   /// The run is over, but for its memory and its results.
-  void end_attempts();
+  void end_attempts() { step_->end_attempts(); }
   State advance();
   State run();
 
@@ -215,7 +214,7 @@ class Integration {
   std::unique_ptr<Step> step_;
   CompositeInterface* composite_;  // null: the method is one
   Delays* delays_;                 // null: f takes no earlier values
-  DelayInterface* delayed_;        // the method as one that takes such an f
+  DelayInterface* delayed_;        // the method as one that takes such an f; null without delays
   std::vector<double> history_jumps_;
   int most_level_;
   std::vector<double> passed_marks_;

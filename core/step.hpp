@@ -16,6 +16,8 @@
 
 namespace invariode {
 
+class CompositeInterface;
+
 /// Why an attempt was rejected.
 /// `bounds`: the candidate is outside of them. `spacing`: none was made; f changes within less than the spacing of t.
 /// `overlap`: it does not agree with its own delayed values.
@@ -95,6 +97,12 @@ class Step : public StepReport, public Archived {
   /// Evaluates what is left to evaluate at y1 (the candidate, projected where invariants are imposed), then commits
   /// (t1, y1) and chooses the next |h| and order. If the outcome is not `ok`, nothing was committed.
   virtual Outcome accept(const double* y1) = 0;
+
+  /// There will be no further attempt: memory that only attempts need may be given back.
+  virtual void end_attempts() {}
+
+  /// The method as one that consists of several; null: it is one.
+  [[nodiscard]] virtual CompositeInterface* composite() { return nullptr; }
 
   /// Raw continuous extension of the step just accepted: its evaluator, the doubles that it reads, and how many they
   /// are, in this step and at most. `extension` may evaluate f, and is called once per step, if at all.

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <optional>
 
+#include "linear/work.hpp"
+
 namespace invariode {
 
 /// The first three are known of every method; the others have a default, which a method need not know.
@@ -20,6 +22,10 @@ class StepReport {
   /// Returns, for a method that expands the solution, the first Taylor coefficient of that component that is not
   /// finite, where f is.
   [[nodiscard]] virtual std::optional<int> undefined_coefficient() const { return {}; }
+
+  /// The work of the linear algebra so far, and the cause of its failure in the last attempt; of an explicit method
+  /// none.
+  [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
 
   /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
   virtual bool errors(double* /*out*/) const { return false; }

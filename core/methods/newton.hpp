@@ -174,7 +174,7 @@ class AgingJacobian {
   [[nodiscard]] JacobianAudit* audit() { return audit_ ? &*audit_ : nullptr; }
   /// The solver by products; null if J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
-  /// See `ImplicitInterface::end_attempts`.
+  /// See `Step::end_attempts`.
   virtual void end_attempts() {
     if (free_) free_->end_attempts();
     jacobian_.end();
@@ -271,7 +271,7 @@ class Newton : public AgingJacobian {
 
   Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules = suite);
 
-  /// See `ImplicitInterface::end_attempts`.
+  /// See `Step::end_attempts`.
   void end_attempts() override {
     AgingJacobian::end_attempts();
     lu_.reset();

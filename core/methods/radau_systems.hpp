@@ -42,7 +42,7 @@ class RadauSystems : public AgingJacobian {
   /// Matrix-free, J is never an old one.
   [[nodiscard]] bool has_matrices() const { return static_cast<bool>(real_lu_); }
   void state(Archive& archive);
-  /// See `ImplicitInterface::end_attempts`.
+  /// See `Step::end_attempts`.
   void end_attempts() override {
     AgingJacobian::end_attempts();
     complex_lu_.clear();

@@ -91,7 +91,7 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
 /// Evaluations of f so far, and products with J that take none.
 std::int64_t Switching::cost() const {
   return f_.calls() + (state_f_ != nullptr ? state_f_->calls() : 0) +
-         (matrix_free_ && !differences_ ? algebra_->linear_work().products : 0);
+         (matrix_free_ && !differences_ ? implicit_->linear_work().products : 0);
 }
 
 void Switching::begin_turn() {
@@ -173,7 +173,7 @@ bool Switching::reject(Cause cause, double hmin) {
 }
 
 void Switching::end_attempts() {
-  if (algebra_ != nullptr) algebra_->end_attempts();
+  if (implicit_) implicit_->end_attempts();
 }
 
 /// Archives both members: where the first step after a hand-over fails, the member before resumes.
@@ -230,7 +230,7 @@ void Switching::watch_explicit(double calls) {
 
 void Switching::watch_implicit(double calls) {
   average(implicit_calls_, calls);
-  if (const std::int64_t taken = algebra_->linear_work().jacobians;
+  if (const std::int64_t taken = implicit_->linear_work().jacobians;
       !matrix_free_ && (taken != jacobians_ || turn_.steps == 1)) {
     jacobians_ = taken;
     static_cast<void>(find_radius());  // of a matrix, it calls nothing

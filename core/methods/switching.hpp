@@ -22,7 +22,7 @@ namespace invariode {
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit
 /// member hands back when the explicit one, with the longest step that is stable for the Jacobian at hand, would be
 /// cheaper. A turn that was no faster than the steps before it makes the next one harder to begin.
-class Switching final : public Step, public ImplicitInterface, public CompositeInterface, public DelayInterface {
+class Switching final : public Step, public CompositeInterface, public DelayInterface {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
   /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
@@ -47,6 +47,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
   void end_attempts() override;
+  [[nodiscard]] CompositeInterface* composite() override { return this; }
   void state(Archive& archive) override;
 
   std::size_t directions(const double** vectors) const override { return active_->directions(vectors); }
@@ -66,7 +67,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   [[nodiscard]] double stability() const override { return implicit_ ? 0 : explicit_->stability(); }
   [[nodiscard]] const double* slope() const override { return active_->slope(); }
   [[nodiscard]] int undefined_component() const override { return active_->undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return algebra_ ? algebra_->linear_work() : LinearWork(); }
+  [[nodiscard]] LinearWork linear_work() const override { return implicit_ ? implicit_->linear_work() : LinearWork(); }
   [[nodiscard]] int member() const override { return active_ == explicit_.get() ? 0 : 1; }
   [[nodiscard]] std::int64_t switches() const override { return switches_; }
 

@@ -34,7 +34,6 @@ Events::Events(std::vector<EventFunction> functions, std::vector<RootVector> vec
       oldest_(vectors_.size()),
       n_(n),
       intervals_(intervals_of_step(static_cast<std::size_t>(max_degree))),
-      scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
       touched_(functions_.size(), std::numeric_limits<double>::quiet_NaN()),
@@ -46,6 +45,8 @@ Events::Events(std::vector<EventFunction> functions, std::vector<RootVector> vec
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
+  separator_.emplace();
+  for (std::vector<double>* const one : {&scan_.times, &scan_.values}) one->resize(intervals_ + 1);
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
   for (std::vector<double>* const one : {&close_scan_.times, &close_scan_.values}) one->reserve(few_samples);
   brackets_.reserve(intervals_);
@@ -367,7 +368,7 @@ Outcome Events::scan_closely(std::size_t event, int samples) {
       outcome = roundoff_of(event, t1, step_.y1, end, value);
       return outcome == Outcome::ok;
     };
-    if (!separator_.separate(std::ref(inside), std::ref(noise), {t0, start, t1, end}, sign_[event] == 0, times))
+    if (!separator_->separate(std::ref(inside), std::ref(noise), {t0, start, t1, end}, sign_[event] == 0, times))
       return outcome;
   } else {
     const auto parts = std::max(intervals_, static_cast<std::size_t>(samples) + 1);

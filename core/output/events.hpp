@@ -204,7 +204,7 @@ class Events {
   SearchedStep step_{};
   Scan scan_;        // at intervals + 1 times, the same for all events
   Scan close_scan_;  // of an event with samples of its own
-  RootSeparator separator_;
+  std::optional<RootSeparator> separator_;
   TurningPoints turning_points_;
   std::vector<double> powers_, thetas_;  // of the step, if it is a polynomial; where an event turns
   bool powers_known_ = false;

@@ -332,7 +332,7 @@ void Run::describe(RunResult& result) const {
   result.sticks_since = loop.discontinuities().sticks_since();
   result.accumulation = loop.accumulation();
   result.switches = loop.switches();
-  result.linear = linear_work(loop.step());
+  result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);
   result.clipped = loop.manifold().clipped;
