@@ -97,9 +97,10 @@ class Step : public StepReport, public Archived {
   /// Evaluates what is left to evaluate at y1 (the candidate, projected where invariants are imposed), then commits
   /// (t1, y1) and chooses the next |h| and order. If the outcome is not `ok`, nothing was committed.
   virtual Outcome accept(const double* y1) = 0;
-
-  /// There will be no further attempt: memory that only attempts need may be given back.
+  /// There will be no further attempt: memory that only attempts need may be given back. The point reached, the slope
+  /// there and `state` remain.
   virtual void end_attempts() {}
+
 
   /// The method as one that consists of several; null: it is one.
   [[nodiscard]] virtual CompositeInterface* composite() { return nullptr; }

@@ -36,6 +36,8 @@ class PairStep : public Step {
     return true;
   }
 
+  void end_attempts() override { keep_only(k_[accepted_ ? last : 0]); }
+
   [[nodiscard]] Interpolate interpolate() const final { return in_turn<nested_polynomial>; }
   [[nodiscard]] std::size_t extension_size() const final { return (T.degree + 1) * n(); }
   [[nodiscard]] int degree() const final { return T.degree; }
@@ -158,6 +160,16 @@ class PairStep : public Step {
     if (archive.reading()) accepted_ = false;
     archive(failed_, trend_.rate, trend_.growth);
     rest_.state(archive);
+  }
+
+  /// Gives back all vectors but this slope, the first stage of the next step.
+  void keep_only(const double* slope) {
+    std::vector<double> kept(slope, slope + n());
+    values_.swap(kept);
+    further_ = std::vector<double>();
+    k_[0] = values_.data();
+    evaluated_ = 1;
+    accepted_ = false;
   }
 
   Fsal fsal_;

@@ -88,6 +88,7 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
     return Outcome::ok;
   }
 
+  void end_attempts() override { Base::keep_only(next_first_stage()); }
   void state(Archive& archive) override { Base::archive_step(archive, next_first_stage()); }
 
   Status extension(double* data) override { return extend(start_, y_.data(), data); }

@@ -173,7 +173,8 @@ bool Switching::reject(Cause cause, double hmin) {
 }
 
 void Switching::end_attempts() {
-  if (implicit_) implicit_->end_attempts();
+  for (Step* member : {explicit_.get(), implicit_.get()})
+    if (member != nullptr) member->end_attempts();
 }
 
 /// Archives both members: where the first step after a hand-over fails, the member before resumes.
