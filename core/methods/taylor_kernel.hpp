@@ -122,7 +122,7 @@ INVARIODE_EACH Real reach(const Real* c, std::size_t n, std::size_t order, const
 /// the others.
 template <std::size_t Width, class Register, class Real, class Each>
 INVARIODE_EACH void evaluate_beside(const Real* c, std::size_t n, std::size_t order, const Real& s, const Each& each) {
-  constexpr std::size_t numbers = sizeof(Register) / sizeof(Real);
+  constexpr std::size_t numbers = sizeof(Register) / sizeof(Real);  // NOLINT(bugprone-sizeof-expression): or 1
   const Real u = s * s;
   Register a[Width]{}, da[Width]{}, b[Width]{}, db[Width]{};
   const Real* row = c + order * n;
