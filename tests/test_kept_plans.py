@@ -304,6 +304,20 @@ def test_a_pattern_that_was_found_is_that_of_its_function(imaginary: complex) ->
     np.testing.assert_equal(outcome(**call), alone(**call))
 
 
+@pytest.mark.parametrize("method", GENERAL)
+def test_many_components_share_a_plan_where_no_pattern_is_looked_for(method: str) -> None:
+    """Implicit methods look for one from 200 reals on."""
+    start = np.linspace(0.5, 1.5, 300)
+    call = {"fun": lambda t, y: -y * y, "t_span": (0, 1), "y0": start, "method": method}
+    iv.solve_ivp(**call)
+    assert len(prepared._kept) == ("jac" not in METHODS[method].options)
+    others = {"y0": start[::-1] ** 2}, {"rtol": 1e-5, "atol": np.full(300, 1e-7)}, {"t_span": (0, -0.2)}
+    for other in others:
+        np.testing.assert_equal(outcome(**call | other), alone(**call | other))
+    bounded = call | {"nonnegative": [0, 299], "events": lambda t, y: y[7] - 0.5}
+    np.testing.assert_equal(outcome(**bounded), alone(**bounded))
+
+
 def test_an_array_that_a_function_has_changed_is_not_given_to_another() -> None:
     def swaps(t, y):
         slope = -y

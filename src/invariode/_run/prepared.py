@@ -38,14 +38,15 @@ from .._problem.core_problem import InvariantSpec, LinearTerms
 from .._problem.events import Event, direction_sign, terminal_count
 from .._problem.invariants import Invariants
 from .._problem.jacobian_and_mass import NO_MATRICES
+from .._problem.methods import find_method
 from .._problem.options import Options
 from .._problem.problem import Problem
 from .._problem.sensitivities import OF_ALL_ARGS, Sensitivities
 from .._sensitivity.landings import switches_in_time
 
-#: From this many bytes of y0 on, 200 reals, sparsity is looked for, which depends on f, and the work of a plan is small
-#: compared with that of a step.
-_LARGE = 200 * 8
+#: From this many bytes of y0 on, 200 reals, sparsity is looked for where there are Jacobians, which depends on f; and
+#: from 10,000 reals on the work of a plan is small compared with that of a step.
+_LARGE, _HUGE = 200 * 8, 10_000 * 8
 
 #: Prepared plans by the kinds of their problems; a compiled f has its own.
 _kept: Latest[Hashable, Prepared] = Latest()
@@ -307,7 +308,9 @@ def kind_of(problem: Problem, method: MethodName, options: Options) -> Hashable 
     if problem.inputs or problem.breakpoints or problem.second_order or problem.delays is not None:
         return None
     given = _core.plain_options(options)
-    if given is None or matrices is not NO_MATRICES or y0.nbytes >= _LARGE:
+    if given is None or matrices is not NO_MATRICES or y0.nbytes >= _HUGE:
+        return None
+    if y0.nbytes >= _LARGE and (problem.sensitivities is not None or "jac" in find_method(method)[0].options):
         return None
     bounds = None if problem.bounds is None else tuple([one.tobytes() for one in problem.bounds])
     types: tuple[type, ...] = ()
