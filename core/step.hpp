@@ -101,7 +101,6 @@ class Step : public StepReport, public Archived {
   /// there and `state` remain.
   virtual void end_attempts() {}
 
-
   /// The method as one that consists of several; null: it is one.
   [[nodiscard]] virtual CompositeInterface* composite() { return nullptr; }
 
