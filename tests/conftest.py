@@ -45,18 +45,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Each worker begins to collect at another file: in a new environment what is imported is compiled, and workers in
-    step would each compile all of it."""
+    """The files of `--part interpreter`. Each worker begins to collect at another file: in a new environment what is
+    imported is compiled, and workers in step would each compile all of it."""
+    if config.args != config.getini("testpaths"):
+        return
+    files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
+    if config.getoption("--part") == "interpreter":
+        files = [file for file in files if Path(file).stem in BY_INTERPRETER]
     worker, count = (os.environ.get(f"PYTEST_XDIST_WORKER{of}", "") for of in ("", "_COUNT"))
-    if worker and config.args == config.getini("testpaths"):
-        files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
-        first = len(files) * int(worker.removeprefix("gw")) // int(count)
-        config.args[:] = files[first:] + files[:first]
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    others = config.getoption("--part") == "interpreter" and collection_path.suffix == ".py"
-    return True if others and collection_path.stem not in BY_INTERPRETER else None
+    first = len(files) * int(worker.removeprefix("gw")) // int(count) if worker else 0
+    config.args[:] = files[first:] + files[:first]
 
 
 @pytest.hookimpl(tryfirst=True)
