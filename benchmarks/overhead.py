@@ -37,6 +37,7 @@ RTOL = 1e-8
 TOLERANCES = (1e-7, 10**-7.5, 1e-8, 10**-8.5, 1e-9)  # for the times at equal error
 EQUAL_ERROR = 1e-6
 US, MS = 1e-6, 1e-3
+MANY = 400  # components
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Problems, written out in each of the forms that are compared. Those of CyRK write into dy, which its documentation
@@ -329,6 +330,10 @@ def pendulum(t: float, y: Array, k: float = 1.0) -> list[float]:
     return [y[1], -k * y[0]]
 
 
+def diffusion(t: float, y: Array) -> Array:
+    return np.concatenate([[0.0], y[:-2] - 2.0 * y[1:-1] + y[2:], [0.0]])
+
+
 def amplitude(t: float, y: Array) -> float:
     return float(y[0] * y[0] + y[1] * y[1])
 
@@ -355,6 +360,11 @@ def calls() -> str:
         changed = {"args": (1.5,)} if "args" in more else {}
         return partial(iv.Problem(fun, span, y0, **more).prepare(method, first_step=end), **changed)
 
+    neighbours = iv.compile(diffusion)
+
+    def large(method: str = "dop853") -> Callable[[], iv.Solution]:
+        return partial(iv.solve_ivp, neighbours, span, np.linspace(0.6, 1.4, MANY), method, first_step=end)
+
     runs: dict[str, Callable[[], Any]] = {
         "SciPy's solve_ivp": partial(scipy.integrate.solve_ivp, pendulum, span, y0, first_step=end),
         "plain": solve(),
@@ -368,6 +378,8 @@ def calls() -> str:
         "compiled, sensitivities, prepare": lambda: iv.Problem(
             compiled, span, y0, args=(1.0,), sensitivities=True
         ).prepare(),
+        f"compiled, dop853, {MANY} components": large(),
+        f"compiled, ode15s, {MANY} components": large("ode15s"),
         "an event": solve(events=far_off),
         "bounds": solve(bounds=(-2.0, 2.0)),
         "an invariant with its Jacobian": solve(invariants=g),

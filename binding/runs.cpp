@@ -5,36 +5,31 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <array>
-#include <atomic>
 #include <chrono>
-#include <cmath>
 #include <cstddef>
 #include <limits>
-#include <memory>
 #include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
-#include <tuple>
 #include <utility>
 #include <vector>
 
 #include "arguments.hpp"
 #include "arrays.hpp"
+#include "bound_solver.hpp"
 #include "callables.hpp"
 #include "dense.hpp"
+#include "ensembles.hpp"
 #include "finished_run.hpp"
 #include "interpreter.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "outputs.hpp"
 #include "problem.hpp"
-#include "run/ensemble.hpp"
 #include "run/lanes/worker.hpp"
 #include "run/names.hpp"
 #include "run/problem.hpp"
@@ -47,36 +42,11 @@ namespace {
 /// The interval between two reports of progress.
 constexpr auto telling = std::chrono::milliseconds(100);
 
-const Method& method_of(const std::string& name) {
-  if (const Method* method = find_method(name)) return *method;
-  throw std::invalid_argument("unknown method '" + name + "'");
-}
-
 template <class State>
 void require_state(const State& y0, std::size_t n) {
   if (y0.size() != n)
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
-
-/// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
-/// do not need it.
-struct BoundSolver {
-  BoundSolver(const std::string& method, nb::handle problem, nb::handle tolerances, nb::handle course,
-              nb::handle settings)
-      : BoundSolver(method, problem, tolerances, read_settings(course, Record(settings))) {}
-  BoundSolver(const std::string& method, nb::handle problem, nb::handle tolerances, const RunSettings& settings)
-      : bound(Record(problem)),
-        solver(method_of(method), bound.problem(), read_weights(Record(tolerances), bound.problem().n), settings,
-               settings) {}
-  int visit(visitproc visit, void* arg) const {
-    const int stop = visit_all(visit, arg, course);
-    return stop == 0 ? bound.visit(visit, arg) : stop;
-  }
-
-  BoundProblem bound;
-  Solver solver;
-  nb::object course;  // that the settings of the solver are on; null: the one that it was made for
-};
 
 /// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
 constexpr std::size_t most_kept = std::size_t{1} << 21;
@@ -98,18 +68,6 @@ FinishedRun finish(Run& run, const Solver& solver, bool remember) {
   run.integration().end_attempts();
   if (remember && can_go_on(run.integration().state())) memory = run.memory(most_kept);
   return present(run.take_result(), solver, std::move(memory));
-}
-
-/// Calls Python, with the interpreter held. Returns false if that raised: the exception is set.
-template <class Act>
-bool without_error(Act act) {
-  try {
-    in_python(act);
-  } catch (nb::python_error& error) {
-    error.restore();
-    return false;
-  }
-  return true;
 }
 
 /// Calls a Python function (t, h) now and then with the progress of a run. Empty, it costs nothing.
@@ -257,11 +215,6 @@ class DrivenRun {
   Progress progress_;
   Keeper keeper_;
   Remarks remarks_;
-};
-
-/// A wish to end a run, which another thread or a handler of signals makes while it goes on.
-struct StopRequest {
-  std::atomic<bool> made{false};
 };
 
 FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
@@ -518,146 +471,6 @@ class Stepper {
   bool busy_ = false;
   bool accepted_ = false;
 };
-
-/// The name of an instruction set, and where the code of the functions is in its lanes: of f, and its series if the
-/// problem has them, the slope of sensitivities, of an invariant that is held g and its Jacobian, with its tangent, and
-/// of events.
-using LaneCodes = std::pair<std::string, std::vector<std::uintptr_t>>;
-
-LaneForm lane_form(const LaneCodes& codes, const Problem& problem) {
-  const auto& [name, addresses] = codes;
-  std::size_t next = 0;
-  const auto address = [&addresses = addresses, &next] {
-    const std::size_t i = next++;
-    return i < addresses.size() ? addresses[i] : 0;
-  };
-  const auto called = [&address] { return lanes::Called{reinterpret_cast<lanes::Function*>(address()), nullptr}; };
-  LaneForm form;
-  for (const lanes::Instructions* one : lanes::instructions())
-    if (one->name == name) form.instructions = one;
-  require(form.instructions != nullptr, "this processor has no instructions named " + name);
-  form.f = called();
-  if (problem.series) form.series = {reinterpret_cast<lanes::SeriesFunction*>(address()), nullptr};
-  if (problem.variations) form.slope = called();
-  if (!problem.invariants.empty()) {
-    form.g = called();
-    form.jacobian = called();
-    if (problem.variations) form.tangent = called();
-  }
-  while (next < addresses.size()) form.events.push_back(called());
-  return form;
-}
-
-/// The results of an ensemble by name. Its arrays are handed over.
-nb::dict results_by_name(EnsembleResult& r) {
-  nb::dict fields;
-  const auto column = [&](const char* name, auto& values) {
-    fields[name] = to_array<Vector>(std::move(values), r.size);
-  };
-  const auto table = [&](const char* name, auto& values, std::size_t columns) {
-    fields[name] = to_array<Table>(std::move(values), r.size, columns);
-  };
-  column("t_end", r.t);
-  table("y_end", r.y_end, r.n);
-  fields["y"] = to_array<Cube>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts);
-  table("value", r.value, r.m);
-  table("residual_before", r.before, r.m);
-  table("residual_after", r.after, r.m);
-  column("correction", r.correction);
-  column("clipped_amount", r.clipped);
-  column("stiff_since", r.stiff_since);
-  column("discontinuity", r.discontinuity);
-  column("accumulation", r.accumulation);
-  fields["counts"] = to_array<IntegerTable>(std::move(r.count), r.size, EnsembleResult::counts);
-  fields["states"] = to_array<Bytes>(std::move(r.state), r.size);
-  nb::list events, failures;
-  for (EnsembleResult::Occurrences& one : r.occurrences) {
-    const std::size_t count = one.trajectory.size();
-    auto [t, y] = to_arrays(std::move(one.points), r.n);
-    events.append(nb::make_tuple(to_array<Integers>(std::move(one.trajectory), count), t, y));
-  }
-  for (const EnsembleResult::Failure& failure : r.failures) {
-    FinishedRun run;
-    run.result.state = failure.state;
-    run.result.report = failure.report;
-    failures.append(nb::make_tuple(failure.trajectory, std::move(run)));
-  }
-  fields["events"] = events;
-  fields["failures"] = failures;
-  fields["alone"] = std::vector<std::size_t>(r.alone.begin(), r.alone.end());
-  return fields;
-}
-
-/// Integrates from each row of y0, with the rows of `parameters`, and of `tolerances` of sensitivities, of the same
-/// number, on as many threads as there are solvers, all of the same problem and native. `progress(done)` is called now
-/// and then. A `request` cancels the rest.
-nb::dict integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0, const ConstMatrix& parameters,
-                        const nb::object& progress, const std::optional<LaneCodes>& lanes,
-                        const std::optional<ConstMatrix>& tolerances, const StopRequest* request) {
-  std::vector<Solver*> solvers;
-  for (BoundSolver* one : all) {
-    require(one->bound.native(), "functions of an ensemble on threads must be native");
-    solvers.push_back(&one->solver);
-  }
-  if (parameters.shape(0) != y0.shape(0))
-    throw std::invalid_argument("y0 and parameters must have as many rows as each other");
-  if (tolerances && (tolerances->shape(0) != y0.shape(0) || solvers.empty() ||
-                     tolerances->shape(1) != y0.shape(1) - solvers.front()->problem().n))
-    throw std::invalid_argument("tolerances must have the shape of the sensitivities");
-  bool raised = false;
-  const auto look = [&](std::uint32_t done) {
-    if (raised || PyErr_CheckSignals() != 0) {
-      raised = true;
-      return false;
-    }
-    if (request != nullptr && request->made) return false;
-    raised = !progress.is_none() && !without_error([&] { progress(done); });
-    return !raised;
-  };
-  const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
-  std::optional<LaneForm> form;
-  if (lanes && !solvers.empty()) form = lane_form(*lanes, solvers.front()->problem());
-  std::unique_ptr<EnsembleResult> result;
-  {
-    const Unlocked released;
-    const Ensemble rows{.size = y0.shape(0),
-                        .y0 = y0.data(),
-                        .rows = parameters.data(),
-                        .n = y0.shape(1),
-                        .parameters = parameters.shape(1),
-                        .tolerances = tolerances ? tolerances->data() : nullptr};
-    result = integrate_all(solvers, rows, watch, form);
-  }
-  if (raised) throw nb::python_error();
-  return results_by_name(*result);
-}
-
-void define_ensemble(nb::module_& module) {
-  module.def(
-      "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
-      nb::arg("progress").none(), nb::arg("lanes") = nb::none(), nb::arg("tolerances") = nb::none(),
-      nb::arg("request") = nb::none(),
-      "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
-      "set and where the code of the functions is in its lanes: of f, the slope of sensitivities, of an invariant g, "
-      "its Jacobian and its tangent, of events. tolerances: absolute ones of the sensitivities, in rows. A "
-      "`request` cancels the trajectories that are not solved yet, whose states are then the last one. Returns by "
-      "name: "
-      "arrays with a row for each trajectory; events, (trajectory, t, y) of each; failures, pairs of a trajectory "
-      "and a Run that tells why it ended; alone, the numbers of trajectories that the lanes left to scalar code, by "
-      "cause: a value that is not finite or a step too short, stability, the invariant, an event or output inside a "
-      "step, max_steps, and too many left. stiff_since, discontinuity, and accumulation, after which actions of an "
-      "event "
-      "are missing because they came ever closer together: times, or NaN where this did not happen.");
-  module.def(
-      "instruction_sets",
-      [] {
-        std::vector<std::pair<std::string, std::size_t>> sets;
-        for (const lanes::Instructions* one : lanes::instructions())
-          sets.emplace_back(std::string(one->name), one->lanes);
-        return sets;
-      },
-      "(name, lanes) of each that this processor has, the best first.");
-}
 
 void define_other_runs(nb::class_<BoundSolver>& solver) {
   solver.def(

@@ -332,7 +332,7 @@ def test_a_short_run_shows_no_progress_bar():
 
 
 def test_files_of_the_command_go_on_in_python_and_its_checkpoints_there(tmp_path):
-    """The command adds nothing to a run: no callback of its own is asked for."""
+    """The command adds nothing to a run, such as a callback of its own, which would be missing afterwards."""
     problem = load("pendulum.py")
     assert invariode("solve", "pendulum.py", "-o", f"{tmp_path}/run.npz").exit_code == 0
     run = iv.load(tmp_path / "run.npz", problem)

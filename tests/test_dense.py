@@ -1,4 +1,4 @@
-"""The solution between steps: continuous, the stored values at the ends, on the manifold where that is asked for."""
+"""The solution between steps: continuous, the stored values at the ends, on the manifold if requested."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def test_times_of_output(method):
     sol = sol.extend(10)  # those that are left
     np.testing.assert_array_equal(sol.t, times)
     np.testing.assert_allclose(sol.y, single.y, atol=1e-5)
-    more = sol.extend(12, t_eval=[10, 11, 12])  # that at 10 is there already
+    more = sol.extend(12, t_eval=[10, 11, 12])  # the point at 10 already exists
     np.testing.assert_array_equal(more.t, [*times, 11, 12])
     beyond = sol.extend(12)  # where none are left there is no output
     np.testing.assert_array_equal(beyond.t, times)

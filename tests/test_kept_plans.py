@@ -314,8 +314,28 @@ def test_many_components_share_a_plan_where_no_pattern_is_looked_for(method: str
     others = {"y0": start[::-1] ** 2}, {"rtol": 1e-5, "atol": np.full(300, 1e-7)}, {"t_span": (0, -0.2)}
     for other in others:
         np.testing.assert_equal(outcome(**call | other), alone(**call | other))
-    bounded = call | {"nonnegative": [0, 299], "events": lambda t, y: y[7] - 0.5}
-    np.testing.assert_equal(outcome(**bounded), alone(**bounded))
+    event = iv.Event(lambda t, y: y[7] - 0.5, action=lambda t, y: y + 0.1)
+    besides: list[dict[str, Any]] = [
+        {"nonnegative": [0, 299], "events": lambda t, y: y[7] - 0.5},
+        {"events": event, "breakpoints": [0.3]},
+        {"fun": lambda t, y: y[::-1] - y, "invariants": lambda t, y: y.sum(), "dense_output": True},
+        {"y0": start * (1 + 1j)},
+    ]
+    for beside in besides:
+        for _ in range(2):
+            np.testing.assert_equal(outcome(**call | beside), alone(**call | beside))
+
+
+def test_many_compiled_components_share_a_plan() -> None:
+    def decay(t: float, y: Any, k: float) -> Any:
+        return -k * y * y
+
+    kept = iv.compile(decay)
+    for k, size in ((1.0, 1.0), (2.0, 0.5), (3, 1.0)):
+        call = {"t_span": (0, 1), "y0": size * np.linspace(0.5, 1.5, 300), "method": "dop853", "args": (k,)}
+        for beside in ({}, {"invariants": lambda t, y, k: y[0] / y[1]}, {"bounds": (-1, 3)}):
+            np.testing.assert_equal(outcome(fun=kept, **call | beside), outcome(fun=iv.compile(decay), **call | beside))
+    assert len(kept.prepared) > 0
 
 
 def test_an_array_that_a_function_has_changed_is_not_given_to_another() -> None:

@@ -65,7 +65,7 @@ def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
 
 @dealt(8, method=METHODS, end=[1e9, np.inf])
 def test_time_limit(method, end):
-    """Python's function waits: the limit is looked at after each attempt, which takes a few calls."""
+    """Each call of f takes a while; the limit is checked after each attempt, which takes a few calls."""
 
     def slow(t, y):
         time.sleep(1e-3)

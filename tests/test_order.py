@@ -181,7 +181,7 @@ def test_projection_costs_no_extra_f(method):
     options = {"jac": kepler_rhs_jacobian} if implicit(method) else {}
     if method == "radau":
         options["max_order"] = 5
-    if method in ("radau", "auto"):  # no step in which f is looked at inside
+    if method in ("radau", "auto"):  # steps so short that none evaluates f between its ends
         options["max_step"] = (ORBIT.t_span[1] - ORBIT.t_span[0]) / 128
     for project in (False, True):
         sol = ORBIT.solve(method, project, **options)

@@ -79,7 +79,7 @@ def test_sensitivities_are_differences_of_states(name, compiled):
 
 
 def test_totals_are_found_in_the_structure_and_nowhere_else():
-    """Slow exchange makes a total of sampled Jacobians; it is none."""
+    """With slow exchange sampled Jacobians suggest a total that the system does not conserve."""
 
     def chain(t, y, k):
         a, b, c, d = y

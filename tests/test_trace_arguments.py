@@ -104,7 +104,7 @@ def test_arguments_that_do_not_fit_one_by_one_are_one_array():
 
 
 def test_an_undefined_path_is_not_a_wrong_number_of_arguments():
-    """p is all arguments where p[0] is asked for, even if another path needs no p."""
+    """Where f reads p[0], p stands for all arguments, even if another path does not use it."""
     code = iv.compile(lambda t, y, p: y if t < 2 else p[0] * y, by="trace")
     end = iv.solve_ivp(code, (0, 3), [1.0], args=(2.0,), breakpoints=[2.0], rtol=1e-6, atol=1e-8).y[0, -1]
     assert math.isclose(end, math.exp(4), rel_tol=1e-4)

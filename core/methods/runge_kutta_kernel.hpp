@@ -174,7 +174,7 @@ struct Kernel {
   }
 
  private:
-  /// Whether loops over components become vector instructions: not in small systems, and lanes are vectors already.
+  /// True if loops over components become vector instructions: not in small systems, and lanes are vectors already.
   static constexpr bool vectorised = std::is_same_v<Real, double> && Build == 0;
   static constexpr std::size_t beside = vectorised ? 4 : 1;  // maxima, as in `max_norm`
 

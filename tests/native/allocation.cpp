@@ -61,7 +61,7 @@ constexpr std::int64_t room_of_falls = 1;
 /// with matrix, factors and pivots of each, when it first takes one.
 constexpr std::int64_t room_of_radau = 1 + 4 * 3;
 
-/// The projector of values between steps takes a point, its weights and J when the first value is asked for.
+/// The projector of values between steps allocates a point, its weights and J with the first value.
 constexpr std::int64_t room_of_output = 3;
 
 /// Allocations from the end of the first step to the end of the run, without that room.

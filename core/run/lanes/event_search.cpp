@@ -9,6 +9,8 @@ void gather(const double* from, std::size_t stride, std::size_t size, double* to
   for (std::size_t i = 0; i < size; ++i) to[i] = from[i * stride];
 }
 
+std::size_t row_of(const lanes::Lane& lane, std::size_t event) { return lane.rows.events + Rows::of_event * event; }
+
 }  // namespace
 
 EventSearch::EventSearch(const Solver& solver)
@@ -36,12 +38,13 @@ void EventSearch::take(const lanes::Crossed& crossed) {
   double* segment = interpolant_->take(lane[Rows::t], y0_.data(), crossed.t1);
   gather(crossed.segment, lane.stride, interpolant_->max_size(), segment);
   if (invariants_) invariants_->set_value({lane[lane.rows.invariant + Rows::value]});
-  const auto row = [&lane](std::size_t e) { return lane.rows.events + Rows::of_event * e; };
-  for (std::size_t e = 0; e < events_.count(); ++e)
-    events_.go_on_from(e, {.last = lane[row(e) + Rows::last],
-                           .sign = static_cast<int>(lane[row(e) + Rows::sign]),
-                           .occurrences = static_cast<std::int64_t>(lane[row(e) + Rows::occurrences]),
-                           .slope = lane[row(e) + Rows::slope]});
+  for (std::size_t e = 0; e < events_.count(); ++e) {
+    const std::size_t row = row_of(lane, e);
+    events_.go_on_from(e, {.last = lane[row + Rows::last],
+                           .sign = static_cast<int>(lane[row + Rows::sign]),
+                           .occurrences = static_cast<std::int64_t>(lane[row + Rows::occurrences]),
+                           .slope = lane[row + Rows::slope]});
+  }
 }
 
 lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Trajectory>& found) {
@@ -53,7 +56,7 @@ lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Traj
   if (!keep(crossed.t1, found)) return {};
   for (std::size_t e = 0; e < events_.count(); ++e) {
     const Events::Watch watch = events_.watch(e);
-    const std::size_t row = lane.rows.events + Rows::of_event * e;
+    const std::size_t row = row_of(lane, e);
     lane[row + Rows::last] = watch.last;
     lane[row + Rows::sign] = watch.sign;
     lane[row + Rows::occurrences] = static_cast<double>(watch.occurrences);
