@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from invariode._studies.precision import ComparedMethod, Judgement, Run, best, judge, judgements
@@ -84,3 +86,22 @@ def test_errors_that_a_cheaper_method_was_not_asked_for_are_left_out():
 def test_errors_below_the_accuracy_of_the_reference_are_not_compared():
     (found,) = judgements(rows_of_order(5, 0.5), floor=1e-4)
     assert min(found.errors) >= 1e-4 * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_disturbed_clock_changes_costs_and_not_the_errors_compared(seed):
+    """On a busy machine a loose run may seem dearer than a tight one."""
+    rng = np.random.default_rng(seed)
+    rows = rows_of_order(5, 2.0)[seed % 3 :][:3]
+    disturbed = [
+        ComparedMethod(
+            row.method,
+            row.rtol,
+            *(replace(run, seconds=run.seconds * rng.uniform(1, 1000)) for run in (row.plain, row.projected)),
+        )
+        for row in rows
+    ]
+    for judged in (lambda rows: judgements(rows, 1e-15)[0], lambda rows: best(rows, 1e-15)):
+        assert judged(rows).errors
+        assert judged(disturbed).errors == judged(rows).errors
+        assert judged(disturbed).f == judged(rows).f

@@ -306,7 +306,8 @@ def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | Non
 
 
 class _CostCurve:
-    """The cost of an error: interpolated, in logarithms, between the runs that no other run beats in both."""
+    """The cost of an error: interpolated, in logarithms, between the runs that no other run beats in both. Which errors
+    have a cost, `least` to `largest`, depends on the errors of the runs alone, and not on times."""
 
     def __init__(self, runs: Sequence[Run], cost: str, floor: float) -> None:
         points = sorted((getattr(run, cost), max(run.error, floor)) for run in runs if math.isfinite(run.error))
@@ -317,7 +318,8 @@ class _CostCurve:
                 errors.append(error)
                 costs.append(max(price, 1e-9))
         self._errors, self._costs = np.log(errors[::-1]), np.log(costs[::-1])
-        self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
+        self.least, self.dearest = (errors[-1], costs[-1]) if errors else (math.inf, 0.0)
+        self.largest = max((error for _, error in points), default=0.0)
 
     def __call__(self, error: float) -> float:
         """Return the cost of at most this error; infinite if no run has it."""
