@@ -175,6 +175,19 @@ def test_lanes_have_the_bits_of_one_at_a_time(most, along):
         np.testing.assert_array_equal(together, np.stack(alone, axis=-1))
 
 
+def test_two_equal_systems_side_by_side_take_the_instructions_of_one():
+    """Coefficients of equal operations are vectors of two numbers."""
+
+    def instructions(bodies):
+        graph = Graph()
+        y = [[graph.y(i * bodies + body) for i in range(2)] for body in range(bodies)]
+        slopes = [[v for _, v in y], [-x / (x * x * graph.elementary("sqrt", x * x)) for x, _ in y]]
+        written = series.written([one for row in slopes for one in row], SeriesForm(2 * bodies, ORDER))
+        return int.from_bytes(written[:8], "little")
+
+    assert instructions(2) < 1.25 * instructions(1)
+
+
 def test_linear_systems_and_series_in_loops_have_no_lanes(monkeypatch):
     form = SeriesForm(3, ORDER, lanes=4)
     assert "linear system" in codes.lane_code(SYSTEMS["solve"], form, make=True)

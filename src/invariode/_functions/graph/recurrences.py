@@ -272,6 +272,27 @@ def needs(node: Node, rules: Mapping[Node, Rule]) -> list[Node]:
     return [*node.arguments, *(one for one in (*made.now, *summed) if one is not node)]
 
 
+def alike(found: Program) -> list[list[Node]]:
+    """Return the nodes other than y in lists of those that take the same operations and do not need each other; each
+    list comes after the lists it needs."""
+    levels: dict[Node, int] = {}
+    kinds: dict[tuple[Any, ...], list[Node]] = {}
+    for node in found.nodes:
+        if node.op != "y":
+            levels[node] = 1 + max((levels.get(one, 0) for one in needs(node, found.rules)), default=0)
+            kinds.setdefault((levels[node], *_kind(node, found)), []).append(node)
+    return [kinds[key] for key in sorted(kinds, key=lambda key: key[0])]
+
+
+def _kind(node: Node, found: Program) -> tuple[Any, ...]:
+    """Return a key that is equal for nodes that take the same operations, on coefficients of the same degrees."""
+    exponent = node.arguments[-1].value if node.op == "power" else None
+    operands = tuple((one.op == "number", found.degrees[one]) for one in node.arguments)
+    square = len({*node.arguments}) < len(node.arguments)
+    value = None if node.op in ("p", "number") else node.value
+    return node.op, value, exponent, operands, square, node in found.moving
+
+
 def is_linear(node: Node, degrees: Mapping[Node, float]) -> bool:
     """Return whether coefficient k ≥ 1 depends only on coefficients of order k, and on those of order 0 as factors."""
     if node.op in _LINEAR or not node.arguments or node.op in ("solve", "entry"):

@@ -18,7 +18,7 @@ from ..llvm_values import Value
 from .nodes import Node
 from .objects import SeriesForm
 from .operations import DOUBLE, INDEX, POINTER, constants
-from .recurrences import UNWEIGHTED, Program, Rule, Sum, linear, needs
+from .recurrences import UNWEIGHTED, Program, Rule, Sum, alike, linear
 from .series_writer import Inverse, SeriesWriter, inverse_of
 
 #: Numbers in a vector; where registers are shorter it takes several.
@@ -120,15 +120,9 @@ class Looped(SeriesWriter):
 
     def _arrange(self) -> None:
         """Arrange the nodes in groups, each after the groups it needs."""
-        levels: dict[Node, int] = {}
-        kinds: dict[tuple[Any, ...], list[Node]] = {}
-        for node in self._program.nodes:
-            if node.op != "y":
-                levels[node] = 1 + max((levels.get(one, 0) for one in needs(node, self._program.rules)), default=0)
-                kinds.setdefault((levels[node], *self._kind(node)), []).append(node)
         self._put(self._y)
-        for key in sorted(kinds, key=lambda key: key[0]):
-            nodes = sorted(kinds[key], key=lambda node: [self._places[one] for one in node.arguments])
+        for some in alike(self._program):
+            nodes = sorted(some, key=lambda node: [self._places[one] for one in node.arguments])
             moving = nodes[0] in self._program.moving
             rules = [self._program.rules[one] for one in nodes] if moving and nodes[0] in self._program.rules else []
             self._groups.append(Members(nodes, self._put(nodes), rules, moving))
@@ -138,14 +132,6 @@ class Looped(SeriesWriter):
         self._places |= {node: start + i for i, node in enumerate(nodes)}
         self._count_of_places += padded(len(nodes), self._width) if nodes else 0
         return start
-
-    def _kind(self, node: Node) -> tuple[Any, ...]:
-        """Return a key that is equal for all members of a group."""
-        exponent = node.arguments[-1].value if node.op == "power" else None
-        constant = tuple((one.op == "number", self._program.degrees[one] > 0) for one in node.arguments)
-        square = len({*node.arguments}) < len(node.arguments)
-        value = None if node.op in ("p", "number") else node.value
-        return node.op, value, exponent, constant, square, node in self._program.moving
 
     def _room(self, count: int) -> int:
         """A place for so many numbers in `work`."""

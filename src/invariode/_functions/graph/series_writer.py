@@ -10,7 +10,7 @@ from llvmlite import ir
 from ..llvm_values import Value
 from .machine import Writer
 from .objects import SeriesForm
-from .operations import DOUBLE, POINTER
+from .operations import DOUBLE, POINTER, Operations
 
 
 class Inverse(NamedTuple):
@@ -51,13 +51,13 @@ class SeriesWriter(Writer):
     def _unit(self) -> Any:
         return self._given["unit"] if self._ops.lanes == 1 else self._load("unit", 0)
 
-    def _inverse(self, d: Value | None, multiple: float) -> Inverse:
-        """Return the reciprocal of d · multiple, where d is known when the code runs and `multiple` now."""
+    def _inverse(self, d: Value | None, multiple: float, ops: Operations) -> Inverse:
+        """Return the reciprocal of d · multiple, where d is known when the code runs and `multiple` now, as numbers of
+        these operations."""
         if d is None:
-            high, low = inverse_of(multiple)
-            return Inverse(self._constant(high), self._constant(low))
+            return Inverse(*(self._of(ops.constant(one)) for one in inverse_of(multiple)))
         d = d if multiple == 1 else d * multiple
-        one = self._constant(1.0)
+        one = self._of(ops.constant(1.0))
         first = one / d
         return Inverse(first, (-d).times_plus(first, one) * first)
 
