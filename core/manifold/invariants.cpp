@@ -321,8 +321,7 @@ double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double
   return sum * roundoff(i, y, J) / increment_[i];
 }
 
-double Invariants::resolution(std::size_t i, const double* y, const double* J) {
-  const double* size = sizes(y);
+double Invariants::resolution(std::size_t i, const double* size, const double* J) const {
   double change = 0;
   row(i, J).for_each([&](std::size_t j, double value) { change += std::abs(value) * size[j]; });
   return roundoff_of_g * eps * change;

@@ -130,8 +130,8 @@ class Invariants {
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
   /// Its part that is known without J.
   [[nodiscard]] double roundoff_of_value(std::size_t i) const;
-  /// Returns the change of invariant i by roundoff of the point, 10 ε s_j in each component.
-  double resolution(std::size_t i, const double* y, const double* J);
+  /// Returns the change of invariant i by roundoff of the point, 10 ε s_j in each component; `size`: its `sizes`.
+  double resolution(std::size_t i, const double* size, const double* J) const;
   /// Returns the change of J_i f by roundoff of the point, where J_i comes from differences.
   double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 

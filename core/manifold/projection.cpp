@@ -241,13 +241,14 @@ Imposed Projector::approach(double t, double* y) {
 
 /// Takes the sizes below which residuals at y, where J is known, are roundoff.
 void Projector::take_units(const double* y) {
-  for (std::size_t i = 0; i < m_; ++i) unit_[i] = std::max(noise(i, y), std::numeric_limits<double>::min());
+  const double* size = invariants_.sizes(y);
+  for (std::size_t i = 0; i < m_; ++i) unit_[i] = std::max(noise(i, y, size), std::numeric_limits<double>::min());
 }
 
-/// Returns the residual that roundoff of g and of the point y makes of invariant i.
-double Projector::noise(std::size_t i, const double* y) {
+/// Returns the residual that roundoff of g and of the point y, of these sizes, makes of invariant i.
+double Projector::noise(std::size_t i, const double* y, const double* size) const {
   const double* J = at_.J.data();
-  return std::max(invariants_.roundoff(i, y, J), invariants_.resolution(i, y, J));
+  return std::max(invariants_.roundoff(i, y, J), invariants_.resolution(i, size, J));
 }
 
 /// Returns the largest residual, in the units that were taken last.
@@ -274,10 +275,11 @@ Outcome Projector::measure_after(double t, const double* y) {
   if (!defined(after.data())) return Outcome::not_finite;
   const double allowed = std::pow(slowest_newton, iterations_);
   const double largest = *std::ranges::max_element(distance_before_);
+  const double* size = invariants_.sizes(y);
   for (std::size_t i = 0; i < m_; ++i) {
     if (left_out_[i] != 0 || idle(i)) continue;
     const double left = std::abs(after[i]);
-    if (left > noise(i, y) && left > allowed * std::abs(residual_before_[i]) &&
+    if (left > noise(i, y, size) && left > allowed * std::abs(residual_before_[i]) &&
         left > allowed * (largest * at_.norm[i]))
       return Outcome::not_finite;
   }
@@ -387,7 +389,7 @@ double Projector::movable_part(std::size_t i) const {
 bool Projector::stuck(std::size_t i) const { return !movable_.empty() && movable_[i] <= roundoff_of_coefficients; }
 
 double Projector::roundoff(std::size_t i, const double* y) {
-  const double roundoff = noise(i, y);
+  const double roundoff = noise(i, y, invariants_.sizes(y));
   if (!any_fixed()) return roundoff;
   double largest = 0, sizes = 0;
   at_.gradient(i).for_each([&](std::size_t j, double value) {

@@ -122,7 +122,7 @@ class Projector {
 
  private:
   double* provide();
-  double noise(std::size_t i, const double* y);
+  [[nodiscard]] double noise(std::size_t i, const double* y, const double* size) const;
   Outcome linearize(double t, const double* y);
   bool correct_again(double* y);
   [[nodiscard]] double largest_distance() const;
