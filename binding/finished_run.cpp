@@ -33,31 +33,86 @@ std::pair<nb::object, nb::object> points_of(FinishedRun& self) {
   return {times_array(std::move(r.points.t)), std::move(y)};
 }
 
-/// An object of a class derived from dict, with items, and `make` as the attribute `_make`. Written out, since calling
-/// the class takes twice as long.
-nb::object new_dict(const nb::type_object& kind, const nb::dict& items, nb::handle make) {
-  static PyObject* const name = PyUnicode_InternFromString("_make");
+/// A new object of a class in Python. Written out, since calling the class takes twice as long.
+nb::object new_object(nb::handle kind) {
   auto* const type = reinterpret_cast<PyTypeObject*>(kind.ptr());
   nb::object made = nb::steal(type->tp_new(type, nb::tuple().ptr(), nullptr));
-  const bool complete = made.is_valid() && PyDict_Update(made.ptr(), items.ptr()) == 0 &&
-                        PyObject_GenericSetAttr(made.ptr(), name, make.ptr()) == 0;
-  if (!complete) throw nb::python_error();
+  if (!made.is_valid()) throw nb::python_error();
   return made;
 }
 
+void set_attribute(nb::handle object, PyObject* name, nb::handle value) {
+  if (PyObject_GenericSetAttr(object.ptr(), name, value.ptr()) < 0) throw nb::python_error();
+}
+
+/// An object whose attributes `later` makes: see `Deferred`.
+nb::object deferred(nb::handle kind, nb::handle later) {
+  static PyObject* const name = PyUnicode_InternFromString("_make");
+  nb::object made = new_object(kind);
+  set_attribute(made, name, later);
+  return made;
+}
+
+nb::object steps_object(nb::handle kind, nb::handle run, nb::handle members) {
+  static PyObject* const given = PyUnicode_InternFromString("_given");
+  static PyObject* const methods = PyUnicode_InternFromString("_methods");
+  nb::object made = new_object(kind);
+  set_attribute(made, given, run);
+  set_attribute(made, methods, members);
+  return made;
+}
+
+/// Times and states of the occurrences of events, each a list by event; states of none have the shape (0,), as in
+/// SciPy.
+std::pair<nb::object, nb::object> occurrences_of(FinishedRun& self, nb::handle kind, const nb::list& names) {
+  static PyObject* const own = PyUnicode_InternFromString("_names");
+  std::pair<nb::object, nb::object> both(new_object(kind), new_object(kind));
+  const auto append = [](nb::handle list, const nb::object& one) {
+    if (PyList_Append(list.ptr(), one.ptr()) < 0) throw nb::python_error();
+  };
+  for (std::size_t e = 0; e < names.size(); ++e) {
+    auto& [t, y] = self.result.occurrences.at(e);
+    const std::size_t times = t.size(), n = self.result.n;
+    append(both.first, times_array(std::move(t)));
+    append(both.second,
+           times == 0 ? state_array(nullptr, 0, self.complex) : rows_array(std::move(y), times, n, self.complex));
+  }
+  set_attribute(both.first, own, names);
+  set_attribute(both.second, own, names);
+  return both;
+}
+
 /// Makes the solution, with the names of the items made once.
-nb::object make_solution(FinishedRun& self, const nb::type_object& kind, const nb::dict& items, nb::handle make) {
-  constexpr std::size_t size = 6;
-  static const std::array<PyObject*, size> names = {
-      PyUnicode_InternFromString("t"),    PyUnicode_InternFromString("y"),   PyUnicode_InternFromString("nfev"),
-      PyUnicode_InternFromString("njev"), PyUnicode_InternFromString("nlu"), PyUnicode_InternFromString("t_end")};
-  const auto [t, y] = points_of(self);
+nb::object make_solution(nb::handle_t<FinishedRun> run, const nb::tuple& kinds, const nb::dict& items,
+                         nb::handle private_ones, nb::handle stats, nb::handle members, nb::handle events) {
+  enum Name { t, y, nfev, njev, nlu, t_end, stats_item, steps, t_events, y_events, size };
+  static const std::array<PyObject*, size> names = [] {
+    std::array<PyObject*, size> made{};
+    constexpr std::array<const char*, size> texts = {"t",     "y",     "nfev",  "njev",     "nlu",
+                                                     "t_end", "stats", "steps", "t_events", "y_events"};
+    for (std::size_t i = 0; i < size; ++i) made[i] = PyUnicode_InternFromString(texts[i]);
+    return made;
+  }();
+  FinishedRun& self = *nb::inst_ptr<FinishedRun>(run);
   const RunResult& r = self.result;
-  const std::array<nb::object, size> values = {
-      t, y, nb::int_(r.nfev), nb::int_(r.linear.jacobians), nb::int_(r.linear.factorizations), nb::float_(r.t_end)};
-  const nb::object solution = new_dict(kind, items, make);
-  for (std::size_t i = 0; i < size; ++i)
-    if (PyDict_SetItem(solution.ptr(), names[i], values[i].ptr()) < 0) throw nb::python_error();
+  nb::object solution = deferred(kinds[0], private_ones);
+  const auto set = [&](Name name, const nb::object& value) {
+    if (PyDict_SetItem(solution.ptr(), names[name], value.ptr()) < 0) throw nb::python_error();
+  };
+  if (PyDict_Update(solution.ptr(), items.ptr()) < 0) throw nb::python_error();
+  const auto [times, states] = points_of(self);
+  set(t, times);
+  set(y, states);
+  set(nfev, nb::int_(r.nfev));
+  set(njev, nb::int_(r.linear.jacobians));
+  set(nlu, nb::int_(r.linear.factorizations));
+  set(t_end, nb::float_(r.t_end));
+  set(stats_item, deferred(kinds[1], stats));
+  if (!members.is_none()) set(steps, steps_object(kinds[2], run, members));
+  if (events.is_none()) return solution;
+  const auto [found_t, found_y] = occurrences_of(self, kinds[3], nb::borrow<nb::list>(events));
+  set(t_events, found_t);
+  set(y_events, found_y);
   return solution;
 }
 
@@ -114,11 +169,15 @@ void define_arrays_of_run(RunClass& run) {
 }
 
 void define_course_of_run(RunClass& run) {
-  run.def("solution", &make_solution, nb::arg("kind"), nb::arg("items"), nb::arg("make"),
-          nb::sig("def solution(self, kind: type, items: dict[str, object], make: object) -> object"),
-          "An object of a class derived from dict, without a call of its constructor: it has `items`, with `t` and "
-          "`y`, handed over as by `take_points`, the counts `nfev`, `njev` and `nlu`, and `t_end` in their places, and "
-          "`make` as its attribute `_make`.")
+  run.def("solution", &make_solution, nb::arg("kinds"), nb::arg("items"), nb::arg("private"), nb::arg("stats"),
+          nb::arg("members").none(), nb::arg("events").none(),
+          nb::sig("def solution(self, kinds: tuple[type, ...], items: dict[str, object], private: tuple[object, ...], "
+                  "stats: tuple[object, ...], members: tuple[str, ...] | None, events: list[str] | None) -> object"),
+          "The solution, with `items` and the run's own: points, handed over as by `take_points`, counts, steps, and "
+          "occurrences of events. kinds: the classes of the solution, its counts, its steps and its lists by event. "
+          "private, stats: functions, each with its arguments, that make the attributes of the first two when they are "
+          "needed. members: the methods that made the steps; None: the solution has no steps. events: the names of the "
+          "user's events; None: the solution has no events.")
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); })
       .def(
           "take_sections",
@@ -135,6 +194,17 @@ void define_course_of_run(RunClass& run) {
 template <class Read>
 void property(RunClass& run, const char* name, Read read) {
   run.def_prop_ro(name, [read](const FinishedRun& self) { return read(self.result); });
+}
+
+/// Roundoff of an invariant, in tolerances, from which on it is reported.
+constexpr double most_roundoff = 10;
+
+/// The invariants with more roundoff, and how much they have.
+std::vector<std::pair<std::size_t, double>> unresolved(const RunResult& r) {
+  std::vector<std::pair<std::size_t, double>> found;
+  for (std::size_t i = 0; i < r.unresolved.size(); ++i)
+    if (r.unresolved[i] > most_roundoff) found.emplace_back(i, r.unresolved[i]);
+  return found;
 }
 
 /// Returns whether there is a remark on its steps.
@@ -168,6 +238,15 @@ void define_report_of_run(RunClass& run) {
   property(run, "finding_t", [](const RunResult& r) { return r.report.finding.t; });
   property(run, "finding_size", [](const RunResult& r) { return r.report.finding.size; });
   property(run, "finding_distance", [](const RunResult& r) { return r.report.finding.distance; });
+}
+
+nb::object outcome(const FinishedRun& self) {
+  const RunResult& r = self.result;
+  const bool usual =
+      r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
+  const bool all = usual && !remarkable(r) && r.below_zero.index < 0 && std::isnan(r.linear.abandoned_complex_steps) &&
+                   !r.linear.misfit && r.harm.component < 0 && r.dropped.empty() && unresolved(r).empty();
+  return all ? nb::object(name_object(r.state)) : nb::none();
 }
 
 /// kind, t, row, column, lower, upper, change, predicted.
@@ -207,7 +286,10 @@ void define_summary_of_run(RunClass& run) {
   property(run, "misfit", [](const RunResult& r) { return fields_of(r.linear.misfit); });
   property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
-  property(run, "unresolved", [](const RunResult& r) { return r.unresolved; });
+  run.def_prop_ro(
+      "unresolved", [](const FinishedRun& self) { return unresolved(self.result); },
+      "Invariants that are imposed no more accurately than their roundoff, which is a change of y by many tolerances: "
+      "the number of each, and how many.");
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
@@ -216,16 +298,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "remarkable", [](const RunResult& r) { return remarkable(r); });
   property(run, "below_zero", [](const RunResult& r) { return component(r.below_zero); });
   run.def_prop_ro(
-      "outcome",
-      [](const FinishedRun& self) -> nb::object {
-        const RunResult& r = self.result;
-        const bool usual =
-            r.state == State::reached_end || r.state == State::terminal_event || r.state == State::stopped_by_callback;
-        const bool all = usual && !remarkable(r) && r.below_zero.index < 0 &&
-                         std::isnan(r.linear.abandoned_complex_steps) && !r.linear.misfit;
-        return all ? nb::object(name_object(r.state)) : nb::none();
-      },
-      nb::sig("def outcome(self) -> str | None"),
+      "outcome", &outcome, nb::sig("def outcome(self) -> str | None"),
       "The state of the run, if that describes its end, and nothing else is to be reported; otherwise None.");
   run.def_prop_ro(
       "told",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -63,19 +63,21 @@ def _none() -> None:
 
 
 class Deferred:
-    """An object whose attributes are made together by a function ``_make()``, when one of them is first read."""
+    """An object whose attributes are made together when one of them is first read, by ``_make``: a function, followed
+    by its arguments. Runs make such objects by `Run.solution`, without a call of their class."""
 
     def _settle(self) -> bool:
         """Make the deferred attributes, except for those set meanwhile; return whether there were any to make."""
         make = self.__dict__.get("_make")
         if make is None:
             return False
-        self.__dict__.update({**make(), **self.__dict__})
+        function, *arguments = make
+        self.__dict__.update({**function(*arguments), **self.__dict__})
         self.__dict__.pop("_make", None)
         return True
 
     if TYPE_CHECKING:
-        _make: Callable[[], Mapping[str, Any]]
+        _make: tuple[Any, ...]
     else:  # a type checker would accept every misspelt field
 
         def __getattr__(self, name: str) -> Any:
@@ -181,13 +183,6 @@ class Stats(Deferred, DataRecord):
     discontinuities: tuple[float, ...] = dataclasses.field(default_factory=tuple)
     marks: tuple[tuple[float, ...], ...] = dataclasses.field(default_factory=tuple)
     sensitivities: str | None = dataclasses.field(default_factory=_none)
-
-    @classmethod
-    def when_needed(cls, make: Callable[[], Mapping[str, Any]]) -> Stats:
-        """Return counts that are computed when one of them is first read."""
-        later = cls.__new__(cls)
-        later._make = make
-        return later
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self})

@@ -78,6 +78,8 @@ class Prepared:
         The methods that take turns.
     any_y0, any_args, any_span : bool
         Whether the plan holds for another initial state, other arguments, another interval.
+    simple : bool
+        Whether solutions have nothing that is computed from the run, such as sensitivities or a continuous solution.
     """
 
     def __init__(self, problem: Problem, choice: Choice, plan: Plan, *, lends: bool = False) -> None:
@@ -94,6 +96,7 @@ class Prepared:
         self.any_span = self.any_y0 and _of_any_span(problem, plan)
         self._parameters, self._complex = plan.functions.parameters.size > 0, plan.functions.complex
         self._varied = plan.varied
+        self.simple = plan.varied is None and plan.watch is None and not (plan.settings.dense or plan.settings.sections)
         #: Whether runs are lent Python functions, and whether there is any besides f.
         self._lent = bool(lends and _functions_of(problem, plan.bound))
         self._calls_others = bool(problem.invariants or problem.events)

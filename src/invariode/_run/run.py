@@ -47,7 +47,7 @@ from .._results.solution import Solution
 from .._sensitivity.landings import schedule_of
 from .comparison import compare, uncompared
 from .prepared import OnCourse, run_or_plan
-from .run_warnings import _UNRESOLVED, warn_of_projection, warn_of_steps
+from .run_warnings import warn_of_projection, warn_of_steps
 
 #: Where f may jump it is evaluated so many ulp from there.
 _BESIDE = 16
@@ -243,10 +243,15 @@ def finished_solution(run: _core.Run, source: Solved, shared: OnCourse) -> Solut
     """Return the solution of a run of a prepared plan as the user gets it; the first run of a compiled f is compared
     with the Python function."""
     prepared = shared.prepared
-    sol = presented(Finished(run, prepared.plan, source, prepared.members, shared))
+    plan, items = prepared.plan, _ITEMS.get(run.outcome)
+    of = run, plan, source, prepared.members, shared
+    if items is None or not prepared.simple:
+        sol = presented(Finished(*of))
+    else:  # nothing is to be reported or computed: what most solutions are never asked for is made when it is needed
+        sol = _solution(run, plan, prepared.members, items, (_private_of, *of), (_stats_of, *of))
     if uncompared(shared.problem) is not None:
         compare(source.problem, sol, source.options.get("check", True))
-    return concluded(sol, prepared.plan.on_failure)
+    return concluded(sol, plan.on_failure)
 
 
 def _solved(begun: tuple[OnCourse, _core.Run] | Plan, source: Solved) -> Solution:
@@ -381,15 +386,23 @@ class Finished:
         return vars(_stats(self.run, self.plan))
 
 
+def _private_of(*finished: Any) -> dict[str, Any]:
+    return Finished(*finished).private()
+
+
+def _stats_of(*finished: Any) -> dict[str, Any]:
+    return Finished(*finished).stats()
+
+
 def presented(finished: Finished) -> Solution:
     """Return the solution of a finished run and warn of its problems, or raise its exception."""
     run = finished.run
     if finished.outcome is None:
         _require_start(finished)
-    sol = _solution(finished)
-    if finished.general.names and (run.harmed >= 0 or run.dropped or max(run.unresolved, default=0.0) > _UNRESOLVED):
-        warn_of_projection(run, finished.plan, sol)
+    sol = _whole_solution(finished)
     if finished.outcome is None:
+        if finished.general.names:
+            warn_of_projection(run, finished.plan, sol)
         _warn(finished)
         if run.below_zero is not None:
             i, y, _ = run.below_zero
@@ -430,7 +443,7 @@ def _keep(checkpoint: RunFiles, core: _core.Solver, plan: Plan, source: Solved, 
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return
-    sol = _solution(Finished(part, plan, source, core.members, checkpoint=checkpoint))
+    sol = _whole_solution(Finished(part, plan, source, core.members, checkpoint=checkpoint))
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
     checkpoint.keep(sol)
 
@@ -452,33 +465,55 @@ def _integrated(
         return core.integrate(plan.start, report, request, keep, every, plan.remarks)
 
 
-def _solution(finished: Finished) -> Solution:
-    run, plan = finished.run, finished.general
-    known = _ITEMS.get(finished.outcome) if plan.watch is None else None
-    made: Any = run.solution(Solution, known or _items(*finished.plan.verdict(run)), finished.private)
+#: The classes of a solution and its parts, of which the core makes objects.
+_KINDS = (Solution, Stats, Steps, ByEvent)
+
+
+def _solution(
+    run: _core.Run,
+    plan: Plan,
+    members: tuple[str, ...],
+    items: dict[str, Any],
+    private: tuple[Any, ...],
+    stats: tuple[Any, ...],
+) -> Solution:
+    """Return the solution of a run, without what is computed from it. `private`, `stats`: see `Deferred`."""
+    events = plan.called.events if plan.records_events and plan.varied is None else None
+    made: Any = run.solution(_KINDS, items, private, stats, members if plan.settings.record else None, events)
     sol: Solution = made
-    sol["stats"] = Stats.when_needed(finished.stats)
-    happened = run.take_events(plan.own_events) if plan.records_events else None
+    return sol
+
+
+def _whole_solution(finished: Finished) -> Solution:
+    run, plan = finished.run, finished.general
+    items = _ITEMS.get(finished.outcome) if plan.watch is None else None
+    items = items or _items(*finished.plan.verdict(run))
+    sol = _solution(run, plan, finished.members, items, (finished.private,), (finished.stats,))
     if plan.varied is not None:
-        names, n = plan.varied.names, plan.components
-        S_events = None if happened is None else plan.varied.at_events(happened, n)
-        sol["y"], S = states_and_sensitivities(sol["y"], n, len(names))
-        finished.y_end, S_end = states_and_sensitivities(run.end, n, len(names))
-        if happened is not None:
-            happened = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened]
-        sol.__dict__["_sensitivities"] = SensitivityData(names, S, S_end, S_events)  # without the other attributes
-        plan.varied.tell_of_steps(sol["t"], sol["y"])
+        _take_sensitivities(finished, sol)
     settings = plan.settings
     if settings.sections:
         finished.sectioned = (Sectioned.of(finished.plan, run),)
     if settings.dense and (dense := run.take_dense()) is not None:
         sol["sol"] = DenseSolution(dense, sol["y"].dtype, finished.bound).after(finished.source.history)
+    return sol
+
+
+def _take_sensitivities(finished: Finished, sol: Solution) -> None:
+    """Separate the state from its sensitivities in the output of a run, at its end and at its events."""
+    run, plan = finished.run, finished.general
+    assert plan.varied is not None
+    names, n = plan.varied.names, plan.components
+    happened = run.take_events(plan.own_events) if plan.records_events else None
+    S_events = None if happened is None else plan.varied.at_events(happened, n)
+    sol["y"], S = states_and_sensitivities(sol["y"], n, len(names))
+    finished.y_end, S_end = states_and_sensitivities(run.end, n, len(names))
+    sol.__dict__["_sensitivities"] = SensitivityData(names, S, S_end, S_events)  # without the other attributes
+    plan.varied.tell_of_steps(sol["t"], sol["y"])
     if happened is not None:
         sol["t_events"] = ByEvent(plan.called.events, [times for times, _ in happened])
-        sol["y_events"] = ByEvent(plan.called.events, [at_events(points) for _, points in happened])
-    if settings.record:
-        sol["steps"] = Steps(run, finished.members)
-    return sol
+        rows = [np.ascontiguousarray(states[:, :n]) for _, states in happened]
+        sol["y_events"] = ByEvent(plan.called.events, [at_events(states) for states in rows])
 
 
 def _items(status: int, message: str) -> dict[str, Any]:

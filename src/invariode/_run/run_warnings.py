@@ -27,21 +27,16 @@ def warn_of_steps(run: _core.Run, plan: Plan) -> None:
         warn(f"{plan.method.name}: {accumulating(plan.event_names[event], t, interval, count)}", DiscontinuityWarning)
 
 
-#: Roundoff of an invariant, in tolerances, from which on it is a warning.
-_UNRESOLVED = 10.0
-
-
 def warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
     at_rest = (np.abs(sol.y.T - plan.y0) <= plan.atol + plan.rtol * np.abs(plan.y0)).all()  # g is stationary there
     if (dropped := run.dropped) and not at_rest:
         _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
-    for name, tolerances in zip(plan.names, run.unresolved, strict=False):
-        if tolerances > _UNRESOLVED:
-            warn(
-                f"invariant {name} is so large that its roundoff is a change of y by {tolerances:.2g} tolerances: it "
-                "is imposed no more accurately than that. Subtract its offset within the function",
-                AccuracyWarning,
-            )
+    for i, tolerances in run.unresolved:
+        warn(
+            f"invariant {plan.names[i]} is so large that its roundoff is a change of y by {tolerances:.2g} tolerances: "
+            "it is imposed no more accurately than that. Subtract its offset within the function",
+            AccuracyWarning,
+        )
     harmed = run.harmed
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
