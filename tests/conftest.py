@@ -44,17 +44,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """The files of `--part interpreter`. Each worker begins to collect at another file: in a new environment what is
-    imported is compiled, and workers in step would each compile all of it."""
-    if config.args != config.getini("testpaths"):
-        return
-    files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
-    if config.getoption("--part") == "interpreter":
-        files = [file for file in files if Path(file).stem in BY_INTERPRETER]
-    worker, count = (os.environ.get(f"PYTEST_XDIST_WORKER{of}", "") for of in ("", "_COUNT"))
-    first = len(files) * int(worker.removeprefix("gw")) // int(count) if worker else 0
-    config.args[:] = files[first:] + files[:first]
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the files that `--part interpreter` does not name."""
+    chosen = collection_path.is_dir() or collection_path.stem in BY_INTERPRETER
+    return None if chosen or config.getoption("--part") != "interpreter" else True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Each worker begins to collect at another file: in a new environment what is imported is compiled, and workers in
+    step would each compile all of it."""
+    report = yield
+    if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and collector.path == Path(__file__).parent:
+        files = report.result
+        first = len(files) * int(worker.removeprefix("gw")) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        report.result = files[first:] + files[:first]
+    return report
 
 
 @pytest.hookimpl(tryfirst=True)
