@@ -83,7 +83,7 @@ def pytest_collection_finish() -> None:
     numba and SymPy allocate so much that it also took place too often."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(10_000)
+    gc.set_threshold(100_000)
 
 
 @pytest.fixture(scope="module")

@@ -94,40 +94,38 @@ def triples() -> set[tuple[tuple[str, str], ...]]:
 def covering_array(seed: int = 44) -> tuple[Row, ...]:
     """Rows that meet each of the `triples`: the next row begins with one that is missing, and each further factor takes
     the level that meets most of those left."""
-    random, left = Random(seed), triples()
-    order = sorted(left)
+    random, order = Random(seed), sorted(triples())
+    left = np.zeros((len(_PLACES),) * 3, bool)
+    for one in order:
+        for turned in itertools.permutations(one):
+            left[tuple(map(_PLACES.__getitem__, turned))] = True
     random.shuffle(order)
     rows = []
     for begun in order:
-        if begun not in left:
+        if not left[tuple(map(_PLACES.__getitem__, begun))]:
             continue
-        row = max((_completed(dict(begun), left, random) for _ in range(4)), key=lambda one: len(left & met(one)))
-        left -= met(row)
-        rows.append(row)
+        some = [_completed(dict(begun), left, random) for _ in range(4)]
+        places = [np.ix_(*[[_PLACES[one] for one in row.items()]] * 3) for row in some]
+        best = int(np.argmax([left[one].sum() for one in places]))
+        left[places[best]] = False
+        rows.append(some[best])
     return tuple(rows)
 
 
-def _completed(row: Row, left: set[Any], random: Random) -> Row:
+def _completed(row: Row, left: Any, random: Random) -> Row:
     names = [name for name in FACTORS if name not in row]
     random.shuffle(names)
     for name in names:
         choices = [level for level in FACTORS[name] if allowed({**row, name: level})]
         random.shuffle(choices)
-        pairs = list(itertools.combinations(row, 2))
-
-        def gain(level: str, name: str = name, pairs: Any = pairs) -> int:
-            more = {**row, name: level}
-            return sum(_in_order(more, (*pair, name)) in left for pair in pairs)
-
-        row[name] = max(choices, key=gain)
+        here = [_PLACES[one] for one in row.items()]
+        met_by = left[np.ix_([_PLACES[name, level] for level in choices], here, here)].sum((1, 2))
+        row[name] = choices[int(met_by.argmax())]
     return {name: row[name] for name in FACTORS}
 
 
-_PLACES = {name: i for i, name in enumerate(FACTORS)}
-
-
-def _in_order(row: Row, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    return tuple((name, row[name]) for name in sorted(names, key=_PLACES.__getitem__))
+#: The place of each level of each factor in an array whose three dimensions stand for the levels of a triple.
+_PLACES = {one: i for i, one in enumerate((name, level) for name, levels in FACTORS.items() for level in levels)}
 
 
 def met(row: Row) -> set[tuple[tuple[str, str], ...]]:

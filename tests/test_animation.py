@@ -291,13 +291,13 @@ def test_numbers_of_a_thin_axis_in_space_do_not_run_together(films):
 
 
 def test_a_notebook_shows_a_film_once_and_small(films):
-    """The film's figure is closed, so that it is not a picture too; 40 frames take less than half a megabyte."""
-    film = films(turning(), hand, links=[(0, 1)], trace=[1], duration=2, fps=20)
+    """The film's figure is closed, so that it is not a picture too; 20 frames take less than 250 kB."""
+    film = films(turning(), hand, links=[(0, 1)], trace=[1], duration=1, fps=20)
     assert film.figure.number in plt.get_fignums()
     page = film._repr_html_()
     assert film.figure.number not in plt.get_fignums()
-    assert len(film.times) == 40
-    assert len(page) < 5e5
+    assert len(film.times) == 20
+    assert len(page) < 2.5e5
 
 
 @pytest.mark.parametrize("photograph", [False, True])

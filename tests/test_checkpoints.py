@@ -49,7 +49,7 @@ def test_in_another_process(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_killed_run_is_not_lost(tmp_path):
     rng = random.Random(SEED)
-    for seed in (3, 8):
+    for seed in (5, 8):
         assert killed(seed, tmp_path / f"{seed}.checkpoint", rng) in ("whole", "not begun")
 
 

@@ -426,15 +426,16 @@ FACES = {
 
 
 def test_a_switch_in_time_is_a_landing_by_whatever_function_it_enters():
-    """A pulse of any function that a run calls as f is seen, wherever the function holds its times."""
+    """A pulse of any function that a run calls as f is seen, wherever the function holds its times. A function is read
+    before it is known who calls it, so each way meets a third of the callers, and each caller a third of the ways."""
     lost = []
     for i, (way, u, args) in enumerate(ways()):
-        for k, (face, (solve, right)) in enumerate(FACES.items()):
+        for k, (face, (solve, right)) in [*enumerate(FACES.items())][i % 3 :: 3]:
             found = solve(
                 lambda t, y, *p, u=u: [u(t, *p)],
                 lambda t, q, v, *p, u=u: [u(t, *p)],
                 args,
-                ("ode45", "radau")[(i + k) % 2],
+                ("ode45", "radau")[(i // 3 + k) % 2],
             )
             if not abs(found - right) <= 2e-6 * right:
                 lost.append((way, face, found))

@@ -224,8 +224,8 @@ def test_few_attempts_fail_where_the_solution_sets_the_steps(method):
 @dealt(12, method=METHODS, project=[False, True])
 def test_error_follows_the_tolerance(method, project):
     """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or
-    to 1e-8 where the order is so low that the steps are very many."""
-    rtols = np.logspace(-2, -10, 17) if iv.METHODS[method].order > 3 else np.logspace(-2, -8, 13)
+    to 1e-7 where the order is so low that the steps are very many."""
+    rtols = np.logspace(-2, -10, 17) if iv.METHODS[method].order > 3 else np.logspace(-2, -7, 11)
     options = {"jac": kepler_rhs_jacobian} if implicit(method) else {}
     errors = []
     for rtol in rtols:

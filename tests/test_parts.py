@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from ensembles import same
 from invariode._ensemble.ensemble import _rows
 from invariode._ensemble.executors import packed
@@ -299,8 +300,7 @@ class TestStore:
     def zarr(self) -> Any:
         return pytest.importorskip("zarr")
 
-    @pytest.mark.parametrize("form", FORMS)
-    @pytest.mark.parametrize("length", [6, 100])
+    @dealt(form=FORMS, length=[6, 100])
     def test_it_holds_the_ensemble(self, form: str, length: int, tmp_path: Path) -> None:
         stored = solve(form, store=tmp_path / "out.zarr", chunk=length, workers=1, seed=5)
         whole = solve(form, workers=1)
@@ -460,12 +460,12 @@ class TestStore:
                 yield np.ones((1000, 2)), np.ones((1000, 1))
 
         peaks = []
-        for size in (4000, 16000):
+        for size in (4000, 10000):
             tracemalloc.start()
             iv.solve_ensemble(compiled, (0, 0.01), source(size), chunk=1000, store=tmp_path / f"{size}")
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
-        part = 128 * 1000  # a part's rows; of the twelve more, how many are written at a time depends on the machine
+        part = 128 * 1000  # a part's rows; of the six more, how many are written at a time depends on the machine
         assert peaks[1] < peaks[0] + 4 * part
 
 

@@ -360,7 +360,7 @@ warnings.simplefilter("ignore")
 def made(i):
     def f(t, y):
         s = y[0]
-        for j in range(150):
+        for j in range(60):
             s = s * 0.99 + np.sin(y[0] * (j + i)) * 1e-3
         return [-s]
     return iv.compile(f, by="trace")
@@ -373,7 +373,7 @@ children = []
 for k in range(8):
     thread = threading.Thread(target=lambda: [solved(100 * k + i) for i in range(1, 3)])
     thread.start()
-    threading.Event().wait(0.01 * k)
+    threading.Event().wait(0.005 * k)
     child = os.fork()
     if child == 0:
         solved(10_000 + k)
