@@ -82,8 +82,8 @@ int order_of(std::span<const double> v) {
   return std::ranges::adjacent_find(v, [](double a, double b) { return !(a > b); }) == v.end() ? -1 : 0;
 }
 
-/// (t0, tf), y0 and args as problems have them: floats, an array that nobody changes, a tuple. None: one of them was
-/// given in another form, or is wrong.
+/// (t0, tf), y0 and args as problems have them: floats, none of which is −0, an array that nobody changes, a tuple.
+/// None: one of them was given in another form, or is wrong.
 nb::object plainly_posed(nb::handle t_span, nb::handle y0, nb::handle args) {
   const nb::object ends = plain_items(t_span);
   if (!ends || PyTuple_GET_SIZE(ends.ptr()) != 2) return nb::none();
@@ -95,7 +95,7 @@ nb::object plainly_posed(nb::handle t_span, nb::handle y0, nb::handle args) {
   PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject*>(y.ptr()), NPY_ARRAY_WRITEABLE);
   const nb::object extra = args.is_none() ? nb::object(nb::tuple()) : plain_items(args);
   if (!extra) return nb::none();
-  return nb::make_tuple(nb::make_tuple(*t0, *tf), y, extra);
+  return nb::make_tuple(nb::make_tuple(*t0 + 0.0, *tf + 0.0), y, extra);
 }
 
 /// Times of output as a new array. None: they were given in another form, or are not in order within the interval.

@@ -59,6 +59,7 @@ PROBLEMS: dict[str, dict[str, Any]] = {
     "integers": {"y0": [1, 0, 0, 1]},
     "t_span": {"t_span": (0.5, 2)},
     "backwards": {"t_span": [0.0, -1.5]},
+    "from minus zero": {"t_span": (-0.0, 1)},
     "nothing to do": {"t_span": (1, 1)},
     "times": {"t_eval": [0.25, 0.5, 1.0]},
     "other times": {"t_eval": np.linspace(0, 1, 7)},

@@ -14,13 +14,13 @@ namespace {
 
 constexpr double location_ulps = 2;       // width of the final bracket, in ulp of t
 constexpr double tie_ulps = 4;            // roots this close are one instant
-constexpr std::size_t few_samples = 64;   // of a step that is scanned closely, for which there is room at once
 constexpr int few_intervals = 3;          // that shrink do not yet accumulate
 constexpr double resolution = 0x1p-26;    // √ε, of the step: roots that are closer are one
 constexpr double of_touching = 64 * eps;  // what roundoff adds to an event, in units of what it is made of
 constexpr double small_change = 0x1p-26;  // of y and t, to see what the event is made of
 constexpr double straight = 1e-3;  // differences of slopes: it does not turn, but for the last 0.05 % of an interval
 constexpr double noise_ulps = 16;  // of y between steps
+constexpr std::size_t few_samples = 64;     // of a step that is scanned closely, for which there is room at once
 constexpr std::size_t most_evaluated = 64;  // values of a vector that are kept
 
 bool is_sign(int s) { return s >= -1 && s <= 1; }
@@ -45,10 +45,7 @@ Events::Events(std::vector<EventFunction> functions, std::vector<RootVector> vec
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
-  separator_.emplace();
   for (std::vector<double>* const one : {&scan_.times, &scan_.values}) one->resize(intervals_ + 1);
-  for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
-  for (std::vector<double>* const one : {&close_scan_.times, &close_scan_.values}) one->reserve(few_samples);
   brackets_.reserve(intervals_);
   roots_.reserve(intervals_);
   occurrences_.reserve(functions_.size() * intervals_);
@@ -278,6 +275,7 @@ Outcome Events::find(std::size_t event) {
 /// y at the interior points of the scan, once for all events.
 Outcome Events::points(bool projected) {
   if (std::exchange(points_known_[projected], true)) return Outcome::ok;
+  points_[projected].resize((intervals_ - 1) * n_);
   for (std::size_t j = 1; j < intervals_; ++j) {
     double* y = points_[projected].data() + (j - 1) * n_;
     const Status status =
@@ -353,6 +351,10 @@ void Events::note_size(std::size_t event) {
 Outcome Events::scan_closely(std::size_t event, int samples) {
   const double t0 = step_.t0, t1 = step_.t1;
   auto& [times, values] = close_scan_;
+  if (!separator_) {  // many runs never look so closely
+    separator_.emplace();
+    for (std::vector<double>* const one : {&times, &values}) one->reserve(few_samples);
+  }
   double start = last_[event], end = 0;
   Outcome outcome = evaluate(event, t1, step_.y1, end);
   if (outcome == Outcome::ok && start == 0)

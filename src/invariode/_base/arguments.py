@@ -310,7 +310,7 @@ def items(value: object) -> list[Any] | None:
 
 
 def interval(t_span: object) -> tuple[float, float]:
-    """(t0, tf): t0 finite, tf finite or infinite."""
+    """(t0, tf): t0 finite, tf finite or infinite; neither is -0.0, so that equal intervals are the same one."""
     require_no_unit("t_span", t_span)
     ends = items(t_span) or ()
     if len(ends) != 2:
@@ -319,7 +319,7 @@ def interval(t_span: object) -> tuple[float, float]:
     t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
     if math.isinf(t0):
         raise ValueError(f"t_span[0] must be finite, got {t0!r}")
-    return t0, tf
+    return t0 + 0.0, tf + 0.0
 
 
 def kept(value: _Value) -> _Value:

@@ -90,6 +90,7 @@ class Prepared:
         self.members = core.members
         #: Idle solvers: a run takes one, or makes another.
         self._idle = deque([core])
+        self._course: Course | None = None  # of the latest run without output times
         self._starts = bool(plan.bound.specs) and not all(map(_is_native, plan.bound.specs))
         self.any_y0 = _of_any_y0(problem, plan, core.native)
         self.any_args = self.any_y0 and _of_any_args(problem, plan)
@@ -100,6 +101,15 @@ class Prepared:
         #: Whether runs are lent Python functions, and whether there is any besides f.
         self._lent = bool(lends and _functions_of(problem, plan.bound))
         self._calls_others = bool(problem.invariants or problem.events)
+
+    def course(self, t_span: tuple[float, float], y0: Array, t_eval: Any) -> Course:
+        """Return the course over an interval: on the course of its latest run a solver is already."""
+        if t_eval is not None:
+            return course_of(self.choice, t_span, y0, t_eval)
+        known = self._course
+        if known is None or known[:2] != t_span:
+            known = self._course = course_of(self.choice, t_span, y0, None)
+        return known
 
     def run(
         self,
@@ -279,7 +289,7 @@ def shared_or_plan(problem: Problem, method: MethodName, options: Options) -> On
     found = prepared_or_plan(problem, method, options)
     if not isinstance(found, Prepared):
         return found
-    return OnCourse(found, problem, course_of(found.choice, problem.t_span, problem.y0, options.get("t_eval")))
+    return OnCourse(found, problem, found.course(problem.t_span, problem.y0, options.get("t_eval")))
 
 
 def run_or_plan(
@@ -290,7 +300,7 @@ def run_or_plan(
     found = prepared_or_plan(problem, method, options)
     if not isinstance(found, Prepared):
         return found
-    course = course_of(found.choice, problem.t_span, problem.y0, options.get("t_eval"))
+    course = found.course(problem.t_span, problem.y0, options.get("t_eval"))
     breaks, limit = options.get("breakpoints"), options.get("callback")
     if breaks is not None:
         breaks = _core.plain_breakpoints(breaks, course.t0, course.tf, ends=True)
@@ -358,9 +368,9 @@ def _varied(problem: Problem, wanted: Sensitivities) -> tuple[Any, ...] | None:
 def _code_of(fun: Any, compiled: bool) -> object | None:
     """Return what distinguishes plans by a function: True, nothing, for a Python function; the code of a compiled one
     beside a compiled f, which stores the plan. None: problems with this function share no plan."""
-    if is_plain_function(fun):
-        return True
-    if not compiled or not isinstance(fun, CompiledFunction):
+    if not isinstance(fun, CompiledFunction):
+        return True if is_plain_function(fun) else None
+    if not compiled:
         return None
     fun.renew()
     return fun.version

@@ -245,10 +245,11 @@ def finished_solution(run: _core.Run, source: Solved, shared: OnCourse) -> Solut
     prepared = shared.prepared
     plan, items = prepared.plan, _ITEMS.get(run.outcome)
     of = run, plan, source, prepared.members, shared
-    if items is None or not prepared.simple:
+    if items is not None and prepared.simple:
+        # Nothing is to be reported or computed; what most solutions are never asked for is made when it is needed.
+        sol = _solution(run, plan, prepared.members, items, (_private_of, of), (_stats_of, of))
+    else:
         sol = presented(Finished(*of))
-    else:  # nothing is to be reported or computed: what most solutions are never asked for is made when it is needed
-        sol = _solution(run, plan, prepared.members, items, (_private_of, *of), (_stats_of, *of))
     if uncompared(shared.problem) is not None:
         compare(source.problem, sol, source.options.get("check", True))
     return concluded(sol, plan.on_failure)
@@ -386,11 +387,11 @@ class Finished:
         return vars(_stats(self.run, self.plan))
 
 
-def _private_of(*finished: Any) -> dict[str, Any]:
+def _private_of(finished: tuple[Any, ...]) -> dict[str, Any]:
     return Finished(*finished).private()
 
 
-def _stats_of(*finished: Any) -> dict[str, Any]:
+def _stats_of(finished: tuple[Any, ...]) -> dict[str, Any]:
     return Finished(*finished).stats()
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, extra_arguments, interval, quietly, require_no_unit
 from .._base.types import MethodName, Span
 from .._functions.compiled import CompiledFunction
-from .._plan.planning import choose, course_of, planned
+from .._plan.planning import choose, planned
 from .._problem.given_options import keeping_arrays
 from .._problem.options import Options, ProblemArguments
 from .._problem.problem import Problem
@@ -43,7 +43,7 @@ class PreparedSolver:
         self._options = keeping_arrays(options)
         prepared = _prepared(problem, method, self._options)
         #: The problem's own interval and output times, which those of its kind do not share.
-        course = course_of(prepared.choice, problem.t_span, problem.y0, self._options.get("t_eval"))
+        course = prepared.course(problem.t_span, problem.y0, self._options.get("t_eval"))
         self._shared = OnCourse(prepared, problem, course)
         self._source = Solved(problem, method, self._options)  # of runs in which nothing differs
         # Breakpoints lie in the interval.
@@ -102,7 +102,7 @@ class PreparedSolver:
             start = _as_state(problem.start_with(args), problem.y0)
         if known and start is not None:
             if t_span is not None:
-                course = course_of(prepared.choice, interval(t_span), start, self._options.get("t_eval"))
+                course = prepared.course(interval(t_span), start, self._options.get("t_eval"))
                 shared = shared._replace(course=course)
             run = prepared.run(problem, start, problem.args if args is None else args, course, dy0dp=dy0dp)
             if run is not None and (run.outcome or run.state in MESSAGES or run.steps > 0):
