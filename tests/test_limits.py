@@ -275,8 +275,15 @@ def endless(native):
     ("native", "workers", "from_iterator"),
     [(True, 2, False), (True, 2, True), (False, 1, True), (False, 2, False)],
 )
-def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, from_iterator):
+def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, from_iterator, monkeypatch):
     """The finished ones are those of an ensemble without the others; the others have status -128 and are NaN."""
+    monkeypatch.setattr("invariode._base.progress.CALLS", 0.0)
+    timer = interrupted_after(0.05)
+
+    def once_some_are_solved(done, whole):
+        if done and timer.ident is None:
+            timer.start()
+
     problem, args = endless(native)
     if from_iterator:  # parts: the first ones end, another never does
         args = [(1.0,)] * 10 + [(0.0,)]
@@ -290,10 +297,8 @@ def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, 
     if not native:
         options["max_step"] = 0.1
     t_eval = [0.0, 0.5]
-    timer = interrupted_after(0.8)
-    timer.start()
     with pytest.warns(UserWarning, match=r"Ctrl-C stopped the ensemble: \d+ of \d+ trajectories are solved"):
-        many = problem.solve_ensemble(t_eval=t_eval, on_interrupt="return", **options)
+        many = problem.solve_ensemble(t_eval=t_eval, on_interrupt="return", progress=once_some_are_solved, **options)
     timer.join()
     solved = many.status != -128
     assert solved.any()
@@ -307,13 +312,22 @@ def test_ctrl_c_keeps_the_finished_trajectories_of_an_ensemble(native, workers, 
     assert not many[int(np.flatnonzero(~solved)[0])].success
 
 
-def test_the_exception_of_ctrl_c_has_the_finished_trajectories():
+def interrupted_in_the_second():
+    """The trajectories of `endless`, of which the second one presses Ctrl-C."""
     problem, args = endless(native=False)
-    timer = interrupted_after(0.6)
-    timer.start()
+
+    def rate(t, y, k):
+        if k == 0 and t > 1:
+            signal.raise_signal(signal.SIGINT)
+        return [k]
+
+    return problem.replace(fun=rate), args
+
+
+def test_the_exception_of_ctrl_c_has_the_finished_trajectories():
+    problem, args = interrupted_in_the_second()
     with pytest.raises(KeyboardInterrupt, match="1 of 20 trajectories are solved") as raised:
         problem.solve_ensemble(args=args, workers=1, max_step=0.1)
-    timer.join()
     assert raised.value.solution.status.tolist() == [1] + [-128] * 19
 
 
@@ -355,12 +369,9 @@ def test_sigterm_returns_too_where_ctrl_c_is_ignored(tmp_path):
 
 def test_the_exception_of_ctrl_c_has_the_store(tmp_path):
     pytest.importorskip("zarr")
-    problem, args = endless(native=False)
-    timer = interrupted_after(0.6)
-    timer.start()
+    problem, args = interrupted_in_the_second()
     with pytest.raises(KeyboardInterrupt, match="1 of 20 trajectories are solved") as raised:
         problem.solve_ensemble(args=args, workers=1, max_step=0.1, chunk=1, store=tmp_path / "many.zarr")
-    timer.join()
     assert raised.value.solution.missing == 19
 
 

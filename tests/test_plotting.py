@@ -364,7 +364,11 @@ def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):
         "iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).plot()\n"
         "assert matplotlib.is_interactive()"
     )
-    environment = {**os.environ, "MPLBACKEND": "module://notebook", "PYTHONPATH": str(tmp_path)}
+    environment = {
+        **os.environ,
+        "MPLBACKEND": "module://notebook",
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+    }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 
 
