@@ -80,7 +80,7 @@ def examples_of_the_help():
 
 def test_examples_of_the_help_do_what_they_say():
     """Each of them runs, writes the files that it names, and prints the problem's name."""
-    Path("pendulum.py").write_text(FILES["pendulum.py"].replace("(0, 10)", "(0, 1)"), encoding="utf-8")  # short runs
+    Path("pendulum.py").write_text(FILES["pendulum.py"].replace("(0, 10)", "(0, 0.5)"), encoding="utf-8")  # short runs
     for name, text in EXAMPLES.items():
         Path(name).write_text(text, encoding="utf-8")
     done = {}

@@ -396,7 +396,7 @@ class TestCompile:
         # an index beyond an array, as the function itself raises it; where only some values lead there it is NaN
         beyond = r"compile\(compiled\), at t = 0\.0: index {} is out of bounds for axis 0 with size {}\."
         for by in ("auto", "numba"):
-            osc, wrong = (iv.compile(one, by=by) for one in (lambda t, y: (y[1], -y[0]), lambda t, y: (y[0], y[5])))
+            osc, wrong = lambda t, y: (y[1], -y[0]), iv.compile(lambda t, y: (y[0], y[5]), by=by)
             by_p = iv.compile(lambda t, y, p: (y[1], -p[3] * y[0]), by=by)
             matrix = iv.compile(lambda t, y: ((0.0, 1.0), (-1.0, y[9])), by=by)
             first = iv.Event(lambda t, y: y[0] - 0.8, action=wrong)

@@ -70,7 +70,7 @@ def test_the_next_step_is_that_of_the_whole_run_wherever_it_stops(method):
     )
     given = {"rtol": 1e-3, "atol": 1e-5, "max_step": 0.5}
     whole = problem.solve(method, **given)
-    for k in range(18, 92, 5 if method == "radau" else 3):
+    for k in range(18, 92, 7 if method == "radau" else 5):
         if k + 1 >= len(whole.t):
             break
         sol = problem.solve(method, max_steps=k, **given).extend(8, max_steps=1)

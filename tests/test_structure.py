@@ -230,9 +230,17 @@ print(*{"scipy", "numpy.ma", "multiprocessing", "concurrent.futures"}.intersecti
 HEADLESS = "The same|What|Those|That|These|Whether|Of|How|Where|When|Why|Which|Who|As|Its?|They|Their|Likewise"
 
 
+def statements(node):
+    """The node and the statements in it; expressions, which are most of a tree, document nothing."""
+    yield node
+    for inner in ast.iter_child_nodes(node):
+        if isinstance(inner, (ast.stmt, ast.excepthandler, ast.match_case)):
+            yield from statements(inner)
+
+
 def docstrings(path):
     """The documented modules, classes and functions of a file, with the first line of each."""
-    for node in ast.walk(tree(path)):
+    for node in statements(tree(path)):
         documented = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
         if documented and (text := ast.get_docstring(node)):
             yield getattr(node, "name", "module"), text.partition("\n")[0]
