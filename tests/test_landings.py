@@ -100,8 +100,7 @@ def test_an_infusion_that_steps_would_pass_over(method):
         assert sol.y[0, -1] == pytest.approx(right, rel=10 * 1e-3)
 
 
-@families_and_series
-@pytest.mark.parametrize("span", [(0, 10), (10, 0)], ids=["forwards", "backwards"])
+@dealt(method=[*FAMILIES, *SERIES], span=[(0, 10), (10, 0)])
 def test_sensitivities_jump_at_times_that_depend_on_parameters(method, span):
     """∫ of 1.0 if t % p < q: 4 q + (10 − 4 p) at (p, q) = (2.3, 1.1)."""
     for kind in (iv.compile, lambda fun: fun):

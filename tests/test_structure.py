@@ -41,6 +41,14 @@ def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+def statements(node):
+    """The node and the statements in it, without expressions, which are most of a tree."""
+    yield node
+    for inner in ast.iter_child_nodes(node):
+        if isinstance(inner, (ast.stmt, ast.excepthandler, ast.match_case)):
+            yield from statements(inner)
+
+
 @functools.cache
 def imported(name, path):
     """All modules of the package that a module names in an import, in functions and for type checkers too."""
@@ -49,7 +57,7 @@ def imported(name, path):
 
 def _imported(name, path):
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(tree(path)):
+    for node in statements(tree(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in MODULES)
         elif isinstance(node, ast.ImportFrom):
@@ -228,14 +236,6 @@ print(*{"scipy", "numpy.ma", "multiprocessing", "concurrent.futures"}.intersecti
 
 #: Words that begin a fragment: a docstring that starts with one cannot be understood without the text above it.
 HEADLESS = "The same|What|Those|That|These|Whether|Of|How|Where|When|Why|Which|Who|As|Its?|They|Their|Likewise"
-
-
-def statements(node):
-    """The node and the statements in it; expressions, which are most of a tree, document nothing."""
-    yield node
-    for inner in ast.iter_child_nodes(node):
-        if isinstance(inner, (ast.stmt, ast.excepthandler, ast.match_case)):
-            yield from statements(inner)
 
 
 def docstrings(path):
