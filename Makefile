@@ -32,7 +32,7 @@ paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-
 # such as compiled functions, is made once. Three for two cores: some tests wait, for a signal, a process or a disk.
 # Without the plugins of other packages: at each start pytest would import, and rewrite, all of Zarr and of hypothesis.
 # What a dependency deprecates is shown to users, and an error in CI only.
-PYTEST := -m pytest -q -p xdist.plugin -n 3 --dist worksteal \
+PYTEST := -m pytest -q -p xdist.plugin -p no:logging -n 3 --dist worksteal \
   $(if $(CI),-W error::DeprecationWarning -W error::PendingDeprecationWarning)
 test test-lowest test-kernels: export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 

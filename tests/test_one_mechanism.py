@@ -43,6 +43,7 @@ ONLY_IN = {
 
 
 def test_each_thing_has_one_mechanism():
+    texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     for pattern, files in ONLY_IN.items():
-        found = {path for path in PACKAGE.rglob("*.py") if re.search(pattern, path.read_text(), re.M)}
+        found = {path for path, text in texts.items() if re.search(pattern, text, re.M)}
         assert {path.relative_to(PACKAGE).as_posix() for path in found} == files, pattern

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from cases import dealt, explicit_and_implicit
+from cases import METHODS, dealt, explicit_and_implicit
 from drawn import DRAWINGS, axes, ball, legend, shown, turning
 from problems import PROBLEMS
 
@@ -74,7 +74,7 @@ def below(sol):
     return np.finfo(float).eps * max(1, np.abs(drift.value).max(), drift.residual_before.max())
 
 
-@dealt(problem=PROBLEMS, drawing=DRAWINGS)
+@dealt(3 * len(METHODS), problem=PROBLEMS, drawing=DRAWINGS, method=METHODS)
 def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method):
     sol = problem.solve(method)
     ax = axes()

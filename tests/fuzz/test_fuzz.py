@@ -15,11 +15,11 @@ CASES = {
     "calls": 500,
     "runs": 20,
     "files": 100,
-    "fields": 50,
+    "fields": 30,
     "exceptions": 100,
     "networks": 10,
     "patterns": 30,
-    "seams": 10,
+    "seams": 5,
 }
 SEED = 2026
 
