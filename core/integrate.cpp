@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "number.hpp"
 #include "output/polynomial.hpp"
 
 namespace invariode {
@@ -183,6 +184,8 @@ void Integration::nothing_to_integrate() {
 }
 
 // ------------------------------------------------------------------------------------------------------------- a step
+// The functions of every step are parts of `advance`: their calls take a twentieth of a step by Taylor series of a
+// small system (benchmarks/taylor.py).
 
 State Integration::run() {
   while (advance() == State::running) {
@@ -213,7 +216,7 @@ State Integration::advance() {
 
 /// Makes an attempt, unless long linear algebra within its proposal finds that the run is to end. Nothing has been
 /// decided by then: if the run continues, the attempt is repeated.
-Integration::Verdict Integration::attempt_or_give_up() {
+INVARIODE_EACH Integration::Verdict Integration::attempt_or_give_up() {
   try {
     return attempt();
   } catch (const Interruption&) {
@@ -233,7 +236,7 @@ void Integration::poll() {
   throw Interruption();
 }
 
-Integration::Course Integration::begin_step() {
+INVARIODE_EACH Integration::Course Integration::begin_step() {
   if (bounded_slope_ != nullptr && ended(meet_bounds())) return Course::ended;
   const double t = step_->t();
   if (composite_ != nullptr && discontinuities_.sticks_since()) composite_->stay_explicit();
@@ -254,7 +257,7 @@ Integration::Course Integration::meet_bounds() {
   return start_memory(step_->t(), y.data());
 }
 
-Integration::Verdict Integration::attempt() {
+INVARIODE_EACH Integration::Verdict Integration::attempt() {
   assert(aim_.defined());
   if (bounded_slope_ != nullptr) bounded_slope_->start_at(y0_.data());
   proposing_ = true;
@@ -290,7 +293,7 @@ Integration::Verdict Integration::attempt() {
 
 /// Makes an attempt. One that depends on its own values, by delays shorter than h, is repeated until it agrees with
 /// them.
-Step::Attempt Integration::propose() {
+INVARIODE_EACH Step::Attempt Integration::propose() {
   if (delays_ == nullptr) return step_->attempt(aim_.h(), aim_.t1());
   const auto sound = [](const Step::Attempt& one) {
     return one.outcome == Outcome::ok && one.converged && std::isfinite(one.error);
@@ -314,7 +317,7 @@ Step::Attempt Integration::propose() {
 }
 
 /// Tests the error of an attempt.
-Integration::Verdict Integration::test(const Step::Attempt& proposal) {
+INVARIODE_EACH Integration::Verdict Integration::test(const Step::Attempt& proposal) {
   if (proposal.outcome == Outcome::stop) return end_attempt(State::interrupted);
   attempt_.error = proposal.error;
   if (!proposal.converged) return reject(Cause::newton);
@@ -324,7 +327,7 @@ Integration::Verdict Integration::test(const Step::Attempt& proposal) {
 
 /// Shortens a step over a jump of f whose error estimate is small by chance, up to the jump or to a length that does no
 /// harm.
-Integration::Verdict Integration::pass_jump(const double* candidate) {
+INVARIODE_EACH Integration::Verdict Integration::pass_jump(const double* candidate) {
   const Step::Trust trust = step_->trust();
   if (trust == Step::Trust::always) return Verdict::accepted;
   const double h = std::abs(aim_.h());
@@ -452,7 +455,7 @@ Integration::Course Integration::start_step_anew(const double* y) {
 // ------------------------------------------------------------------------------------------------- an accepted step
 
 /// Tests the invariants, handles the events of the step, stores its output, and decides whether the run continues.
-State Integration::finish_step() {
+INVARIODE_EACH State Integration::finish_step() {
   reached_ = {t0_, y0_.data()};  // until guard and events have passed the step
   if (manifold_.any() && ended(judge_invariants())) return state_;
   ++counts_.steps;
@@ -475,7 +478,7 @@ Integration::Course Integration::judge_invariants() {
   return Course::goes_on;
 }
 
-Integration::Course Integration::find_discontinuities() {
+INVARIODE_EACH Integration::Course Integration::find_discontinuities() {
   const double t1 = step_->t(), *y1 = step_->y();
   if (stiffness_.note(*step_, counts_.steps, t0_, y0_.data())) {
     if (ended(unless_stopped(discontinuities_.watch_pace(t1, y1, step_->slope(), aim_.target(),
@@ -491,7 +494,7 @@ Integration::Course Integration::find_discontinuities() {
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
 /// reached.
-Integration::Course Integration::find_events() {
+INVARIODE_EACH Integration::Course Integration::find_events() {
   const double t1 = aim_.t1();
   const double* y1 = step_->y();
   if (!events_.empty()) {
@@ -518,7 +521,7 @@ Integration::Course Integration::find_events() {
 /// Where a component comes to rest at a bound the slope of explicit methods jumps, and S: to 0, and those of algebraic
 /// variables follow; differential ones do not. The step ends before the jump, as its memory and its continuous solution
 /// have it; the point reached is after it, where the method starts again.
-Integration::Course Integration::find_arrived() {
+INVARIODE_EACH Integration::Course Integration::find_arrived() {
   arrived_.clear();
   if (bounded_slope_ == nullptr || reached_.t != aim_.t1()) return Course::goes_on;
   if (ended(unless_stopped(bounded_slope_->find_arrived(reached_.t, y0_, reached_.y, arrived_, memory_outdated_))))
@@ -532,7 +535,7 @@ Integration::Course Integration::find_arrived() {
 }
 
 /// Keeps the step itself: its row, and its part of the continuous solution.
-Integration::Course Integration::record() {
+INVARIODE_EACH Integration::Course Integration::record() {
   if (emitter_.records())
     output().steps.push_back({.t = reached_.t,
                               .h = reached_.t - t0_,
@@ -551,12 +554,12 @@ Integration::Course Integration::record() {
 /// Returns whether the solution jumps at the end of the step.
 bool Integration::jumps_here() const { return !events_.terminal() && (events_.acts() || breaks_.at(reached_.t)); }
 
-Integration::Course Integration::emit(bool jumps_here) {
+INVARIODE_EACH Integration::Course Integration::emit(bool jumps_here) {
   return unless_stopped(emitter_.emit(t0_, aim_.t1(), reached_, jumps_here));
 }
 
 /// Asks the callback, takes the actions of events, and ends the run where it is to end.
-Integration::Course Integration::conclude() {
+INVARIODE_EACH Integration::Course Integration::conclude() {
   const auto [t, y] = reached_;
   double stop = 0;
   if (callback_ && ended(unless_stopped(callback_(t, y, &stop)))) return Course::ended;

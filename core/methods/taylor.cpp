@@ -9,6 +9,7 @@
 #include "aim.hpp"
 #include "manifold/bounds.hpp"
 #include "methods/initial_step.hpp"
+#include "number.hpp"
 #include "output/polynomial.hpp"
 
 namespace invariode {
@@ -76,7 +77,7 @@ Outcome Taylor::start(double t, const double* y, const Span& span) {
 
 /// The next step, from t along an expansion, is to have this signed length, unless a condition changes its sign before.
 /// The reach of the coefficients measures how soon that is: after sliding, the length has the size of the tolerance.
-Status Taylor::look_ahead(double t, const Expansion& expansion, double length, double reach) {
+INVARIODE_EACH Status Taylor::look_ahead(double t, const Expansion& expansion, double length, double reach) {
   h_ = free_ = std::abs(length);
   if (!conditions_.any()) return Status::ok;
   if (find_cut(t, expansion, length) == Status::stop) return Status::stop;
@@ -104,7 +105,7 @@ Status Taylor::find_cut(double t, const Expansion& expansion, double length) {
 
 /// The expansion at (t, y), in a unit of time near h, that without a condition. (Beside a singularity that is much
 /// closer than h coefficients overflow: the unit becomes shorter then.)
-Status Taylor::expand(double t, const double* y, Expansion& into) {
+INVARIODE_EACH Status Taylor::expand(double t, const double* y, Expansion& into) {
   undefined_ = {};
   double unit = unit_near(crosses_ ? free_ : h_);
   do {
@@ -218,7 +219,7 @@ Status Taylor::look_at_rest() {
 }
 
 /// f(t₁, y*), times 1 / `per_end_unit_`: the next expansion has it, where the candidate will not be moved.
-Status Taylor::evaluate_at_candidate() {
+INVARIODE_EACH Status Taylor::evaluate_at_candidate() {
   if (projected_) {
     per_end_unit_ = 1;
     undefined_ = {};
