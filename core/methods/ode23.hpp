@@ -16,6 +16,7 @@ inline constexpr Tableau<4, 3> bogacki_shampine{
     .order = 3,
     .error_order = 2,
     .extension_order = 3,
+    .real_limit = 2.515625,
     .floor = 0.5,
     .predicts = false,
     .c = {0, 1. / 2, 3. / 4, 1},

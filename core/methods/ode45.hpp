@@ -20,6 +20,7 @@ inline constexpr Tableau<7, 4> dormand_prince{
     .order = 5,
     .error_order = 4,
     .extension_order = 4,
+    .real_limit = 3.3125,
     .floor = 0.1,
     .predicts = false,
     .c = {0, 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1, 1},

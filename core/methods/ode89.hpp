@@ -84,6 +84,7 @@ inline constexpr Tableau<17, 8, 4> verner_98{
     .order = 9,
     .error_order = 8,
     .extension_order = 8,
+    .real_limit = 4.53125,
     .floor = 1. / 3,
     .c = detail::verner_98_c,
     .A = detail::verner_98_A,

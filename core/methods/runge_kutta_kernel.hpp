@@ -30,7 +30,6 @@ inline constexpr double told_bend = 100;     // the same, in units of the error 
 template <const auto& T, class Real, class Norm, int Build = 0>
 struct Kernel {
   static constexpr std::size_t last = T.stages - 1;
-  static constexpr double real_limit = runge_kutta::real_limit<T>();
   /// k_j of all stages, those of the extension behind those of the step; each (n,).
   using Stages = std::array<Real*, T.all_stages>;
 

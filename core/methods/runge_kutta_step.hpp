@@ -104,7 +104,7 @@ class RungeKuttaStep final : public PairStep<T, Small>, public DelayInterface {
     const auto [slopes, arguments] = Kernel::probed(k_, n(), purified_, y_.data(), candidate_, weight);
     return std::abs(purified_) * arguments > indistinct ? slopes / arguments / real_limit() : 0;
   }
-  [[nodiscard]] double real_limit() const override { return Kernel::real_limit; }
+  [[nodiscard]] double real_limit() const override { return T.real_limit; }
   [[nodiscard]] int undefined_component() const override {
     for (std::size_t i = 0; i < n(); ++i) {
       bool finite = !reevaluation_failed_ || std::isfinite(reevaluated_[i]);

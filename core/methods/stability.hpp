@@ -54,19 +54,4 @@ constexpr auto bend_weights() {
   return v;
 }
 
-/// The first x > 0 where the stability polynomial of the higher formula leaves |R(−x)| ≤ 1.
-template <const auto& T>
-constexpr double real_limit() {
-  constexpr double step = 1. / 64;
-  constexpr double roundoff = 1e-12;
-  for (double x = step;; x += step) {
-    std::array<double, T.stages> y{};  // of y' = −x y from 1, h = 1: the arguments of the stages
-    for (std::size_t i = 0; i < T.stages; ++i) {
-      y[i] = 1;
-      for (std::size_t j = 0; j < i; ++j) y[i] -= x * T.A[i][j] * y[j];
-    }
-    if (detail::absolute(y[T.stages - 1]) > 1 + roundoff) return x;
-  }
-}
-
 }  // namespace invariode::runge_kutta

@@ -35,6 +35,7 @@ struct Tableau {
   int error_order;                   ///< of the formula that E compares with
   int crude_order = 0;               ///< of the one that `crude` compares with; 0: there is none
   int extension_order;               ///< order of the continuous extension
+  double real_limit;                 ///< of |h λ| on the negative real axis, where the higher formula is stable
   double floor;                      ///< smallest factor by which a first failure cuts h
   bool predicts = true;              ///< the controller sees a trend of the errors; the suite's sees the last one
   std::array<double, all_stages> c;

@@ -31,13 +31,15 @@ inline constexpr auto real_limits = [] {
   constexpr double step = 1. / 16;
   constexpr double roundoff = 1e-8;  // of terms up to e^x
   std::array<double, highest_order + 1> limits{};
+  double x = step;  // which grows with the order
   for (int p = 1; p <= highest_order; ++p) {
-    double value = 1;
-    for (double& x = limits[static_cast<std::size_t>(p)]; value <= 1 + roundoff && value >= -1 - roundoff;) {
-      x += step;
-      value = 1;
-      for (int k = p; k > 0; --k) value = 1 - value * x / k;
-    }
+    const auto value = [p](double at) {
+      double sum = 1;
+      for (int k = p; k > 0; --k) sum = 1 - sum * at / k;
+      return sum;
+    };
+    while (value(x) <= 1 + roundoff && value(x) >= -1 - roundoff) x += step;
+    limits[static_cast<std::size_t>(p)] = x;
   }
   return limits;
 }();

@@ -3,6 +3,7 @@
 #include "methods/runge_kutta.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <set>
@@ -118,6 +119,17 @@ TEST(the_orders_claimed_are_the_orders_reached) {
   for_each_pair([](const auto& table) { check_order_is_sharp(table); });
 }
 
+/// R(−x), the higher formula's y after a step of size 1 of y' = −x y from 1.
+template <class T>
+double growth(const T& table, double x) {
+  std::array<double, T::stages> y{};  // the arguments of the stages
+  for (std::size_t i = 0; i < T::stages; ++i) {
+    y[i] = 1;
+    for (std::size_t j = 0; j < i; ++j) y[i] -= x * table.A[i][j] * y[j];
+  }
+  return y.back();
+}
+
 template <const auto& T>
 void check_bends() {
   if constexpr (T.watches_bends()) {
@@ -142,6 +154,15 @@ void check_bends_of_all(runge_kutta::Tableaux<T...>) {
 
 TEST(a_jump_of_slopes_between_any_two_stages_shows_in_the_divided_difference) {
   check_bends_of_all(runge_kutta::Pairs());
+}
+
+TEST(the_limits_of_stability_are_the_first_at_which_the_formulas_grow) {
+  for_each_pair([](const auto& table) {
+    constexpr double step = 1. / 64;
+    double x = step;
+    while (std::abs(growth(table, x)) <= 1) x += step;
+    CHECK(x == table.real_limit);
+  });
 }
 
 TEST(every_rooted_tree_is_visited_once_with_its_density) {

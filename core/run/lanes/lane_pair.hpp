@@ -30,7 +30,7 @@ class LanePair final : public LaneMethod<W> {
 
  public:
   LanePair(const Job& job, const LaneRows<W>& rows, Host& host)
-      : LaneMethod<W>({T.degree, nested_polynomial<P>, Kernel::real_limit, W / 8 + 1}),
+      : LaneMethod<W>({T.degree, nested_polynomial<P>, T.real_limit, W / 8 + 1}),
         job_(job),
         y_(rows.now + Rows::y),
         p_(rows.now + rows.layout.parameters),
