@@ -9,8 +9,8 @@
 namespace invariode {
 namespace {
 
-constexpr int deepest = 100;     // jumps in a row, each caused by the one before
-constexpr int listed_from = 50;  // of these: the events that occur by them go round in a circle
+constexpr int longest_cascade = 100;  // jumps in a row, each caused by the one before
+constexpr int listed_from = 50;       // of these: the events that occur by them go round in a circle
 
 }  // namespace
 
@@ -272,7 +272,8 @@ State Jumps::judge(double t, const double* y, int depth) {
       list(due, t, y);
   }
   if (terminal_) return State::terminal_event;
-  const bool endless = depth >= deepest || occurred_ > static_cast<std::size_t>(deepest) * parts_.events.count();
+  const bool endless =
+      depth >= longest_cascade || occurred_ > static_cast<std::size_t>(longest_cascade) * parts_.events.count();
   return endless && !crossed_.empty() ? State::events_endless : State::running;
 }
 

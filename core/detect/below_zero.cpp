@@ -8,7 +8,7 @@ namespace {
 constexpr double unwatched = std::numeric_limits<double>::infinity();
 // f leads a component below 0 if at y_i = 0 it accounts for this part of the descent in a step. The rest is growth of
 // what was below 0 already, or roundoff of terms that cancel.
-constexpr double part = 1e-3;
+constexpr double part_of_descent = 1e-3;
 
 /// Oscillating components fall again and again, and each is judged at its first fall: for some, that is not enough.
 constexpr bool may_judge(std::int64_t attempts, std::int64_t evaluations) { return evaluations <= 64 + attempts / 4; }
@@ -22,7 +22,7 @@ Status BelowZero::judge(const Step& step, double* watch, std::int64_t& evaluatio
     const double before = y0[i * stride], after = y1[i * stride];
     if (!falls(one, before, after)) continue;
     if (!may_judge(attempts, evaluations)) return Status::ok;
-    const double least = part * (before - after) / std::abs(t1 - t0);
+    const double least = part_of_descent * (before - after) / std::abs(t1 - t0);
     bool leads = false;
     for (const auto& [t, y] : {std::pair(t0, y0), std::pair(t1, y1)}) {
       if (leads) break;

@@ -8,8 +8,8 @@
 namespace invariode {
 namespace {
 
-constexpr double kept = 1.0 / 8;  // of the change, which a jump keeps: less is left of a smooth one after 3 halvings
-constexpr double grown = 2;       // more than this times the change is a pole, which no breakpoint helps
+constexpr double left_of_jump = 1.0 / 8;  // of the change: less is left of a smooth one after 3 halvings
+constexpr double grown = 2;               // more than this times the change is a pole, which no breakpoint helps
 // Of a step that failed: a change within this is a jump, though f may be smooth on a finer scale.
 constexpr double sharp = 1e-3;
 // Steps of which the rest of the interval would take so many, or so much shorter than the longest, may be those of a
@@ -43,7 +43,7 @@ JumpSearch::Result JumpSearch::bracket(double t0, const double* y0, double t1, c
     if (!halve()) return stopped_ ? Result::stop : Result::none;
     const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
     whole = std::max(whole, larger);  // two jumps may cancel
-    if (larger < kept * whole) return Result::none;
+    if (larger < left_of_jump * whole) return Result::none;
     std::swap(before > after ? b_ : a_, middle_);
     width = std::abs(b_.t - a_.t);
     ++halvings;
@@ -122,9 +122,9 @@ JumpSearch::Result JumpSearch::narrow(double resolved) {
     if (width <= narrowest) return beside_smooth ? result_of_change() : Result::none;
     if (!halve()) return stopped_ ? Result::stop : Result::none;
     const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
-    beside_smooth = std::min(before, after) <= kept * larger;  // which a pole is not
+    beside_smooth = std::min(before, after) <= left_of_jump * larger;  // which a pole is not
     if (!(larger <= grown * whole)) return Result::none;
-    if (larger < kept * whole) return width <= sharp * resolved ? result_of_change() : Result::none;
+    if (larger < left_of_jump * whole) return width <= sharp * resolved ? result_of_change() : Result::none;
     std::swap(before > after ? b_ : a_, middle_);
   }
 }
@@ -151,7 +151,7 @@ JumpSearch::Result JumpSearch::decided_by_y(double t0) {
   const double whole = change(a_, b_);
   a_.t = b_.t = t0;
   if (!evaluate(a_) || !evaluate(b_)) return stopped_ ? Result::stop : Result::none;
-  return change(a_, b_) > kept * whole ? Result::found : Result::none;
+  return change(a_, b_) > left_of_jump * whole ? Result::found : Result::none;
 }
 
 JumpSearch::Result JumpSearch::attracts(double h) {
