@@ -31,9 +31,9 @@ from .series_writer import Inverse, SeriesWriter, inverse_of
 _LEVEL = 0
 
 
-#: Products up to which every coefficient is written out: twice as fast as loops (the restricted three-body problem at
-#: order 19), but more take longer than 0.3 s to compile.
-_MOST_PRODUCTS = 2500
+#: Products up to which every coefficient is written out: two to four times as fast as loops (the restricted three-body
+#: problem, three and four bodies in a plane), but more take longer than 0.3 s to compile.
+_MOST_PRODUCTS = 3500
 
 
 def is_small(found: Program, order: int) -> bool:
